@@ -1,0 +1,51 @@
+"""Checks at the public border: shapes, finiteness, kernels' memory layout, with messages that name the argument."""
+
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import ShapeError
+
+
+def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> np.ndarray:
+    """Return `array` as a C-contiguous float64 array whose last axes are `tail` (batch axes are free).
+
+    Raises:
+        ShapeError: the trailing axes differ, the values are no numbers, or `finite` and some are not.
+    """
+    try:
+        out = np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name} must be an array of numbers: {error}") from error
+    if tail and out.shape[-len(tail) :] != tail:
+        shape = "(..., " + ", ".join(map(str, tail)) + ")"
+        hint = "; transpose?" if out.ndim >= 2 and out.shape[-2:] == (*tail, out.shape[-1]) else ""
+        raise ShapeError(f"{name} must have shape {shape}, got {out.shape}{hint}")
+    if finite and not np.isfinite(out).all():
+        raise ShapeError(f"{name} must be finite; {int((~np.isfinite(out)).sum())} values are not")
+    return out
+
+
+def as_points(array: Any, name: str, dim: int, *, finite: bool = False) -> np.ndarray:
+    """Return `array` as a C-contiguous (n, dim) float64 array.
+
+    Raises:
+        ShapeError: it is not (n, dim), or `finite` and some value is not.
+    """
+    out = as_float_array(array, name, finite=finite)
+    if out.ndim != 2 or out.shape[1] != dim:
+        hint = "; transpose?" if out.ndim == 2 and out.shape[0] == dim else ""
+        raise ShapeError(f"{name} must be (n, {dim}), got {out.shape}{hint}")
+    return out
+
+
+def require_same_length(**arrays: np.ndarray) -> int:
+    """Return the common first-axis length of the named arrays.
+
+    Raises:
+        ShapeError: they differ.
+    """
+    lengths = {name: len(a) for name, a in arrays.items()}
+    if len(set(lengths.values())) > 1:
+        raise ShapeError("lengths differ: " + ", ".join(f"{k} has {v}" for k, v in lengths.items()))
+    return next(iter(lengths.values()))

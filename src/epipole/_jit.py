@@ -1,0 +1,70 @@
+"""The only Numba configuration of the package.
+
+Kernels are serial and release the GIL; `_parallel` spreads them over threads. They are compiled lazily and
+kept on disk in a folder named by a digest of all kernel sources, because Numba does not notice that a callee
+in another file has changed.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from inspect import unwrap
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+from numba.core import config as numba_config
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# Without nnan and ninf: `fastmath=True` makes isfinite() and isnan() lie.
+SAFE_FASTMATH = {"nsz", "arcp", "contract", "afn"}
+
+
+@cache
+def cache_folder() -> Path:
+    """The folder of compiled kernels: `$EPIPOLE_CACHE_DIR` or the user's cache, by digest of the sources."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted([*package.rglob("_*_kernels.py"), Path(__file__)]):
+        digest.update(source.read_bytes())
+    name = digest.hexdigest()[:16]
+    asked = os.environ.get("EPIPOLE_CACHE_DIR")
+    base = Path(asked) if asked else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "epipole"
+    for candidate in (base, Path(tempfile.gettempdir()) / f"epipole-{os.getuid() if hasattr(os, 'getuid') else 0}"):
+        folder = candidate / "kernels" / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="epipole-kernels-"))
+
+
+def kernel(function: Function | None = None, *, inline: bool = False, extra_fastmath: frozenset[str] = frozenset()) -> Any:
+    """Compile a function lazily as a serial, GIL-free, disk-cached kernel.
+
+    Args:
+        function: the Python function (annotations are for readers; a type-checking wrapper is removed).
+        inline: always inline into the calling kernel (small helpers that are called per item).
+        extra_fastmath: flags beyond the safe set, for a measured reason (e.g. `reassoc` for a long dot product).
+    """
+    if function is None:
+        return lambda f: kernel(f, inline=inline, extra_fastmath=extra_fastmath)
+    previous = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder())
+    try:
+        compiled = numba.njit(
+            unwrap(function),
+            cache=True,
+            nogil=True,
+            error_model="numpy",
+            fastmath=SAFE_FASTMATH | set(extra_fastmath),
+            inline="always" if inline else "never",
+        )
+    finally:
+        numba_config.CACHE_DIR = previous
+    return cast(Function, compiled)

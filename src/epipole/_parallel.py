@@ -1,0 +1,96 @@
+"""The one thread pool, and the fixed chunks that keep results independent of the number of threads."""
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+Result = TypeVar("Result")
+
+_lock = threading.Lock()
+_pool: ThreadPoolExecutor | None = None
+_num_threads: int | None = None
+_inside = threading.local()
+
+
+def available_cpus() -> int:
+    """The processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return max(1, os.cpu_count() or 1)
+
+
+def num_threads() -> int:
+    """Threads used for parallel work: `set_num_threads`, else `$EPIPOLE_NUM_THREADS`, else every processor."""
+    if _num_threads is not None:
+        return _num_threads
+    asked = os.environ.get("EPIPOLE_NUM_THREADS", "")
+    return max(1, int(asked)) if asked.isdigit() else available_cpus()
+
+
+def set_num_threads(count: int | None) -> None:
+    """Set the number of threads (None: back to the default). Results do not depend on it."""
+    global _num_threads, _pool  # noqa: PLW0603 - the one pool of the process
+    with _lock:
+        _num_threads = None if count is None else max(1, int(count))
+        if _pool is not None:
+            _pool.shutdown(wait=True)
+            _pool = None
+
+
+def _shared_pool() -> ThreadPoolExecutor:
+    global _pool  # noqa: PLW0603 - the one pool of the process
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(num_threads(), thread_name_prefix="epipole")
+        return _pool
+
+
+def _forget_pool_after_fork() -> None:
+    global _pool, _lock  # noqa: PLW0603 - threads do not survive a fork
+    _pool, _lock = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool_after_fork)
+
+
+def chunk_bounds(num_items: int, num_chunks: int) -> list[tuple[int, int]]:
+    """Cut range(num_items) into at most num_chunks (start, stop) pieces of nearly equal length."""
+    num_chunks = max(1, min(num_chunks, num_items))
+    edges = [num_items * c // num_chunks for c in range(num_chunks + 1)]
+    return [(a, b) for a, b in zip(edges[:-1], edges[1:]) if b > a]
+
+
+def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chunks: int = 16) -> list[Result]:
+    """Call work(start, stop, chunk) for fixed chunks of range(num_items); results come in chunk order.
+
+    The chunks depend on num_items and num_chunks alone, so that sums reduced in this order are the same for
+    any number of threads. Called from inside a worker it runs inline.
+    """
+    bounds = chunk_bounds(num_items, num_chunks)
+    if len(bounds) <= 1 or num_threads() == 1 or getattr(_inside, "worker", False):
+        return [work(start, stop, c) for c, (start, stop) in enumerate(bounds)]
+
+    def run(c: int, start: int, stop: int) -> Result:
+        _inside.worker = True
+        return work(start, stop, c)
+
+    futures = [_shared_pool().submit(run, c, start, stop) for c, (start, stop) in enumerate(bounds)]
+    return [future.result() for future in futures]
+
+
+def map_items(work: Callable[[int], Result], num_items: int) -> list[Result]:
+    """Call work(i) for each i of range(num_items) on the shared pool; results come in order."""
+    return map_chunks(lambda start, _stop, _chunk: work(start), num_items, num_items)
+
+
+@contextmanager
+def single_threaded_blas() -> Iterator[None]:
+    """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -1,0 +1,113 @@
+"""One camera: a model, a picture size and parameters; projection both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_float_array, as_points
+from epipole.cameras import _camera_kernels as kernels
+from epipole.cameras.models import MAX_PARAMS, CameraModel
+from epipole.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera's intrinsics. Axes: x right, y down, z forward; pixel (0, 0) is the top-left pixel's centre."""
+
+    model: CameraModel
+    width: int
+    height: int
+    params: Float64[np.ndarray, " p"]
+
+    def __post_init__(self) -> None:
+        """Check the number and the finiteness of the parameters.
+
+        Raises:
+            ConfigError: they do not fit the model.
+        """
+        names = self.model.param_names
+        if self.params.shape != (len(names),):
+            raise ConfigError(
+                f"{self.model.name} has {len(names)} parameters ({', '.join(names)}), got {self.params.size}"
+            )
+        bad = [n for n, value in zip(names, self.params) if not np.isfinite(value)]
+        if bad:
+            raise ConfigError(f"camera parameter {', '.join(bad)} is not a finite number")
+        if min(self.params[i] for i in self.model.focal_indices) <= 0:
+            raise ConfigError(f"the focal length must be positive, got {self.params[0]:g}")
+
+    @property
+    def focal_px(self) -> float:
+        """Mean focal length in pixels."""
+        return float(np.mean([self.params[i] for i in self.model.focal_indices]))
+
+    @property
+    def K(self) -> Float64[np.ndarray, "3 3"]:
+        """The calibration matrix, without distortion."""
+        focal = [self.params[i] for i in self.model.focal_indices]
+        cx, cy = (self.params[i] for i in self.model.principal_point_indices)
+        return np.array([[focal[0], 0.0, cx], [0.0, focal[-1], cy], [0.0, 0.0, 1.0]])
+
+    def padded_params(self) -> Float64[np.ndarray, "8"]:
+        """Parameters padded with zeros to the longest model, as camera columns hold them."""
+        return np.concatenate([self.params, np.zeros(MAX_PARAMS - len(self.params))])
+
+    def project(self, points_in_cam: Any) -> Float64[np.ndarray, "n 2"]:
+        """Pixels of points (n, 3) in camera coordinates; NaN where the camera cannot see them."""
+        points = as_points(points_in_cam, "points_in_cam", 3)
+        out = np.empty((len(points), 2))
+        kernels.project_all(int(self.model), self.padded_params(), points, out)
+        return out
+
+    def project_with_jacobian(
+        self, points_in_cam: Any
+    ) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, "n 2 3"], Float64[np.ndarray, "n 2 p"]]:
+        """Pixels, d pixels / d points and d pixels / d params."""
+        points = as_points(points_in_cam, "points_in_cam", 3)
+        n = len(points)
+        out, jac_points, jac_params = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, MAX_PARAMS))
+        kernels.project_with_jacobian_all(
+            int(self.model), self.padded_params(), points, out, jac_points, jac_params
+        )
+        return out, jac_points, jac_params[:, :, : len(self.params)]
+
+    def unproject(self, pixels: Any) -> Float64[np.ndarray, "n 3"]:
+        """Unit directions in camera coordinates of pixels (n, 2); NaN where the distortion has no inverse."""
+        pixels = as_points(pixels, "pixels", 2)
+        out = np.empty((len(pixels), 3))
+        kernels.unproject_all(int(self.model), self.padded_params(), pixels, out)
+        return out
+
+    def unproject_with_jacobian(
+        self, pixels: Any
+    ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3 2"]]:
+        """Unit directions d, and d direction / d pixels.
+
+        With P = d(pixel)/d(point) at d (2x3), which kills d itself, the inverse on the tangent plane is the
+        pseudo-inverse P^T (P P^T)^-1.
+        """
+        rays = self.unproject(pixels)
+        _, jac, _ = self.project_with_jacobian(rays)
+        finite = np.isfinite(jac).all(axis=(1, 2))
+        out = np.full((len(rays), 3, 2), np.nan)
+        out[finite] = np.linalg.pinv(jac[finite])
+        return rays, out
+
+    def scaled_to(self, width: int, height: int) -> Camera:
+        """The camera of the same picture resampled to another size (pixel edges, not centres, stay put)."""
+        sx, sy = width / self.width, height / self.height
+        params = as_float_array(self.params, "params").copy()
+        focal = self.model.focal_indices
+        for position, index in enumerate(focal):
+            params[index] *= (sx + sy) / 2 if len(focal) == 1 else (sx, sy)[position]
+        cx, cy = self.model.principal_point_indices
+        params[cx], params[cy] = (params[cx] + 0.5) * sx - 0.5, (params[cy] + 0.5) * sy - 0.5
+        return Camera(self.model, width, height, params)
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{n} {v:.6g}" for n, v in zip(self.model.param_names, self.params))
+        return f"Camera({self.model.name}, {self.width}x{self.height}, {values})"

@@ -1,0 +1,88 @@
+"""The camera models: their names, parameters and what each parameter is.
+
+Pixel (0, 0) is the centre of the top-left pixel. COLMAP's half-pixel shift lives in `io.colmap` alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from epipole.errors import ConfigError
+
+MAX_PARAMS = 8
+"""The longest parameter vector of any model; camera columns are padded to it with zeros."""
+
+
+class CameraModel(IntEnum):
+    """The models, with COLMAP's numbers, names and parameter order."""
+
+    SIMPLE_PINHOLE = 0
+    PINHOLE = 1
+    SIMPLE_RADIAL = 2
+    RADIAL = 3
+    OPENCV = 4
+    OPENCV_FISHEYE = 5
+
+    @property
+    def param_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return _SPECS[self].names
+
+    @property
+    def num_params(self) -> int:
+        """Length of the parameter vector."""
+        return len(_SPECS[self].names)
+
+    @property
+    def focal_indices(self) -> tuple[int, ...]:
+        """Positions of the focal lengths (one or two)."""
+        return _SPECS[self].focal
+
+    @property
+    def principal_point_indices(self) -> tuple[int, int]:
+        """Positions of cx and cy."""
+        first = len(_SPECS[self].focal)
+        return first, first + 1
+
+    @property
+    def distortion_indices(self) -> tuple[int, ...]:
+        """Positions of the distortion coefficients (may be empty)."""
+        return tuple(range(len(_SPECS[self].focal) + 2, self.num_params))
+
+    def initial_params(self, focal_px: float, width: int, height: int) -> np.ndarray:
+        """Parameters of an undistorted camera that looks through the middle of its picture."""
+        focal = [focal_px] * len(_SPECS[self].focal)
+        zeros = [0.0] * len(self.distortion_indices)
+        return np.array([*focal, 0.5 * (width - 1), 0.5 * (height - 1), *zeros])
+
+
+@dataclass(frozen=True, slots=True)
+class _Spec:
+    names: tuple[str, ...]
+    focal: tuple[int, ...]
+
+
+_SPECS = {
+    CameraModel.SIMPLE_PINHOLE: _Spec(("f", "cx", "cy"), (0,)),
+    CameraModel.PINHOLE: _Spec(("fx", "fy", "cx", "cy"), (0, 1)),
+    CameraModel.SIMPLE_RADIAL: _Spec(("f", "cx", "cy", "k"), (0,)),
+    CameraModel.RADIAL: _Spec(("f", "cx", "cy", "k1", "k2"), (0,)),
+    CameraModel.OPENCV: _Spec(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), (0, 1)),
+    CameraModel.OPENCV_FISHEYE: _Spec(("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"), (0, 1)),
+}
+
+
+def camera_model_named(name: str) -> CameraModel:
+    """The model of this name (any case).
+
+    Raises:
+        ConfigError: there is none.
+    """
+    try:
+        return CameraModel[name.strip().upper()]
+    except KeyError:
+        known = ", ".join(m.name for m in CameraModel)
+        raise ConfigError(f"unknown camera model {name!r}; one of {known}") from None

@@ -1,0 +1,42 @@
+"""The exceptions that epipole raises on purpose.
+
+Misuse and bad files raise. A failure to *estimate* is data: estimators return a result with a reason.
+"""
+
+from pathlib import Path
+
+
+class EpipoleError(Exception):
+    """Base of every error raised on purpose; the command line prints it as one line."""
+
+
+class ShapeError(EpipoleError, ValueError):
+    """An array has the wrong shape, type or contents (NaN where numbers are needed)."""
+
+
+class ConfigError(EpipoleError, ValueError):
+    """An option has a value that cannot be used."""
+
+
+class DegenerateGeometryError(EpipoleError, ValueError):
+    """The geometry asked for does not exist (no baseline, collinear points, fewer points than unknowns)."""
+
+
+class FileFormatError(EpipoleError, ValueError):
+    """A file cannot be read as what it claims to be; the message names the file and the place."""
+
+    def __init__(self, path: Path | str, problem: str) -> None:
+        super().__init__(f"{path}: {problem}")
+        self.path = Path(path)
+
+
+class WorkspaceError(EpipoleError, OSError):
+    """The output folder cannot be used (not writable, full, or it holds something else)."""
+
+
+class NoModelError(EpipoleError, RuntimeError):
+    """The pictures give no 3D model; the message says why."""
+
+
+class MissingDependencyError(EpipoleError, ImportError):
+    """An optional package is not installed; the message names what to install."""

@@ -1,0 +1,96 @@
+"""Two-view algebra: the essential and fundamental matrices, their lines, epipoles and decomposition.
+
+Convention: x2^T F x1 = 0 for pixels, y2^T E y1 = 0 for rays, E = [t]x R with cam2_from_cam1 = (R, t).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole._checks import as_float_array, as_points, require_same_length
+from epipole.geometry.homogeneous import normalize_lines, to_homogeneous
+from epipole.geometry.rigid3 import Rigid3
+from epipole.geometry.rotation3 import skew
+from epipole.geometry.triangulation import triangulate_two_view
+
+
+def essential_from_cam2_from_cam1(cam2_from_cam1: Rigid3) -> Float64[np.ndarray, "*batch 3 3"]:
+    """E = [t]x R (Longuet-Higgins 1981). No translation gives the zero matrix: there is no epipolar geometry."""
+    return skew(cam2_from_cam1.translation) @ cam2_from_cam1.rotation
+
+
+def fundamental_from_essential(essential: Any, K1: Any, K2: Any) -> Float64[np.ndarray, "*batch 3 3"]:
+    """F = K2^-T E K1^-1 (Luong and Faugeras 1996)."""
+    K1, K2 = as_float_array(K1, "K1", 3, 3), as_float_array(K2, "K2", 3, 3)
+    essential = as_float_array(essential, "essential", 3, 3)
+    return np.swapaxes(np.linalg.inv(K2), -1, -2) @ essential @ np.linalg.inv(K1)
+
+
+def essential_from_fundamental(fundamental: Any, K1: Any, K2: Any) -> Float64[np.ndarray, "*batch 3 3"]:
+    """E = K2^T F K1."""
+    K1, K2 = as_float_array(K1, "K1", 3, 3), as_float_array(K2, "K2", 3, 3)
+    return np.swapaxes(K2, -1, -2) @ as_float_array(fundamental, "fundamental", 3, 3) @ K1
+
+
+def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]:
+    """The lines F x1 in image 2 on which the matches of image-1 pixels (n, 2) lie, scaled to unit normals."""
+    points = to_homogeneous(as_points(pixels1, "pixels1", 2))
+    return normalize_lines(points @ as_float_array(fundamental, "fundamental", 3, 3).T)
+
+
+def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+    """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's centre."""
+    u, _, vt = np.linalg.svd(as_float_array(fundamental, "fundamental", 3, 3))
+    return vt[2], u[:, 2]
+
+
+def sampson_error(fundamental: Any, pixels1: Any, pixels2: Any) -> Float64[np.ndarray, " n"]:
+    """First-order distance of matches from the epipolar constraint, in pixels (Sampson 1982; HZ eq. 11.9)."""
+    F = as_float_array(fundamental, "fundamental", 3, 3)
+    x1 = to_homogeneous(as_points(pixels1, "pixels1", 2))
+    x2 = to_homogeneous(as_points(pixels2, "pixels2", 2))
+    require_same_length(pixels1=x1, pixels2=x2)
+    line2, line1 = x1 @ F.T, x2 @ F
+    residual = (x2 * line2).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.abs(residual) / np.sqrt((line2[:, :2] ** 2).sum(axis=1) + (line1[:, :2] ** 2).sum(axis=1))
+
+
+def decompose_essential(essential: Any) -> Rigid3:
+    """The four candidates cam2_from_cam1, |t| = 1: two rotations times two signs of t (HZ result 9.19).
+
+    Returns:
+        Rigid3 with batch shape (4,). The length of t cannot be known from E.
+    """
+    u, _, vt = np.linalg.svd(as_float_array(essential, "essential", 3, 3))
+    u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
+    w = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    ra, rb, t = u @ w @ vt, u @ w.T @ vt, u[:, 2]
+    return Rigid3(np.stack([ra, ra, rb, rb]), np.stack([t, -t, t, -t]))
+
+
+def choose_by_cheirality(
+    candidates: Rigid3, rays1: Any, rays2: Any
+) -> tuple[int, Bool[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+    """Choose the candidate that puts most points before both cameras.
+
+    Args:
+        candidates: cam2_from_cam1, batch shape (m,).
+        rays1: matched directions in camera 1, (n, 3), any length.
+        rays2: the same in camera 2.
+
+    Returns:
+        Index of the best candidate, mask of the points in front of both cameras, points in camera 1.
+    """
+    rays1, rays2 = as_points(rays1, "rays1", 3), as_points(rays2, "rays2", 3)
+    require_same_length(rays1=rays1, rays2=rays2)
+    best = (-1, np.zeros(len(rays1), bool), np.full((len(rays1), 3), np.nan))
+    for index in range(len(candidates)):
+        points, depth1, depth2 = triangulate_two_view(candidates[index], rays1, rays2)
+        in_front = (depth1 > 0) & (depth2 > 0)
+        if best[0] < 0 or in_front.sum() > best[1].sum():
+            best = (index, in_front, points)
+    return best

@@ -1,0 +1,47 @@
+"""Homogeneous points and lines: a point x lies on a line l exactly when l . x = 0."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_float_array
+
+
+def to_homogeneous(points: Any) -> Float64[np.ndarray, "*batch m"]:
+    """Append a 1: (u, v) -> (u, v, 1)."""
+    points = as_float_array(points, "points")
+    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+
+
+def from_homogeneous(points: Any) -> Float64[np.ndarray, "*batch m"]:
+    """Divide by the last coordinate and drop it; points at infinity become non-finite."""
+    points = as_float_array(points, "points")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return points[..., :-1] / points[..., -1:]
+
+
+def line_through(points_a: Any, points_b: Any) -> Float64[np.ndarray, "*batch 3"]:
+    """The line a x b through two image points (..., 2), scaled so that |(a, b)| = 1 (distances in pixels).
+
+    The same point twice has no line: NaN.
+    """
+    lines = np.cross(to_homogeneous(points_a), to_homogeneous(points_b))
+    return normalize_lines(lines)
+
+
+def normalize_lines(lines: Any) -> Float64[np.ndarray, "*batch 3"]:
+    """Scale lines (a, b, c) to a^2 + b^2 = 1, so that l . (u, v, 1) is a signed distance."""
+    lines = as_float_array(lines, "lines", 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return lines / np.linalg.norm(lines[..., :2], axis=-1, keepdims=True)
+
+
+def intersection_of(lines_a: Any, lines_b: Any) -> Float64[np.ndarray, "*batch 2"]:
+    """The common point of two lines; parallel lines give non-finite coordinates."""
+    return from_homogeneous(np.cross(as_float_array(lines_a, "lines_a", 3), as_float_array(lines_b, "lines_b", 3)))
+
+
+def point_line_distance(points: Any, lines: Any) -> Float64[np.ndarray, "*batch"]:
+    """Distance of image points (..., 2) from lines (..., 3), in the points' unit."""
+    return np.abs((to_homogeneous(points) * normalize_lines(lines)).sum(axis=-1))

@@ -1,0 +1,110 @@
+"""Rigid motions of space, SE(3), in batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_float_array
+from epipole.geometry.rotation3 import Rotation3, skew
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigid3:
+    """A batch of rigid motions, `x_in_target = rotation @ x_in_source + translation`.
+
+    Variables are named `target_from_source`, so that products read as cancellation:
+    `cam_from_world = cam_from_body @ body_from_world`. Tangents are (translation, rotation).
+    """
+
+    rotation: Float64[np.ndarray, "*batch 3 3"]
+    translation: Float64[np.ndarray, "*batch 3"]
+
+    @staticmethod
+    def identity(*batch: int) -> Rigid3:
+        """The motion that changes nothing, repeated over the batch shape."""
+        return Rigid3(Rotation3.identity(*batch).matrix, np.zeros((*batch, 3)))
+
+    @staticmethod
+    def from_matrix(matrix: Any) -> Rigid3:
+        """From (..., 4, 4) or (..., 3, 4) matrices [R t]."""
+        m = np.ascontiguousarray(matrix, dtype=np.float64)
+        return Rigid3(np.ascontiguousarray(m[..., :3, :3]), np.ascontiguousarray(m[..., :3, 3]))
+
+    def as_matrix(self) -> Float64[np.ndarray, "*batch 4 4"]:
+        """Homogeneous 4x4 matrices."""
+        out = np.zeros((*self.translation.shape[:-1], 4, 4))
+        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self.rotation, self.translation, 1.0
+        return out
+
+    @staticmethod
+    def from_quat_wxyz(quat_wxyz: Any, translation: Any) -> Rigid3:
+        """From quaternions (w, x, y, z) and translations."""
+        return Rigid3(
+            Rotation3.from_quat_wxyz(quat_wxyz).matrix, as_float_array(translation, "translation", 3).copy()
+        )
+
+    @staticmethod
+    def exp(xi: Any) -> Rigid3:
+        """The motion of twist xi = (rho, phi): R = exp(phi), t = V(phi) rho (Murray, Li, Sastry 1994)."""
+        xi = as_float_array(xi, "xi", 6)
+        rho, phi = xi[..., :3], np.ascontiguousarray(xi[..., 3:])
+        translation = (left_jacobian(phi) @ rho[..., None])[..., 0]
+        return Rigid3(Rotation3.exp(phi).matrix, translation)
+
+    def log(self) -> Float64[np.ndarray, "*batch 6"]:
+        """The twist (rho, phi) with exp(log(T)) = T."""
+        phi = Rotation3(self.rotation).log()
+        rho = np.linalg.solve(left_jacobian(phi), self.translation[..., None])[..., 0]
+        return np.concatenate([rho, phi], axis=-1)
+
+    def inverse(self) -> Rigid3:
+        """source_from_target."""
+        rotation = np.ascontiguousarray(np.swapaxes(self.rotation, -1, -2))
+        return Rigid3(rotation, -(rotation @ self.translation[..., None])[..., 0])
+
+    def __matmul__(self, other: Rigid3) -> Rigid3:
+        """Composition: c_from_b @ b_from_a = c_from_a."""
+        moved = (self.rotation @ other.translation[..., None])[..., 0]
+        return Rigid3(self.rotation @ other.rotation, moved + self.translation)
+
+    def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
+        """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
+        rotated = (self.rotation @ as_float_array(points, "points", 3)[..., None])[..., 0]
+        return rotated + self.translation
+
+    def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
+        """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, [t]x R], [0, R]]."""
+        out = np.zeros((*self.translation.shape[:-1], 6, 6))
+        out[..., :3, :3] = out[..., 3:, 3:] = self.rotation
+        out[..., :3, 3:] = skew(self.translation) @ self.rotation
+        return out
+
+    def centers(self) -> Float64[np.ndarray, "*batch 3"]:
+        """The target's origin in source coordinates: the camera centres, for cam_from_world."""
+        return self.inverse().translation
+
+    def __getitem__(self, index: Any) -> Rigid3:
+        """Select from the batch."""
+        return Rigid3(self.rotation[index], self.translation[index])
+
+    def __len__(self) -> int:
+        return len(self.translation)
+
+    def __repr__(self) -> str:
+        return f"Rigid3(batch {self.translation.shape[:-1]})"
+
+
+def left_jacobian(phi: Any) -> Float64[np.ndarray, "*batch 3 3"]:
+    """V(phi) = integral over u in [0, 1] of exp(u phi): the left Jacobian of SO(3)."""
+    phi = as_float_array(phi, "phi", 3)
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    first = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+    small = angle < 1e-2
+    safe = np.where(small, 1.0, angle)
+    second = np.where(small, 1 / 6 - angle**2 / 120 + angle**4 / 5040, (safe - np.sin(safe)) / safe**3)
+    cross = skew(phi)
+    return np.eye(3) + first * cross + second * (cross @ cross)

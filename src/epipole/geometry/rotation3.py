@@ -1,0 +1,118 @@
+"""Rotations of space, SO(3), in batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_float_array
+
+
+def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
+    """The matrix [v]x of the cross product, [v]x w = v x w. Shape (..., 3) -> (..., 3, 3)."""
+    v = as_float_array(vectors, "vectors", 3)
+    zero = np.zeros(v.shape[:-1])
+    rows = [zero, -v[..., 2], v[..., 1], v[..., 2], zero, -v[..., 0], -v[..., 1], v[..., 0], zero]
+    return np.stack(rows, axis=-1).reshape(*v.shape[:-1], 3, 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rotation3:
+    """A batch of rotations, `x_in_target = matrix @ x_in_source`."""
+
+    matrix: Float64[np.ndarray, "*batch 3 3"]
+
+    @staticmethod
+    def identity(*batch: int) -> Rotation3:
+        """The rotation that changes nothing, repeated over the batch shape."""
+        return Rotation3(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy())
+
+    @staticmethod
+    def exp(phi_rad: Any) -> Rotation3:
+        """Rotation about axis phi by |phi| radians (Rodrigues 1840)."""
+        phi = as_float_array(phi_rad, "phi_rad", 3)
+        angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+        # np.sinc(x) = sin(pi x) / (pi x) is exact at zero, so that no small-angle branch is needed.
+        first = np.sinc(angle / np.pi)
+        second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
+        cross = skew(phi)
+        return Rotation3(np.eye(3) + first * cross + second * (cross @ cross))
+
+    def log(self) -> Float64[np.ndarray, "*batch 3"]:
+        """The rotation vector in radians, |phi| <= pi; through the quaternion, which is stable near 0 and pi."""
+        quat = self.as_quat_wxyz()
+        quat = np.where(quat[..., :1] < 0, -quat, quat)
+        norm = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+        angle = 2 * np.arctan2(norm, quat[..., :1])
+        scale = np.where(norm > 1e-12, angle / np.where(norm > 1e-12, norm, 1.0), 2.0)
+        return scale * quat[..., 1:]
+
+    @staticmethod
+    def from_quat_wxyz(quat_wxyz: Any) -> Rotation3:
+        """From quaternions (w, x, y, z) of any non-zero length."""
+        q = as_float_array(quat_wxyz, "quat_wxyz", 4)
+        w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+        rows = [
+            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        ]
+        return Rotation3(np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3))
+
+    def as_quat_wxyz(self) -> Float64[np.ndarray, "*batch 4"]:
+        """Unit quaternions (w, x, y, z), w >= 0.
+
+        The symmetric 4x4 matrix of Bar-Itzhack (2000) holds 4 q q^T - I for a rotation matrix; its row of
+        greatest diagonal is the quaternion up to scale, without cancellation.
+        """
+        m = self.matrix
+        trace = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+        k = np.empty((*m.shape[:-2], 4, 4))
+        k[..., 0, 0] = 1 + trace
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            k[..., a + 1, a + 1] = 1 + 2 * m[..., a, a] - trace
+            k[..., 0, a + 1] = k[..., a + 1, 0] = m[..., c, b] - m[..., b, c]
+            k[..., a + 1, b + 1] = k[..., b + 1, a + 1] = m[..., a, b] + m[..., b, a]
+        best = np.argmax(np.diagonal(k, axis1=-2, axis2=-1), axis=-1)
+        quat = np.take_along_axis(k, best[..., None, None], axis=-2)[..., 0, :]
+        quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+        return np.where(quat[..., :1] < 0, -quat, quat)
+
+    @staticmethod
+    def nearest(matrix: Any) -> Rotation3:
+        """The rotation nearest to a 3x3 matrix in the Frobenius norm (Schoenemann 1966, with det = +1)."""
+        u, _, vt = np.linalg.svd(as_float_array(matrix, "matrix", 3, 3))
+        sign = np.sign(np.linalg.det(u @ vt))
+        u[..., :, 2] *= np.where(sign < 0, -1.0, 1.0)[..., None]
+        return Rotation3(u @ vt)
+
+    def inverse(self) -> Rotation3:
+        """source_from_target."""
+        return Rotation3(np.ascontiguousarray(np.swapaxes(self.matrix, -1, -2)))
+
+    def __matmul__(self, other: Rotation3) -> Rotation3:
+        """Composition: c_from_b @ b_from_a = c_from_a."""
+        return Rotation3(self.matrix @ other.matrix)
+
+    def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
+        """Rotate points (..., 3); the batch shapes broadcast."""
+        return (self.matrix @ as_float_array(points, "points", 3)[..., None])[..., 0]
+
+    def adjoint(self) -> Float64[np.ndarray, "*batch 3 3"]:
+        """Ad with R exp(phi) R^-1 = exp(Ad phi): the matrix itself."""
+        return self.matrix
+
+    def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
+        """The rotation angle in [0, pi], accurate for small angles too."""
+        return np.linalg.norm(self.log(), axis=-1)
+
+    def __getitem__(self, index: Any) -> Rotation3:
+        """Select from the batch."""
+        return Rotation3(self.matrix[index])
+
+    def __repr__(self) -> str:
+        return f"Rotation3(batch {self.matrix.shape[:-2]})"

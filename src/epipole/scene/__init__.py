@@ -1,0 +1,11 @@
+"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph."""
+
+from epipole.scene.cameras import Cameras as Cameras
+from epipole.scene.frames import Frames as Frames
+from epipole.scene.frames import Rigs as Rigs
+from epipole.scene.frames import unregistered as unregistered
+from epipole.scene.images import Images as Images
+from epipole.scene.points import Points as Points
+from epipole.scene.points import Tracks as Tracks
+from epipole.scene.reconstruction import Reconstruction as Reconstruction
+from epipole.scene.view_graph import ViewGraph as ViewGraph

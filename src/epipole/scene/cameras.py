@@ -1,0 +1,57 @@
+"""Cameras as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32
+
+from epipole.cameras import MAX_PARAMS, Camera, CameraModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cameras:
+    """One row per camera; the row is its id inside epipole."""
+
+    model: Int32[np.ndarray, " n"]
+    width: Int32[np.ndarray, " n"]
+    height: Int32[np.ndarray, " n"]
+    params: Float64[np.ndarray, "n 8"]
+    """Padded with zeros to the longest model."""
+    is_focal_trusted: Bool[np.ndarray, " n"]
+    """The focal length was given or read from EXIF, not guessed."""
+    is_constant: Bool[np.ndarray, " n"]
+    """The intrinsics are known and stay as they are."""
+
+    @staticmethod
+    def from_list(
+        cameras: Iterable[Camera],
+        is_focal_trusted: Iterable[bool] | None = None,
+        is_constant: Iterable[bool] | None = None,
+    ) -> Cameras:
+        """Collect single cameras into columns (flags default to True and False)."""
+        rows = list(cameras)
+        n = len(rows)
+        return Cameras(
+            np.array([int(c.model) for c in rows], np.int32),
+            np.array([c.width for c in rows], np.int32),
+            np.array([c.height for c in rows], np.int32),
+            np.array([c.padded_params() for c in rows]).reshape(n, MAX_PARAMS),
+            np.array(list(is_focal_trusted) if is_focal_trusted is not None else [True] * n, bool),
+            np.array(list(is_constant) if is_constant is not None else [False] * n, bool),
+        )
+
+    def __len__(self) -> int:
+        return len(self.model)
+
+    def __getitem__(self, index: int) -> Camera:
+        """Camera of one row."""
+        model = CameraModel(int(self.model[index]))
+        params = self.params[index, : model.num_params].copy()
+        return Camera(model, int(self.width[index]), int(self.height[index]), params)
+
+    def __repr__(self) -> str:
+        names = sorted({CameraModel(int(m)).name for m in self.model})
+        return f"Cameras({len(self)}: {', '.join(names)})"

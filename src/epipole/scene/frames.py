@@ -1,0 +1,64 @@
+"""Rigs and frames: cameras that move together, and the instants at which they took pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32
+
+from epipole.geometry import Rigid3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rigs:
+    """Rigs in compressed rows: rig r has the sensors sensor_offsets[r] to sensor_offsets[r + 1].
+
+    The first sensor of a rig is its reference (identity). A single camera is a rig of one sensor.
+    """
+
+    sensor_offsets: Int32[np.ndarray, " r1"]
+    sensor_camera: Int32[np.ndarray, " s"]
+    cam_from_rig: Rigid3
+
+    @staticmethod
+    def of_single_cameras(num_cameras: int) -> Rigs:
+        """One rig for each camera, which is its only sensor."""
+        ids = np.arange(num_cameras + 1, dtype=np.int32)
+        return Rigs(ids, ids[:-1].copy(), Rigid3.identity(num_cameras))
+
+    def __len__(self) -> int:
+        return len(self.sensor_offsets) - 1
+
+    def rig_of_sensor(self) -> Int32[np.ndarray, " s"]:
+        """The rig to which each sensor belongs."""
+        return np.repeat(np.arange(len(self), dtype=np.int32), np.diff(self.sensor_offsets))
+
+    def __repr__(self) -> str:
+        return f"Rigs({len(self)} rigs, {len(self.sensor_camera)} sensors)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """One row per instant of one rig."""
+
+    rig: Int32[np.ndarray, " n"]
+    rig_from_world: Rigid3
+    """NaN where the frame is not registered."""
+    timestamp_s: Float64[np.ndarray, " n"]
+    """Seconds; NaN where unknown."""
+
+    def is_registered(self) -> Bool[np.ndarray, " n"]:
+        """Mask of frames whose place is known."""
+        return np.isfinite(self.rig_from_world.translation).all(axis=1)
+
+    def __len__(self) -> int:
+        return len(self.rig)
+
+    def __repr__(self) -> str:
+        return f"Frames({len(self)}, {int(self.is_registered().sum())} registered)"
+
+
+def unregistered(count: int) -> Rigid3:
+    """Rigid3 rows of NaN: places not known."""
+    return Rigid3(np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan))

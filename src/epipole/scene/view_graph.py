@@ -1,0 +1,43 @@
+"""Verified pairs of images, in compressed rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from epipole.geometry import Rigid3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewGraph:
+    """One row per verified pair; inlier matches of pair e are rows match_offsets[e] to match_offsets[e + 1]."""
+
+    image1: Int32[np.ndarray, " n"]
+    image2: Int32[np.ndarray, " n"]
+    kind: Int32[np.ndarray, " n"]
+    """`robust.PairKind` of each pair."""
+    num_putative: Int32[np.ndarray, " n"]
+    """Matches before verification."""
+    match_offsets: Int64[np.ndarray, " n1"]
+    keypoint1: Int32[np.ndarray, " m"]
+    keypoint2: Int32[np.ndarray, " m"]
+    cam2_from_cam1: Rigid3
+    """|t| = 1; NaN where the pair gives no motion."""
+    essential: Float64[np.ndarray, "n 3 3"]
+    fundamental: Float64[np.ndarray, "n 3 3"]
+    """In pixels, (0, 0) the centre of the top-left pixel."""
+    homography: Float64[np.ndarray, "n 3 3"]
+    median_angle_rad: Float64[np.ndarray, " n"]
+    """Median triangulation angle of the inliers; NaN where there is none."""
+
+    def __len__(self) -> int:
+        return len(self.image1)
+
+    def num_inliers(self) -> Int64[np.ndarray, " n"]:
+        """Inlier matches of each pair."""
+        return np.diff(self.match_offsets)
+
+    def __repr__(self) -> str:
+        return f"ViewGraph({len(self)} pairs, {len(self.keypoint1)} inlier matches)"
