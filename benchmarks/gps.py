@@ -1,0 +1,88 @@
+"""How well a model of photographs with GPS fits the fixes, which are metres away from the truth themselves."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from benchmarks.tasks.sfm import SfmTask
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Similarity3, align_points
+from epipole.io.exif import gps_to_enu
+from epipole.io.photographs import read_header
+from epipole.scene import Reconstruction
+
+MAX_TRIPLES = 2000
+MIN_STEP_M = 3.0
+"""Fixes written with 0.1 second of arc are on a grid of about three metres; smaller steps have no direction."""
+
+
+def score_gps(task: SfmTask, model: Reconstruction) -> dict[str, float]:
+    """Median distance to the fixes after a robust similarity, and median angle of axes against motion.
+
+    The axis of image i is compared with the way from its fix to the next picture's, in the horizontal plane.
+    """
+    enu = _fixes(task)
+    registered = np.flatnonzero(model.is_registered())
+    row_of = {model.images.name[i]: i for i in registered}
+    have = [k for k, name in enumerate(task.image_names) if name in row_of and np.isfinite(enu[k]).all()]
+    rows = [row_of[task.image_names[k]] for k in have]
+    centers = model.camera_centers_in_world()[rows]
+    enu_from_world = align_robustly(centers, enu[have])
+    if enu_from_world is None:
+        return {}
+    residuals = np.linalg.norm(enu_from_world.apply(centers) - enu[have], axis=1)
+    score = {"gps_median_m": float(np.median(residuals))}
+    axes = (enu_from_world.rotation @ model.cams_from_world().rotation[rows].transpose(0, 2, 1))[:, :, 2]
+    steps = np.full((len(enu), 2), np.nan)
+    steps[:-1] = enu[1:, :2] - enu[:-1, :2]
+    ways = steps[have]
+    moving = np.linalg.norm(ways, axis=1) >= MIN_STEP_M
+    if moving.any():
+        a, b = axes[moving, :2], ways[moving]
+        angles = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
+        score["axis_to_motion_median_deg"] = float(np.degrees(np.median(np.abs(angles))))
+    return score
+
+
+def align_robustly(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
+    """target_from_source of least median distance over triples, refined on the points that agree with it.
+
+    None for fewer than three points or points on a line (Rousseeuw, Least Median of Squares, JASA 1984).
+    """
+    triples = np.array(list(combinations(range(len(source)), 3))).reshape(-1, 3)
+    if len(triples) > MAX_TRIPLES:
+        triples = triples[np.random.default_rng(0).choice(len(triples), MAX_TRIPLES, replace=False)]
+    best, best_median = None, np.inf
+    for triple in triples:
+        candidate = _align(source[triple], target[triple])
+        if candidate is None:
+            continue
+        median = float(np.median(np.linalg.norm(candidate.apply(source) - target, axis=1)))
+        if median < best_median:
+            best, best_median = candidate, median
+    for _ in range(3):
+        if best is None:
+            return None
+        distances = np.linalg.norm(best.apply(source) - target, axis=1)
+        near = distances <= max(2.5 * np.median(distances), 1e-12)
+        best = _align(source[near], target[near]) or best
+    return best
+
+
+def _align(source: np.ndarray, target: np.ndarray) -> Similarity3 | None:
+    try:
+        return align_points(source, target)
+    except DegenerateGeometryError:
+        return None
+
+
+def _fixes(task: SfmTask) -> np.ndarray:
+    """East, north, up of every picture in metres; NaN where it has no fix."""
+    table = np.full((len(task.image_names), 3), np.nan)
+    for k, name in enumerate(task.image_names):
+        fix = read_header(task.images / name).gps
+        if fix is not None:
+            table[k] = fix.lat_deg, fix.lon_deg, np.nan if fix.alt_m is None else fix.alt_m
+    return gps_to_enu(table)

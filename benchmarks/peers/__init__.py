@@ -1,0 +1,1 @@
+"""The programs compared, one class each, each run in a process of its own."""

@@ -1,0 +1,84 @@
+"""What a COLMAP model is worth: the same reader, the same filter and the same truth for every program."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.gps import score_gps
+from benchmarks.tasks.sfm import SfmTask
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3
+from epipole.io.colmap import read_colmap_model
+from epipole.io.truth import read_truth
+from epipole.metrics import camera_errors, relative_pose_auc
+from epipole.scene import Reconstruction
+
+MAX_REPROJECTION_PX = 4.0
+MIN_TRACK_LENGTH = 2
+AUC_THRESHOLDS_DEG = (1.0, 3.0, 5.0)
+
+Score = dict[str, float]
+
+
+def score_models(task: SfmTask, sparse: Path) -> Score:
+    """Score the largest model under `sparse`; a metric that does not apply to the task is absent."""
+    model = largest_model(sparse)
+    score: Score = {"pictures": len(task.image_names), "registered": 0, "points": 0, "observations": 0}
+    if model is not None:
+        score["registered"] = int(model.is_registered().sum())
+        score |= count_under_filter(model)
+    if task.truth is not None:
+        score |= _score_truth(task, model)
+    if task.has_gps and model is not None:
+        score |= score_gps(task, model)
+    return score
+
+
+def largest_model(sparse: Path) -> Reconstruction | None:
+    """The model with most registered images (then points) in the folders under `sparse`; None where there is none."""
+    folders = [p.parent for p in sorted(sparse.glob("*/images.*")) if p.suffix in (".bin", ".txt")]
+    models = [read_colmap_model(folder) for folder in dict.fromkeys(folders)]
+    return max(models, key=lambda m: (int(m.is_registered().sum()), len(m.points)), default=None)
+
+
+def count_under_filter(model: Reconstruction) -> Score:
+    """Points and observations with at most 4 px of reprojection error, in tracks of at least two images."""
+    good = model.reprojection_errors_px() <= MAX_REPROJECTION_PX
+    point, image = model.tracks.point_of_observation()[good], model.tracks.image[good]
+    seen = np.unique(np.stack([point, image]), axis=1)[0]
+    lengths = np.bincount(seen, minlength=len(model.points))
+    kept = lengths >= MIN_TRACK_LENGTH
+    return {"points": int(kept.sum()), "observations": int(lengths[kept].sum())}
+
+
+def _score_truth(task: SfmTask, model: Reconstruction | None) -> Score:
+    """Errors after the best similarity, and areas under the recall curve over all pairs of true images."""
+    auc_names = [f"auc_{threshold:g}" for threshold in AUC_THRESHOLDS_DEG]
+    if model is None or task.truth is None:
+        return dict.fromkeys(auc_names, 0.0)
+    truth = read_truth(task.truth)
+    estimated = cams_in_order(model, truth.names)
+    registered = np.isfinite(estimated.translation).all(axis=1)
+    auc = relative_pose_auc(estimated, truth.cams_from_world, registered, AUC_THRESHOLDS_DEG)
+    score = dict(zip(auc_names, auc.tolist()))
+    try:
+        errors = camera_errors(estimated, truth.cams_from_world)
+    except DegenerateGeometryError:
+        return score
+    score["position_mean"], score["position_median"] = errors.mean_position, errors.median_position
+    score["position_max"], score["rotation_mean_deg"] = errors.max_position, errors.mean_rotation_deg
+    return score
+
+
+def cams_in_order(model: Reconstruction, names: tuple[str, ...]) -> Rigid3:
+    """cams_from_world of the named images, NaN where the model does not hold one."""
+    cams_from_world = model.cams_from_world()
+    row_of = {name: row for row, name in enumerate(model.images.name)}
+    rotation, translation = np.full((len(names), 3, 3), np.nan), np.full((len(names), 3), np.nan)
+    for place, name in enumerate(names):
+        if name in row_of:
+            rotation[place] = cams_from_world.rotation[row_of[name]]
+            translation[place] = cams_from_world.translation[row_of[name]]
+    return Rigid3(rotation, translation)

@@ -1,0 +1,132 @@
+"""Structure-from-motion sets: where the pictures are, what is known beforehand, and the truth."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True, slots=True)
+class SfmTask:
+    """One set of photographs. Camera parameters are in COLMAP's pixels: the picture's corner is (0, 0)."""
+
+    name: str
+    images: Path
+    image_names: tuple[str, ...]
+    known: str
+    """What a reconstruction is told besides the pictures, in words."""
+    camera_model: str | None = None
+    camera_params: tuple[float, ...] | None = None
+    """Given as constants; None: the program finds the intrinsics itself."""
+    truth: Path | None = None
+    unit: str = ""
+    has_gps: bool = False
+
+
+def data_root(asked: Path | None = None) -> Path:
+    """The data folder: the one asked for, `$EPIPOLE_DATA`, or ../shared/data beside the repository."""
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return asked or Path(os.environ.get("EPIPOLE_DATA", beside))
+
+
+def prepare(name: str, data: Path, work: Path) -> SfmTask:
+    """The task of that name; copies that it needs go under `work`.
+
+    Raises:
+        FileNotFoundError: the set is not in the data folder.
+        KeyError: there is no such set.
+    """
+    folder = data / "sfm"
+    if not folder.is_dir():
+        raise FileNotFoundError(f"no folder {folder}; say where the data are with --data or $EPIPOLE_DATA")
+    return SETS[name](folder, work)
+
+
+def strip_exif(jpeg: bytes) -> bytes:
+    """The same JPEG picture without its application and comment segments (JFIF and Adobe colour ones stay).
+
+    Raises:
+        ValueError: these are no bytes of a JPEG file.
+    """
+    if jpeg[:2] != b"\xff\xd8":
+        raise ValueError("not a JPEG file")
+    kept, place = [jpeg[:2]], 2
+    while jpeg[place + 1] != 0xDA:  # start of scan: the compressed picture follows
+        marker, length = jpeg[place + 1], int.from_bytes(jpeg[place + 2 : place + 4], "big")
+        if not (0xE1 <= marker <= 0xEF and marker != 0xEE) and marker != 0xFE:
+            kept.append(jpeg[place : place + 2 + length])
+        place += 2 + length
+    return b"".join([*kept, jpeg[place:]])
+
+
+def _pictures_in(folder: Path) -> tuple[str, ...]:
+    names = tuple(sorted(p.name for p in folder.iterdir() if p.suffix.lower() in PICTURE_SUFFIXES))
+    if not names:
+        raise FileNotFoundError(f"no pictures in {folder}")
+    return names
+
+
+def _pinhole(K: np.ndarray) -> tuple[float, float, float, float]:
+    return float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def _strecha(name: str) -> Callable[[Path, Path], SfmTask]:
+    """Strecha et al. (CVPR 2008), with its calibration; K.txt has the picture's corner at (0, 0)."""
+
+    def make(folder: Path, _work: Path) -> SfmTask:
+        images = folder / name / "images"
+        names = _pictures_in(images)
+        params = _pinhole(np.loadtxt(images / "K.txt"))
+        truth = folder / name / "gt_dense_cameras"
+        return SfmTask(name, images, names, "calibration", "PINHOLE", params, truth, "m")
+
+    return make
+
+
+def _fountain_unknown(folder: Path, work: Path) -> SfmTask:
+    """The fountain's pictures alone: no calibration file beside them, no EXIF in them."""
+    source = folder / "fountain-P11"
+    images = work / "fountain-P11-unknown"
+    images.mkdir(parents=True, exist_ok=True)
+    names = _pictures_in(source / "images")
+    for name in names:
+        (images / name).write_bytes(strip_exif((source / "images" / name).read_bytes()))
+    truth = source / "gt_dense_cameras"
+    return SfmTask("fountain-P11-unknown", images, names, "nothing", truth=truth, unit="m")
+
+
+def _temple_ring(folder: Path, _work: Path) -> SfmTask:
+    """Middlebury's temple; its K has pixel centres at integers, so that COLMAP's principal point is 0.5 more."""
+    images = folder / "temple_ring"
+    truth = images / "templeR_par.txt"
+    row = truth.read_text().splitlines()[1].split()
+    fx, fy, cx, cy = _pinhole(np.array(row[1:10], np.float64).reshape(3, 3))
+    params = (fx, fy, cx + 0.5, cy + 0.5)
+    return SfmTask("temple_ring", images, _pictures_in(images), "calibration", "PINHOLE", params, truth, "m")
+
+
+def _without_truth(
+    name: str, inside: str, known: str, *, has_gps: bool = False
+) -> Callable[[Path, Path], SfmTask]:
+    def make(folder: Path, _work: Path) -> SfmTask:
+        images = folder / name / inside
+        return SfmTask(name, images, _pictures_in(images), known, has_gps=has_gps)
+
+    return make
+
+
+SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
+    "fountain-P11": _strecha("fountain-P11"),
+    "Herz-Jesus-P8": _strecha("Herz-Jesus-P8"),
+    "fountain-P11-unknown": _fountain_unknown,
+    "sceaux_castle": _without_truth("sceaux_castle", "images", "EXIF"),
+    "sacre_coeur": _without_truth("sacre_coeur", "mapping", "EXIF where there is any"),
+    "lund_gps": _without_truth("lund_gps", "images", "EXIF", has_gps=True),
+    "temple_ring": _temple_ring,
+}

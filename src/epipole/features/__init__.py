@@ -1,0 +1,8 @@
+"""Features: detect, describe, match, retrieve."""
+
+from epipole.features.detect import FeatureConfig as FeatureConfig
+from epipole.features.detect import detect_features as detect_features
+from epipole.features.detect import root_sift as root_sift
+from epipole.features.features import Features as Features
+from epipole.features.match import MatchConfig as MatchConfig
+from epipole.features.match import match_descriptors as match_descriptors

@@ -1,0 +1,78 @@
+"""Best and second best of every row, best of every column, of a block of a similarity matrix.
+
+Similarities are whole numbers below 2^24 held in float32, so that they are exact and may be compared for
+equality. The running top two are kept in lanes: max and min vectorise where a search for an index would not.
+"""
+
+import numpy as np
+
+from epipole._jit import kernel
+
+LANES = 32
+
+
+@kernel
+def top_two(block, rows, best, second, column_best):
+    """Row-wise best and second best of block[:rows], and column_best = max over the rows seen so far."""
+    cols = block.shape[1]
+    whole = cols - cols % LANES
+    first_lane, second_lane = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    for i in range(rows):
+        row = block[i]
+        for c in range(LANES):
+            first_lane[c], second_lane[c] = -1.0, -1.0
+        for j in range(0, whole, LANES):
+            for c in range(LANES):
+                v = row[j + c]
+                a = first_lane[c]
+                low = v if v < a else a
+                first_lane[c] = v if v > a else a
+                b = second_lane[c]
+                second_lane[c] = low if low > b else b
+        a, b = np.float32(-1.0), np.float32(-1.0)
+        for c in range(LANES):
+            if first_lane[c] > a:
+                b = max(a, second_lane[c])
+                a = first_lane[c]
+            else:
+                b = max(b, first_lane[c])
+        for j in range(whole, cols):
+            if row[j] > a:
+                b, a = a, row[j]
+            elif row[j] > b:
+                b = row[j]
+        best[i], second[i] = a, b
+        for j in range(cols):
+            column_best[j] = row[j] if row[j] > column_best[j] else column_best[j]
+
+
+@kernel
+def find_best_column(block, rows, best, wanted, out):
+    """The first column of each wanted row at which its best stands."""
+    for i in range(rows):
+        if wanted[i]:
+            row = block[i]
+            for j in range(block.shape[1]):
+                if row[j] == best[i]:
+                    out[i] = j
+                    break
+
+
+@kernel
+def hamming_top_two(a, b, best_column, best, second, column_best):
+    """Nearest and second nearest row of b for each row of a, in bits; column_best: nearest distance from b."""
+    for i in range(len(a)):
+        best[i], second[i], best_column[i] = 1 << 30, 1 << 30, -1
+        for j in range(len(b)):
+            distance = 0
+            for c in range(a.shape[1]):
+                x = a[i, c] ^ b[j, c]
+                x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+                x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+                x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+                distance += np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
+            if distance < best[i]:
+                second[i], best[i], best_column[i] = best[i], distance, j
+            elif distance < second[i]:
+                second[i] = distance
+            column_best[j] = min(column_best[j], distance)

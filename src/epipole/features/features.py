@@ -1,0 +1,27 @@
+"""Keypoints and descriptors of one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """One row per feature, strongest scale first."""
+
+    pixels: Float32[np.ndarray, "n 2"]
+    """In pixels of the full picture, (0, 0) the centre of its top-left pixel."""
+    scale_px: Float32[np.ndarray, " n"]
+    """Diameter of the described region."""
+    angle_rad: Float32[np.ndarray, " n"]
+    descriptors: UInt8[np.ndarray, "n d"]
+    """Root-SIFT times 512 (d = 128), or ORB's bits (d = 32)."""
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def __repr__(self) -> str:
+        return f"Features({len(self)} x {self.descriptors.shape[1]})"

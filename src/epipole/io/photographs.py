@@ -1,0 +1,333 @@
+"""Photographs: listing, headers, pixels, masks.
+
+Every picture is handed out upright (EXIF orientation applied once), as 8 bits, greyscale or RGB.
+Rules for what is not 8-bit grey or RGB:
+
+- 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
+  files often use a fraction of their range); one that is constant between them keeps its full-range value;
+- 16-bit colour keeps its full range (its high byte);
+- transparency is composited on black; palette and CMYK become RGB.
+
+JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and not the
+file (a progressive JPEG still needs its coefficients in memory). Other formats are limited to 150 megapixels.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from PIL import Image
+
+from epipole.errors import FileFormatError
+from epipole.io._photograph_pixels import (
+    AVIF_SUFFIXES,
+    HEIF_SUFFIXES,
+    RAW_SUFFIXES,
+    decode,
+    exif_of,
+    format_of,
+    open_with_pillow,
+    opened,
+    pillow_pixels,
+    read_bytes,
+    readable_suffixes,
+    refuse_huge,
+    stored_size,
+    turn,
+)
+from epipole.io.exif import (
+    FocalSource,
+    GpsPosition,
+    camera_of,
+    capture_time_of,
+    focal_of,
+    gps_of,
+    new_exif,
+    orientation_of,
+    upright_exif,
+)
+
+_OUTPUT_MARKERS = ("config.json", "database.db")
+_FORMAT_OF_SUFFIX = {
+    ".jpg": "JPEG",
+    ".jpeg": "JPEG",
+    ".png": "PNG",
+    ".tif": "TIFF",
+    ".tiff": "TIFF",
+    ".webp": "WEBP",
+    ".bmp": "BMP",
+    ".ppm": "PPM",
+    ".pgm": "PPM",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographList:
+    """Photographs of a folder."""
+
+    folder: Path
+    names: tuple[str, ...]
+    """Sorted paths relative to the folder, with forward slashes, of the pictures that can be read."""
+    unreadable: tuple[str, ...]
+    """Pictures in formats that cannot be read here, where there is no readable one of the same name."""
+    advice: str
+    """What to do about the unreadable ones; empty when there are none."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"PhotographList({len(self.names)} in {self.folder}, {len(self.unreadable)} unreadable)"
+
+
+@dataclass(frozen=True, slots=True)
+class PhotographHeader:
+    """What a picture's header tells, without decoding its pixels."""
+
+    width: int
+    """Upright, in pixels."""
+    height: int
+    orientation: int
+    """EXIF orientation of the stored pixels, 1 to 8."""
+    make: str
+    model: str
+    focal_px: float | None
+    focal_source: FocalSource | None
+    gps: GpsPosition | None
+    capture_time: datetime | None
+    """Local time on the camera's clock."""
+
+
+def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
+    """List the photographs of a folder and its sub-folders.
+
+    Hidden files and folders are ignored, as are sub-folders that hold results (a `config.json` or a `database.db`).
+
+    Args:
+        folder: where to look.
+        ignore: further folders not to enter (masks, the folder of results).
+
+    Raises:
+        FileFormatError: there is no such folder.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileFormatError(
+            folder, "is a file, not a folder of photographs" if folder.exists() else "no such folder"
+        )
+    readable_here = readable_suffixes()
+    names = sorted(_walk(folder, {Path(p).resolve() for p in ignore}))
+    readable = [n for n in names if _suffix(n) in readable_here]
+    stems = {PurePosixPath(n).with_suffix("") for n in readable}
+    known = (HEIF_SUFFIXES | AVIF_SUFFIXES | RAW_SUFFIXES) - readable_here
+    unreadable = [n for n in names if _suffix(n) in known and PurePosixPath(n).with_suffix("") not in stems]
+    return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable))
+
+
+def read_header(path: Path | str) -> PhotographHeader:
+    """Read size, camera, focal length, place and time of a picture from its header alone.
+
+    Raises:
+        FileFormatError: it is not a picture in a known format.
+        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+    """
+    path = Path(path)
+    with opened(path) as stream:
+        image = open_with_pillow(path, stream, format_of(path, stream.read(64)))
+        exif = exif_of(image)
+        orientation = orientation_of(exif)
+        width, height = stored_size(image)
+    if orientation >= 5:
+        width, height = height, width
+    focal, (make, model) = focal_of(exif, width, height), camera_of(exif)
+    return PhotographHeader(
+        width,
+        height,
+        orientation,
+        make,
+        model,
+        focal.focal_px if focal else None,
+        focal.source if focal else None,
+        gps_of(exif),
+        capture_time_of(exif),
+    )
+
+
+def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w"]:
+    """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
+
+    Args:
+        path: the picture.
+        max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x lies at
+            (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
+
+    Raises:
+        FileFormatError: it is damaged, truncated, too large or not a picture.
+        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+    """
+    return decode(Path(path), True, max_size_px)
+
+
+def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
+    """Read a picture upright as 8-bit RGB.
+
+    Args:
+        path: the picture.
+        max_size_px: longest side of the result, as in `read_grey`.
+
+    Raises:
+        FileFormatError: it is damaged, truncated, too large or not a picture.
+        MissingDependencyError: it is HEIC and pillow-heif is not installed.
+    """
+    return decode(Path(path), False, max_size_px)
+
+
+def read_mask(
+    mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
+) -> Bool[np.ndarray, "h w"] | None:
+    """Read the mask of a picture: `NAME.png` (with the picture's own suffix before it), else NAME with suffix .png.
+
+    Args:
+        mask_folder: folder of masks, laid out like the folder of pictures.
+        name: the picture's name, relative to its folder.
+        size: upright (width, height) of the picture, which the mask must have.
+
+    Returns:
+        True where the picture is to be used (mask not black and not transparent); None when there is no mask.
+
+    Raises:
+        FileFormatError: the mask is damaged or not of the picture's size.
+    """
+    candidates = (Path(mask_folder) / f"{name}.png", (Path(mask_folder) / name).with_suffix(".png"))
+    path = next((c for c in candidates if c.is_file()), None)
+    if path is None:
+        return None
+    data = read_bytes(path)
+    image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
+    refuse_huge(path, image)
+    pixels, orientation = pillow_pixels(path, image, stretch=False)
+    keep = np.ascontiguousarray((pixels != 0).any(axis=2) if pixels.ndim == 3 else pixels != 0)
+    keep = turn(keep.view(np.uint8), orientation).view(bool)
+    if size is not None and keep.shape != (size[1], size[0]):
+        h, w = keep.shape
+        raise FileFormatError(path, f"the mask is {w} x {h} but its picture {name} is {size[0]} x {size[1]}")
+    return keep
+
+
+def copy_or_rotate(source: Path | str, target: Path | str) -> None:
+    """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
+
+    An upright file is hard-linked (copied across file systems). One that is turned, or of another format than the
+    suffix of `target` says, is encoded anew (JPEG quality 97) with camera, focal length, place and time kept.
+
+    Raises:
+        FileFormatError: the source cannot be read, or the suffix of `target` cannot be written.
+    """
+    source, target = Path(source), Path(target)
+    with opened(source) as stream:
+        file_format = format_of(source, stream.read(64))
+        exif = exif_of(open_with_pillow(source, stream, file_format))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target_format = _FORMAT_OF_SUFFIX.get(target.suffix.lower())
+    if target_format is None:
+        raise FileFormatError(target, "pictures are not written in this format; use .jpg, .png or .tif")
+    if orientation_of(exif) == 1 and file_format == target_format:
+        _link_or_copy(source, target)
+        return
+    pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
+    options: dict[str, Any] = {"quality": 97} if target_format in ("JPEG", "WEBP") else {}
+    if target_format not in ("BMP", "PPM"):
+        options["exif"] = upright_exif(exif).tobytes()
+    encoded = io.BytesIO()
+    Image.fromarray(pixels).save(encoded, target_format, **options)
+    write_atomically(target, encoded.getvalue())
+
+
+def write_jpeg_with_exif(
+    path: Path | str,
+    rgb: UInt8[np.ndarray, "h w 3"],
+    *,
+    focal_35mm: float | None = None,
+    make: str = "epipole",
+    model: str = "synthetic",
+    gps: GpsPosition | tuple[float, float, float | None] | None = None,
+    quality: int = 95,
+) -> None:
+    """Write a rendered photograph as JPEG with the EXIF of a camera (the 35 mm equivalent is rounded to whole mm)."""
+    encoded = io.BytesIO()
+    exif = new_exif(make, model, focal_35mm, gps)
+    Image.fromarray(np.ascontiguousarray(rgb)).save(encoded, "JPEG", quality=quality, exif=exif.tobytes())
+    write_atomically(Path(path), encoded.getvalue())
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that it is either there whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _suffix(name: str) -> str:
+    return PurePosixPath(name).suffix.lower()
+
+
+def _walk(folder: Path, ignored: set[Path]) -> Iterator[str]:
+    """Names of all files below a folder; each real folder is entered once (links may form circles)."""
+    entered: set[Path] = set()
+    for here, sub_folders, files in os.walk(folder, followlinks=True):
+        at = Path(here)
+        real = at.resolve()
+        is_output = real in ignored or any(marker in files for marker in _OUTPUT_MARKERS)
+        if real in entered or (is_output and at != folder):
+            sub_folders.clear()
+            continue
+        entered.add(real)
+        sub_folders[:] = sorted(s for s in sub_folders if not s.startswith(".") and s != "__MACOSX")
+        yield from ((at / f).relative_to(folder).as_posix() for f in files if not f.startswith("."))
+
+
+def _advice(unreadable: Sequence[str]) -> str:
+    """One sentence per kind of unreadable picture."""
+    kinds = (
+        ("HEIC", HEIF_SUFFIXES, "run `pip install pillow-heif` to read them, or convert them to JPEG"),
+        ("AVIF", AVIF_SUFFIXES, "run `pip install --upgrade Pillow` to read them, or convert them to JPEG"),
+        (
+            "RAW",
+            RAW_SUFFIXES,
+            "develop them to JPEG or TIFF first (with darktable or RawTherapee, for example)",
+        ),
+    )
+    sentences = []
+    for kind, suffixes, remedy in kinds:
+        found = [n for n in unreadable if _suffix(n) in suffixes]
+        if found:
+            files = "file is" if len(found) == 1 else "files are"
+            sentences.append(f"{len(found)} {kind} {files} left out ({found[0]} first): {remedy}.")
+    return " ".join(sentences)
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    if target.exists() and source.samefile(target):
+        return
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary.unlink(missing_ok=True)
+    try:
+        os.link(source.resolve(), temporary)
+    except OSError:
+        shutil.copy2(source, temporary)
+    try:
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)

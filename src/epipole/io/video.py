@@ -1,0 +1,247 @@
+"""Photographs out of a video: evenly spaced frames, each the sharpest of its neighbourhood.
+
+Sharpness is the variance of the Laplacian (Pech-Pacheco et al., Diatom autofocusing in brightfield microscopy, ICPR
+2000) of the grey frame at 640 pixels. The video is read once from start to end: seeking in compressed video is not exact.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io.photographs import write_atomically
+
+VIDEO_SUFFIXES = frozenset(
+    {
+        ".mp4",
+        ".mov",
+        ".avi",
+        ".mkv",
+        ".m4v",
+        ".webm",
+        ".mpg",
+        ".mpeg",
+        ".wmv",
+        ".mts",
+        ".m2ts",
+        ".3gp",
+        ".insv",
+    }
+)
+
+_MANIFEST = "frames.json"
+_MAX_WINDOW = 7
+_SHARPNESS_SIZE_PX = 640
+_JPEG_QUALITY = 95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VideoFrames:
+    """Frames taken from a video, in order."""
+
+    name: tuple[str, ...]
+    """File names in the folder."""
+    index: Int64[np.ndarray, " n"]
+    """Number of the frame in the video, from 0."""
+    timestamp_s: Float64[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+    def __repr__(self) -> str:
+        span_s = float(np.ptp(self.timestamp_s)) if len(self) else 0.0
+        return f"VideoFrames({len(self)} over {span_s:.1f} s)"
+
+
+def is_video(path: Path | str) -> bool:
+    """Whether a path is a file with a video's suffix."""
+    return Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file()
+
+
+def extract_frames(
+    video: Path | str,
+    folder: Path | str,
+    *,
+    max_frames: int = 200,
+    every_s: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> VideoFrames:
+    """Write evenly spaced sharp frames of a video as frame_000123.jpg (the number is the frame's in the video).
+
+    The folder also gets `frames.json`. Called again with the same video and options it reads nothing anew; with
+    other options the frames named there are replaced.
+
+    Args:
+        video: the file.
+        folder: where to write; made if missing.
+        max_frames: largest number of frames to take.
+        every_s: seconds between frames; None spreads `max_frames` over the whole video.
+        progress: called with (frames of the video read, frames of the video).
+
+    Raises:
+        FileFormatError: no video, damaged, or it ends before half of the frames it announces.
+        ConfigError: `max_frames` or `every_s` is not positive.
+    """
+    video, folder = Path(video), Path(folder)
+    if max_frames < 1:
+        raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
+    if every_s is not None and not every_s > 0.0:
+        raise ConfigError(f"every_s must be positive, got {every_s}")
+    if not video.is_file():
+        raise FileFormatError(video, "no such file")
+    state = video.stat()
+    request = {"video": video.name, "bytes": state.st_size, "max_frames": max_frames, "every_s": every_s}
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier = _read_manifest(folder)
+    if earlier is not None and earlier[0] == request and all((folder / n).is_file() for n in earlier[1].name):
+        return earlier[1]
+    if earlier is not None:
+        for name in earlier[1].name:
+            (folder / name).unlink(missing_ok=True)
+        (folder / _MANIFEST).unlink()
+    frames = _extract(video, folder, max_frames, every_s, progress)
+    _write_manifest(folder, request, frames)
+    return frames
+
+
+def slot_bounds(num_frames: int, num_slots: int) -> Int64[np.ndarray, "n 2"]:
+    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each."""
+    edges = np.linspace(0.0, num_frames, num_slots + 1)
+    middle = np.floor(0.5 * (edges[:-1] + edges[1:])).astype(np.int64)
+    half = min(_MAX_WINDOW, max(1, num_frames // (2 * num_slots))) // 2
+    return np.stack([np.maximum(middle - half, 0), np.minimum(middle + half, num_frames - 1)], axis=1)
+
+
+def sharpness(bgr: np.ndarray) -> float:
+    """Variance of the Laplacian of a frame, at 640 pixels."""
+    grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY) if bgr.ndim == 3 else bgr
+    scale = _SHARPNESS_SIZE_PX / max(grey.shape)
+    if scale < 1.0:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(grey, cv2.CV_32F).var())
+
+
+def _extract(
+    video: Path,
+    folder: Path,
+    max_frames: int,
+    every_s: float | None,
+    progress: Callable[[int, int], None] | None,
+) -> VideoFrames:
+    num_frames, fps = _length(video)
+    num_slots = max_frames
+    if every_s is not None:
+        if fps is None:
+            raise ConfigError(f"{video} does not tell its frame rate: give max_frames instead of every_s")
+        num_slots = min(max_frames, max(1, round(num_frames / (fps * every_s))))
+    windows = slot_bounds(num_frames, min(num_slots, num_frames))
+    names, indices, times = [], [], []
+    for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
+        name = f"frame_{index:06d}.jpg"
+        encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
+        write_atomically(folder / name, encoded.tobytes())
+        names.append(name)
+        indices.append(index)
+        times.append(time_s)
+        if progress is not None:
+            progress(index + 1, num_frames)
+    return VideoFrames(tuple(names), np.array(indices, np.int64), np.array(times, np.float64))
+
+
+def _opened(video: Path) -> cv2.VideoCapture:
+    try:
+        capture = cv2.VideoCapture(str(video))
+    except cv2.error as error:
+        raise FileFormatError(video, f"is not a video that can be read ({error.err})") from error
+    if not capture.isOpened():
+        raise FileFormatError(
+            video, "is not a video that can be read: damaged, cut off or of an unknown kind"
+        )
+    return capture
+
+
+def _length(video: Path) -> tuple[int, float | None]:
+    """Frames that the video announces (counted where it does not) and frames per second (None if unknown)."""
+    capture = _opened(video)
+    try:
+        announced, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
+        num_frames = int(announced) if 0 < announced < 1e9 else 0
+        if num_frames == 0:
+            while capture.grab():
+                num_frames += 1
+    finally:
+        capture.release()
+    if num_frames == 0:
+        raise FileFormatError(video, "no frame of the video can be decoded")
+    return num_frames, float(fps) if 0.0 < fps < 1e5 else None
+
+
+def _sharpest(
+    video: Path, windows: np.ndarray, num_frames: int, fps: float | None
+) -> Iterator[tuple[int, float, np.ndarray]]:
+    """Index, time and pixels of the sharpest frame of each window, in order.
+
+    Raises:
+        FileFormatError: the video ends before half of its frames, or has none.
+    """
+    capture = _opened(video)
+    num_read = 0
+    try:
+        for first, last in windows:
+            best: tuple[int, float, np.ndarray] | None = None
+            best_sharpness = -1.0
+            while num_read <= last and capture.grab():
+                index, num_read = num_read, num_read + 1
+                if index < first:
+                    continue
+                time_s = _time_s(capture, index, fps)
+                decoded, frame = capture.retrieve()
+                if decoded and (value := sharpness(frame)) > best_sharpness:
+                    best, best_sharpness = (index, time_s, frame.copy()), value
+            if best is not None:
+                yield best
+            if num_read <= last:
+                break
+    finally:
+        capture.release()
+    if 2 * num_read < num_frames and num_read <= windows[-1, 1]:
+        raise FileFormatError(video, f"the video is damaged: it ends after {num_read} of {num_frames} frames")
+
+
+def _time_s(capture: cv2.VideoCapture, index: int, fps: float | None) -> float:
+    """Time of the frame just grabbed; from its number where the container gives none."""
+    time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+    if index > 0 and not time_s > 0.0:
+        return index / fps if fps is not None else float("nan")
+    return max(time_s, 0.0)
+
+
+def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
+    """Request and frames of an earlier call; None when there is none that can be read."""
+    try:
+        content = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
+        rows = content["frames"]
+        frames = VideoFrames(
+            tuple(Path(row["name"]).name for row in rows),
+            np.array([row["index"] for row in rows], np.int64),
+            np.array([np.nan if row["time_s"] is None else row["time_s"] for row in rows], np.float64),
+        )
+        return content["request"], frames
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _write_manifest(folder: Path, request: dict[str, Any], frames: VideoFrames) -> None:
+    rows = [
+        {"name": name, "index": int(index), "time_s": float(time_s) if np.isfinite(time_s) else None}
+        for name, index, time_s in zip(frames.name, frames.index, frames.timestamp_s)
+    ]
+    write_atomically(folder / _MANIFEST, json.dumps({"request": request, "frames": rows}, indent=1).encode())

@@ -1,0 +1,9 @@
+"""How far an estimate is from the truth: cameras after alignment, relative poses, areas under recall curves."""
+
+from epipole.metrics.cameras import CameraAlignment as CameraAlignment
+from epipole.metrics.cameras import CameraErrors as CameraErrors
+from epipole.metrics.cameras import align_cameras as align_cameras
+from epipole.metrics.cameras import camera_errors as camera_errors
+from epipole.metrics.relative_pose import area_under_recall as area_under_recall
+from epipole.metrics.relative_pose import relative_pose_auc as relative_pose_auc
+from epipole.metrics.relative_pose import relative_pose_errors_deg as relative_pose_errors_deg

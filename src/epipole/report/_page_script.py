@@ -1,0 +1,124 @@
+"""The report's script: hover text, sorting, enlarged pictures and the match matrix. No library."""
+
+PAGE_SCRIPT = r"""
+"use strict";
+const byId = (id) => document.getElementById(id);
+const readJson = (id) => (byId(id) ? JSON.parse(byId(id).textContent) : null);
+const cssColour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const darkScheme = matchMedia("(prefers-color-scheme: dark)");
+const NAMES = readJson("names") || [];
+
+function showTip(event, text) {
+  const tip = byId("tip");
+  tip.hidden = !text;
+  if (!text) return;
+  tip.textContent = text;
+  const box = tip.getBoundingClientRect();
+  tip.style.left = Math.max(4, Math.min(event.clientX + 14, innerWidth - box.width - 6)) + "px";
+  tip.style.top = Math.max(4, Math.min(event.clientY + 16, innerHeight - box.height - 6)) + "px";
+}
+
+function fitCanvas(canvas, maxRatio) {
+  const ratio = Math.min(devicePixelRatio || 1, maxRatio);
+  const width = Math.max(1, Math.round(canvas.clientWidth * ratio));
+  const height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+  if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+  return ratio;
+}
+
+for (const head of document.querySelectorAll("table.sortable th[data-sort]")) {
+  head.addEventListener("click", () => {
+    const table = head.closest("table"), body = table.tBodies[0], column = head.cellIndex;
+    const numeric = head.dataset.sort === "number";
+    const upward = head.getAttribute("aria-sort") !== "ascending";
+    for (const other of table.querySelectorAll("th[aria-sort]")) other.removeAttribute("aria-sort");
+    head.setAttribute("aria-sort", upward ? "ascending" : "descending");
+    const sign = upward ? 1 : -1;
+    const keyOf = (row) => numeric ? row.cells[column].dataset.key : row.cells[column].textContent;
+    const compare = (a, b) => {
+      const p = keyOf(a), q = keyOf(b);
+      if (!numeric) return sign * p.localeCompare(q, undefined, { numeric: true });
+      if (p === "" || q === "") return (p === "") - (q === "");
+      return sign * (Number(p) - Number(q));
+    };
+    body.append(...[...body.rows].sort(compare));
+  });
+}
+
+for (const button of document.querySelectorAll("button.zoom")) {
+  button.addEventListener("click", () => {
+    const dialog = byId("enlarged");
+    const caption = document.createElement("p");
+    caption.textContent = button.closest("tr").querySelector("th").textContent;
+    dialog.replaceChildren(button.querySelector("svg").cloneNode(true), caption);
+    dialog.showModal();
+  });
+}
+byId("enlarged").addEventListener("click", (event) => event.currentTarget.close());
+
+function matchMatrix(canvas, data) {
+  const n = data.n, margin = 30, placed = new Set(data.placed);
+  const most = Math.max(1, ...data.count), pairAt = new Map();
+  data.count.forEach((_, k) => {
+    pairAt.set(data.first[k] * n + data.second[k], k);
+    pairAt.set(data.second[k] * n + data.first[k], k);
+  });
+  const mix = (a, b, t) => a.map((v, k) => Math.round(v + (b[k] - v) * t));
+  const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16));
+  const step = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000].find((s) => n / s <= 12) || 5000;
+
+  function draw() {
+    const ratio = fitCanvas(canvas, 3), pen = canvas.getContext("2d"), side = canvas.clientWidth;
+    const cell = (side - margin - 1) / n, at = (k) => margin + k * cell;
+    const snap = (v) => Math.round(v * ratio) / ratio;
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, side, side);
+    pen.fillStyle = cssColour("--panel");
+    pen.fillRect(margin, margin, cell * n, cell * n);
+    const low = rgb(cssColour("--ramp0")), high = rgb(cssColour("--ramp1"));
+    const gap = cell >= 7 ? 1 : 0;
+    data.count.forEach((value, k) => {
+      pen.fillStyle = `rgb(${mix(low, high, Math.log(Math.max(1, value)) / Math.log(Math.max(2, most)))})`;
+      for (const [a, b] of [[data.first[k], data.second[k]], [data.second[k], data.first[k]]]) {
+        const x = snap(at(a)), y = snap(at(b));
+        pen.fillRect(x, y, snap(at(a + 1)) - x - gap, snap(at(b + 1)) - y - gap);
+      }
+    });
+    pen.fillStyle = cssColour("--line");
+    for (let k = 0; k < n; k++) pen.fillRect(snap(at(k)), snap(at(k)), Math.max(1, cell - gap), Math.max(1, cell - gap));
+    pen.fillStyle = cssColour("--warn");
+    for (let k = 0; k < n; k++) if (!placed.has(k)) {
+      pen.fillRect(margin - 5, at(k), 3, Math.max(1, cell - gap));
+      pen.fillRect(at(k), margin - 5, Math.max(1, cell - gap), 3);
+    }
+    pen.strokeStyle = cssColour("--line");
+    pen.strokeRect(margin - 0.5, margin - 0.5, cell * n + 1, cell * n + 1);
+    pen.fillStyle = cssColour("--soft");
+    pen.font = "11.5px system-ui, sans-serif";
+    for (let k = 0; k < n; k += step) {
+      pen.textAlign = "center"; pen.textBaseline = "alphabetic";
+      pen.fillText(k + 1, at(k + 0.5), margin - 9);
+      pen.textAlign = "right"; pen.textBaseline = "middle";
+      pen.fillText(k + 1, margin - 8, at(k + 0.5));
+    }
+  }
+  canvas.addEventListener("pointermove", (event) => {
+    const cell = (canvas.clientWidth - margin - 1) / n;
+    const column = Math.floor((event.offsetX - margin) / cell), row = Math.floor((event.offsetY - margin) / cell);
+    const inside = column >= 0 && row >= 0 && column < n && row < n;
+    if (!inside) return showTip(event, "");
+    const title = row === column ? NAMES[row] : NAMES[row] + "\n" + NAMES[column];
+    const k = pairAt.get(row * n + column);
+    if (row === column) return showTip(event, title);
+    if (k === undefined) return showTip(event, title + "\nno verified match");
+    const angle = data.angle[k] === null ? "no angle" : "median angle " + data.angle[k] + "\u00b0";
+    const kind = data.kinds[data.kind[k]] || "kind " + data.kind[k];
+    showTip(event, `${title}\n${data.count[k]} inliers of ${data.putative[k]} matches, ${kind}, ${angle}`);
+  });
+  canvas.addEventListener("pointerleave", (event) => showTip(event, ""));
+  new ResizeObserver(draw).observe(canvas);
+  darkScheme.addEventListener("change", draw);
+  draw();
+}
+if (byId("matrix")) matchMatrix(byId("matrix"), readJson("pairs"));
+"""

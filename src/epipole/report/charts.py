@@ -1,0 +1,132 @@
+"""Charts as inline SVG. Colours are CSS classes, so that they follow the light or dark scheme."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64, Int64
+
+from epipole.report.markup import count, escape, number, seconds
+
+_WIDTH, _HEIGHT = 380, 230
+_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 12, 14, 42
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Histogram:
+    """Counts of values between edges; the last bin may stand for all greater values too."""
+
+    label: str
+    edges: Float64[np.ndarray, " n1"]
+    counts: Int64[np.ndarray, " n"]
+    median: float
+    num_beyond: int
+    """Values right of the last edge, not drawn."""
+
+
+def nice_ticks(low: float, high: float, target: int = 5) -> list[float]:
+    """About `target` round numbers (1, 2 or 5 times a power of ten) from low to high."""
+    span = high - low
+    if not (math.isfinite(span) and span > 0 and target > 0):
+        return [low] if math.isfinite(low) else []
+    power = 10.0 ** math.floor(math.log10(span / target))
+    step = min((m * power for m in (1, 2, 5, 10)), key=lambda s: abs(span / s - target))
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(k * step, 12) for k in range(first, last + 1)]
+
+
+def tick_text(value: float) -> str:
+    """A tick's number, short: 12k rather than 12000."""
+    if abs(value) >= 10_000:
+        return f"{value / 1000:g}k"
+    return f"{value:.10g}".replace("-", "\N{MINUS SIGN}")
+
+
+def histogram_of(values: Float[np.ndarray, " n"], label: str, num_bins: int = 32) -> Histogram:
+    """Histogram from zero to just beyond the 98th percentile, on round edges."""
+    top = float(np.percentile(values, 98)) * 1.05 if len(values) else 0.0
+    top = top if top > 0 else 1.0
+    step = nice_ticks(0.0, top, num_bins)[1]
+    edges = np.arange(math.ceil(top / step) + 1) * step
+    counts = np.histogram(values, edges)[0]
+    median = float(np.median(values)) if len(values) else math.nan
+    return Histogram(label, edges, counts.astype(np.int64), median, int((values > edges[-1]).sum()))
+
+
+def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: int = 30) -> Histogram:
+    """One bin per whole number from 2 up; values above `largest` are counted as beyond."""
+    top = int(min(max(values.max(initial=2), 3), largest))
+    counts = np.bincount(np.clip(values, 0, top + 1), minlength=top + 2)
+    median = float(np.median(values)) if len(values) else math.nan
+    edges = np.arange(2, top + 2) - 0.5
+    return Histogram(label, edges, counts[2 : top + 1].astype(np.int64), median, int(counts[top + 1]))
+
+
+def draw_histogram(histogram: Histogram, digits: int = 2) -> str:
+    """The histogram with axes, its median marked, and each bin's numbers on hover."""
+    low, high = float(histogram.edges[0]), float(histogram.edges[-1])
+    most = max(int(histogram.counts.max(initial=0)), 1)
+
+    def x_of(value: float) -> float:
+        return _LEFT + (value - low) / (high - low) * (_WIDTH - _LEFT - _RIGHT)
+
+    def y_of(value: float) -> float:
+        return _HEIGHT - _BOTTOM - value / (most * 1.04) * (_HEIGHT - _TOP - _BOTTOM)
+
+    parts = [_grid_line(y_of(t), tick_text(t)) for t in nice_ticks(0, most * 1.04, 4) if t == int(t)]
+    for left, right, value in zip(histogram.edges[:-1], histogram.edges[1:], histogram.counts):
+        x, y, width = x_of(left), y_of(value), x_of(right) - x_of(left)
+        hint = f"{left:.4g} to {right:.4g}: {count(value)}"
+        parts.append(
+            f'<rect class="bar" x="{x + 0.5:.1f}" y="{y:.1f}" width="{max(width - 1, 0.5):.1f}" '
+            f'height="{_HEIGHT - _BOTTOM - y:.1f}"><title>{hint}</title></rect>'
+        )
+    bottom = _HEIGHT - _BOTTOM
+    parts += [
+        f'<text class="tick" x="{x_of(t):.1f}" y="{bottom + 15}" text-anchor="middle">{tick_text(t)}</text>'
+        for t in nice_ticks(low, high, 6)
+    ]
+    parts.append(f'<path class="axis" d="M{_LEFT} {bottom}H{_WIDTH - _RIGHT}"/>')
+    if low <= histogram.median <= high:
+        x = x_of(histogram.median)
+        side, anchor = (x + 5, "start") if x < 0.7 * _WIDTH else (x - 5, "end")
+        parts.append(f'<path class="mark" d="M{x:.1f} {_TOP - 6}V{bottom}"/>')
+        parts.append(
+            f'<text class="mark-text" x="{side:.1f}" y="{_TOP + 2}" text-anchor="{anchor}">'
+            f"median {number(histogram.median, digits)}</text>"
+        )
+    parts.append(
+        f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 8}" text-anchor="middle">'
+        f"{escape(histogram.label)}</text>"
+    )
+    return svg(_WIDTH, _HEIGHT, parts, histogram.label)
+
+
+def _grid_line(y: float, text: str) -> str:
+    return (
+        f'<path class="grid" d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}"/>'
+        f'<text class="tick" x="{_LEFT - 7}" y="{y + 3.5:.1f}" text-anchor="end">{text}</text>'
+    )
+
+
+def draw_timings(timings: Mapping[str, float]) -> str:
+    """One horizontal bar per stage, in order."""
+    longest = max([*timings.values(), 1e-9])
+    row, left, width = 26, 170, 760
+    parts = []
+    for k, (stage, value) in enumerate(timings.items()):
+        y, length = k * row, max(0.0, value) / longest * (width - left - 90)
+        parts.append(
+            f'<text class="stage-name" x="{left - 10}" y="{y + 17}" text-anchor="end">{escape(stage)}</text>'
+            f'<rect class="bar" x="{left}" y="{y + 6}" width="{max(length, 1):.1f}" height="14"/>'
+            f'<text class="tick" x="{left + length + 8:.1f}" y="{y + 17}">{seconds(value)}</text>'
+        )
+    return svg(width, row * len(timings), parts, "seconds of each stage")
+
+
+def svg(width: float, height: float, parts: Sequence[str], label: str) -> str:
+    """An SVG element that scales with its column."""
+    return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'

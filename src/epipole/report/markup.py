@@ -1,0 +1,55 @@
+"""Safe pieces of HTML: escaped text, embedded data, numbers in words."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import re
+from typing import Any
+
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+
+
+def escape(text: object) -> str:
+    """Text for HTML content and quoted attributes. What no HTML page may hold becomes U+FFFD."""
+    return html.escape(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", str(text)), quote=True)
+
+
+def data_uri(data: bytes, media_type: str) -> str:
+    """Bytes as a URI that needs no file beside the page."""
+    return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def json_block(element_id: str, data: Any) -> str:
+    """Data for the page's script. `<` is written as an escape, so that no name can end the element."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return f'<script type="application/json" id="{element_id}">{text}</script>'
+
+
+def count(value: float) -> str:
+    """A whole number with thousands separated."""
+    return f"{int(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def plural(value: int, singular: str, many: str | None = None) -> str:
+    """A count and its noun: "1 picture", "4 pictures"."""
+    return f"{count(value)} {singular if value == 1 else many or singular + 's'}"
+
+
+def number(value: float, digits: int = 2) -> str:
+    """A measured number, or a dash where there is none."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "\N{EN DASH}"
+
+
+def seconds(value: float) -> str:
+    """A duration as people say it."""
+    if not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value < 60:
+        return f"{value:.1f} s" if value >= 0.95 else f"{value:.2f} s"
+    minutes, rest = divmod(round(value), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"

@@ -1,0 +1,145 @@
+"""The view from above: camera centres with their viewing directions over the density of points."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from PIL import Image
+
+from epipole.report.charts import nice_ticks, svg, tick_text
+from epipole.report.markup import data_uri, escape
+from epipole.report.space import stage_of
+from epipole.scene import Reconstruction
+
+_WIDTH, _HEIGHT = 620, 520
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 12, 44
+_CELL = 3
+"""Size of a density cell in SVG units."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The map from world x, y to the drawing, with equal scales."""
+
+    x_low: float
+    y_low: float
+    scale: float
+
+    def x_of(self, x: float) -> float:
+        return _LEFT + (x - self.x_low) * self.scale
+
+    def y_of(self, y: float) -> float:
+        return _HEIGHT - _BOTTOM - (y - self.y_low) * self.scale
+
+    @property
+    def x_high(self) -> float:
+        return self.x_low + (_WIDTH - _LEFT - _RIGHT) / self.scale
+
+    @property
+    def y_high(self) -> float:
+        return self.y_low + (_HEIGHT - _TOP - _BOTTOM) / self.scale
+
+
+def draw_plan(reconstruction: Reconstruction, unit: str) -> str:
+    """World x to the right, y up, seen against +z; empty for a model without cameras."""
+    images = np.flatnonzero(reconstruction.is_registered())
+    if not len(images):
+        return ""
+    frame = _frame_around(reconstruction)
+    cams_from_world = reconstruction.cams_from_world()[images]
+    centers, forward = cams_from_world.centers(), cams_from_world.rotation[:, 2]
+    points = reconstruction.points.xyz_in_world
+    parts = [_axes(frame, unit), _density(points[np.isfinite(points).all(axis=1)], frame)]
+    parts.append(f'<path class="sequence" d="{_sequence(images, centers, frame)}"/>')
+    for image, center, direction in zip(images, centers, forward):
+        name = escape(reconstruction.images.name[image])
+        parts.append(_camera(name, frame.x_of(center[0]), frame.y_of(center[1]), direction))
+    return svg(_WIDTH, _HEIGHT, parts, "view from above")
+
+
+def _frame_around(reconstruction: Reconstruction) -> _Frame:
+    stage = stage_of(reconstruction)
+    # The stage's margin is for the 3D view; here 40 % of it is enough.
+    inset = 0.6 * 0.25 / 1.5 * float((stage.high - stage.low)[:2].max())
+    low, high = stage.low[:2] + inset, stage.high[:2] - inset
+    middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
+    room = np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM])
+    scale = float((room / size).min())
+    corner = middle - 0.5 * room / scale
+    return _Frame(float(corner[0]), float(corner[1]), scale)
+
+
+def _axes(frame: _Frame, unit: str) -> str:
+    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    parts = []
+    for t in nice_ticks(frame.x_low, frame.x_high, 6):
+        x = frame.x_of(t)
+        parts.append(f'<path class="grid" d="M{x:.1f} {_TOP}V{bottom}"/>')
+        parts.append(
+            f'<text class="tick" x="{x:.1f}" y="{bottom + 15}" text-anchor="middle">{tick_text(t)}</text>'
+        )
+    for t in nice_ticks(frame.y_low, frame.y_high, 5):
+        y = frame.y_of(t)
+        parts.append(f'<path class="grid" d="M{_LEFT} {y:.1f}H{right}"/>')
+        parts.append(
+            f'<text class="tick" x="{_LEFT - 7}" y="{y + 3.5:.1f}" text-anchor="end">{tick_text(t)}</text>'
+        )
+    parts.append(f'<path class="axis" d="M{_LEFT} {_TOP}V{bottom}H{right}" fill="none"/>')
+    middle_x, middle_y = 0.5 * (_LEFT + right), 0.5 * (_TOP + bottom)
+    parts.append(
+        f'<text class="label" x="{middle_x}" y="{_HEIGHT - 8}" text-anchor="middle">x ({escape(unit)})</text>'
+        f'<text class="label" transform="translate(13 {middle_y}) rotate(-90)" text-anchor="middle">'
+        f"y ({escape(unit)})</text>"
+    )
+    return "".join(parts)
+
+
+def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> str:
+    """Logarithm of points per cell, as the mask of a plain rectangle whose colour the scheme sets."""
+    columns, rows = (_WIDTH - _LEFT - _RIGHT) // _CELL, (_HEIGHT - _TOP - _BOTTOM) // _CELL
+    width, height = columns * _CELL, rows * _CELL
+    counts = np.histogram2d(
+        -points_in_world[:, 1],
+        points_in_world[:, 0],
+        bins=(rows, columns),
+        range=(
+            (-frame.y_high, -frame.y_high + height / frame.scale),
+            (frame.x_low, frame.x_low + width / frame.scale),
+        ),
+    )[0]
+    if not counts.any():
+        return ""
+    level = np.log1p(counts) / np.log1p(np.percentile(counts[counts > 0], 99))
+    grey = np.where(counts > 0, 40 + 215 * np.minimum(level, 1.0), 0).astype(np.uint8)
+    stream = io.BytesIO()
+    Image.fromarray(grey).save(stream, "PNG", optimize=True)
+    box = f'x="{_LEFT}" y="{_TOP}" width="{width}" height="{height}"'
+    return (
+        f'<mask id="density" mask-type="luminance" style="mask-type:luminance">'
+        f'<image {box} href="{data_uri(stream.getvalue(), "image/png")}"/></mask>'
+        f'<rect class="density" {box} mask="url(#density)"/>'
+    )
+
+
+def _sequence(images: np.ndarray, centers: np.ndarray, frame: _Frame) -> str:
+    """A line through neighbours in the order of names, broken where a picture has no place."""
+    steps, previous = [], -2
+    for image, center in zip(images, centers):
+        verb = "L" if image == previous + 1 else "M"
+        steps.append(f"{verb}{frame.x_of(center[0]):.1f} {frame.y_of(center[1]):.1f}")
+        previous = image
+    return "".join(steps)
+
+
+def _camera(name: str, x: float, y: float, forward: np.ndarray) -> str:
+    """A dot and a wedge along the viewing direction; the wedge shortens as the camera looks up or down."""
+    dx, dy = 15.0 * float(forward[0]), -15.0 * float(forward[1])
+    left, right = (dx - 0.45 * dy, dy + 0.45 * dx), (dx + 0.45 * dy, dy - 0.45 * dx)
+    wedge = f"M0 0L{left[0]:.1f} {left[1]:.1f}L{right[0]:.1f} {right[1]:.1f}Z"
+    return (
+        f'<g class="cam" transform="translate({x:.1f} {y:.1f})"><title>{name}</title>'
+        f'<path d="{wedge}"/><circle r="2.6"/></g>'
+    )

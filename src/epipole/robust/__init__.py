@@ -1,0 +1,12 @@
+"""Robust estimation: the LO-RANSAC loop, its estimators, and the verification of pairs."""
+
+from epipole.robust.estimate import Estimate as Estimate
+from epipole.robust.estimate import RansacConfig as RansacConfig
+from epipole.robust.estimate import Reason as Reason
+from epipole.robust.estimate import estimate_absolute_pose as estimate_absolute_pose
+from epipole.robust.estimate import estimate_essential_matrix as estimate_essential_matrix
+from epipole.robust.estimate import estimate_fundamental_matrix as estimate_fundamental_matrix
+from epipole.robust.estimate import estimate_homography as estimate_homography
+from epipole.robust.pair_kind import PairKind as PairKind
+from epipole.robust.verify import PairGeometry as PairGeometry
+from epipole.robust.verify import verify_pair as verify_pair

@@ -1,0 +1,8 @@
+"""Minimal and linear solvers: one geometric problem each, on plain arrays."""
+
+from epipole.solvers.absolute_pose import solve_p3p as solve_p3p
+from epipole.solvers.two_view import solve_essential_five_point as solve_essential_five_point
+from epipole.solvers.two_view import solve_fundamental_eight_point as solve_fundamental_eight_point
+from epipole.solvers.two_view import solve_fundamental_seven_point as solve_fundamental_seven_point
+from epipole.solvers.two_view import solve_homography_dlt as solve_homography_dlt
+from epipole.solvers.two_view import solve_homography_four_point as solve_homography_four_point

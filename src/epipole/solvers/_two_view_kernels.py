@@ -1,0 +1,365 @@
+"""Minimal solvers between two views: essential (5), fundamental (7), homography (4), and pose from E."""
+
+import math
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.solvers._linear_kernels import null_space, real_roots, reduce_rows, symmetric_eigen
+
+# Monomials of degree <= 3 in x, y, z in Nister's order: x3 y3 x2y xy2 x2z x2 y2z y2 xyz xy | xz2 xz x yz2 yz y z3 z2 z 1.
+_CUBICS = [
+    *((3, 0, 0), (0, 3, 0), (2, 1, 0), (1, 2, 0), (2, 0, 1), (2, 0, 0), (0, 2, 1), (0, 2, 0), (1, 1, 1), (1, 1, 0)),
+    *((1, 0, 2), (1, 0, 1), (1, 0, 0), (0, 1, 2), (0, 1, 1), (0, 1, 0), (0, 0, 3), (0, 0, 2), (0, 0, 1), (0, 0, 0)),
+]
+_LINEARS = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0)]
+_QUADRATICS = [m for m in _CUBICS if sum(m) <= 2]
+
+
+def _product_table(left, right, out):
+    """Where the product of two monomials stands."""
+    add = [[out.index(tuple(a + b for a, b in zip(m, n))) for n in right] for m in left]
+    return np.array(add, dtype=np.int64)
+
+
+LINEAR_TIMES_LINEAR = _product_table(_LINEARS, _LINEARS, _QUADRATICS)
+QUADRATIC_TIMES_LINEAR = _product_table(_QUADRATICS, _LINEARS, _CUBICS)
+
+
+@kernel
+def _add_linear_product(a, b, out, sign):
+    for i in range(4):
+        for j in range(4):
+            out[LINEAR_TIMES_LINEAR[i, j]] += sign * a[i] * b[j]
+
+
+@kernel
+def _add_quadratic_product(a, b, out):
+    for i in range(10):
+        for j in range(4):
+            out[QUADRATIC_TIMES_LINEAR[i, j]] += a[i] * b[j]
+
+
+@kernel
+def _essential_constraints(e, work, out):
+    """Coefficients (10 x 20) of det E = 0 and E E^T E - trace(E E^T) E / 2 = 0 for E with linear entries e (9, 4)."""
+    out[:, :] = 0.0
+    minor = work[6]
+    for c in range(3):
+        a, b = (c + 1) % 3, (c + 2) % 3
+        minor[:] = 0.0
+        _add_linear_product(e[3 + a], e[6 + b], minor, 1.0)
+        _add_linear_product(e[3 + b], e[6 + a], minor, -1.0)
+        _add_quadratic_product(minor, e[c], out[0])
+    # Upper triangle of E E^T: work[0..5] = 00 01 02 11 12 22.
+    for k in range(6):
+        work[k, :] = 0.0
+    k = 0
+    for i in range(3):
+        for j in range(i, 3):
+            for c in range(3):
+                _add_linear_product(e[3 * i + c], e[3 * j + c], work[k], 1.0)
+            k += 1
+    for m in range(10):
+        half = 0.5 * (work[0, m] + work[3, m] + work[5, m])
+        work[0, m] -= half
+        work[3, m] -= half
+        work[5, m] -= half
+    for i in range(3):
+        for j in range(3):
+            for c in range(3):
+                low, high = min(i, c), max(i, c)
+                _add_quadratic_product(work[low * 2 + high if low < 2 else 5], e[3 * c + j], out[1 + 3 * i + j])
+
+
+@kernel
+def _multiply_add(a, da, b, db, out, sign):
+    for i in range(da + 1):
+        for j in range(db + 1):
+            out[i + j] += sign * a[i] * b[j]
+
+
+@kernel
+def essential_five_point(y1, y2, essentials, w):
+    """E from five matches: y2^T E y1 = 0 (Nister, PAMI 2004).
+
+    Assumption: calibrated rays, (5, 3). Writes up to ten unit-norm matrices (k, 9); returns k. w: workspace
+    of `five_point_workspace()`.
+    """
+    a, basis, e, quadratics, system, b, poly, roots, root_work = w
+    for k in range(5):
+        for i in range(3):
+            for j in range(3):
+                a[k, 3 * i + j] = y2[k, i] * y1[k, j]
+    null_space(a, 5, 9, basis)
+    for i in range(9):
+        for m in range(4):
+            e[i, m] = basis[m, i]
+    _essential_constraints(e, quadratics, system)
+    if not reduce_rows(system, 10, 20):
+        return 0
+    # Rows x2z - z x2, y2z - z y2, xyz - z xy leave a 3x3 matrix B(z) with B(z) (x, y, 1)^T = 0.
+    b[:, :, :] = 0.0
+    for r in range(3):
+        upper, lower = system[4 + 2 * r], system[5 + 2 * r]
+        for c in range(2):
+            first = 10 + 3 * c
+            b[r, c, 3] = -lower[first]
+            b[r, c, 2] = upper[first] - lower[first + 1]
+            b[r, c, 1] = upper[first + 1] - lower[first + 2]
+            b[r, c, 0] = upper[first + 2]
+        b[r, 2, 4] = -lower[16]
+        for d in range(1, 4):
+            b[r, 2, d] = upper[19 - d] - lower[20 - d]
+        b[r, 2, 0] = upper[19]
+    poly[:] = 0.0
+    minor = root_work[2, 2]
+    for r in range(3):
+        p, q = (r + 1) % 3, (r + 2) % 3
+        minor[:] = 0.0
+        _multiply_add(b[p, 0], 3, b[q, 1], 3, minor, 1.0)
+        _multiply_add(b[p, 1], 3, b[q, 0], 3, minor, -1.0)
+        _multiply_add(minor, 6, b[r, 2], 4, poly, 1.0)
+    count = real_roots(poly, 10, root_work, roots)
+    found = 0
+    for k in range(count):
+        if _essential_at_root(b, roots[k], basis, essentials[found]):
+            found += 1
+    return found
+
+
+@kernel
+def _essential_at_root(b, z, basis, out):
+    """(x, y) from B(z) (x, y, 1)^T = 0 by the cross product of its two most independent rows; then E."""
+    v = np.empty((3, 3))
+    for r in range(3):
+        for c in range(3):
+            v[r, c] = b[r, c, 0] + z * (b[r, c, 1] + z * (b[r, c, 2] + z * (b[r, c, 3] + z * b[r, c, 4])))
+    best, bx, by, bw = 0.0, 0.0, 0.0, 0.0
+    for r in range(3):
+        p, q = (r + 1) % 3, (r + 2) % 3
+        cx = v[p, 1] * v[q, 2] - v[p, 2] * v[q, 1]
+        cy = v[p, 2] * v[q, 0] - v[p, 0] * v[q, 2]
+        cw = v[p, 0] * v[q, 1] - v[p, 1] * v[q, 0]
+        if abs(cw) > best:
+            best, bx, by, bw = abs(cw), cx, cy, cw
+    if best == 0.0:
+        return False
+    x, y = bx / bw, by / bw
+    norm = 0.0
+    for i in range(9):
+        out[i] = x * basis[0, i] + y * basis[1, i] + z * basis[2, i] + basis[3, i]
+        norm += out[i] * out[i]
+    if not (norm > 0.0 and norm < np.inf):
+        return False
+    norm = 1.0 / math.sqrt(norm)
+    for i in range(9):
+        out[i] *= norm
+    return True
+
+
+@kernel
+def five_point_workspace():
+    """Arrays that `essential_five_point` writes into."""
+    return (
+        np.empty((5, 9)),
+        np.empty((4, 9)),
+        np.empty((9, 4)),
+        np.empty((7, 10)),
+        np.empty((10, 20)),
+        np.empty((3, 3, 5)),
+        np.empty(11),
+        np.empty(11),
+        np.empty((3, 12, 12)),
+    )
+
+
+@kernel
+def fundamental_seven_point(x1, x2, fundamentals, w):
+    """F from seven matches: x2^T F x1 = 0, det F = 0 (Hartley and Zisserman, section 11.1.2).
+
+    Assumption: coordinates of order one. Writes up to three matrices (k, 9); returns k.
+    """
+    a, basis, roots, root_work = w
+    for k in range(7):
+        for i in range(3):
+            for j in range(3):
+                a[k, 3 * i + j] = x2[k, i] * x1[k, j]
+    null_space(a, 7, 9, basis)
+    f, g = basis[0], basis[1]
+    # det(f + s g) = c0 + c1 s + c2 s^2 + c3 s^3, each coefficient a sum over rows taken from f or g.
+    poly = root_work[2, 3]
+    poly[0] = _det_rows(f, f, f)
+    poly[1] = _det_rows(g, f, f) + _det_rows(f, g, f) + _det_rows(f, f, g)
+    poly[2] = _det_rows(f, g, g) + _det_rows(g, f, g) + _det_rows(g, g, f)
+    poly[3] = _det_rows(g, g, g)
+    count = real_roots(poly, 3, root_work, roots)
+    for k in range(count):
+        norm = math.sqrt(1.0 + roots[k] * roots[k])
+        for i in range(9):
+            fundamentals[k, i] = (f[i] + roots[k] * g[i]) / norm
+    return count
+
+
+@kernel
+def _det_rows(a, b, c):
+    return (
+        a[0] * (b[4] * c[8] - b[5] * c[7]) - a[1] * (b[3] * c[8] - b[5] * c[6]) + a[2] * (b[3] * c[7] - b[4] * c[6])
+    )
+
+
+@kernel
+def seven_point_workspace():
+    """Arrays that `fundamental_seven_point` writes into."""
+    return np.empty((7, 9)), np.empty((2, 9)), np.empty(12), np.empty((3, 12, 12))
+
+
+@kernel
+def _projective_basis(x, out):
+    """B (3 x 3) that maps the unit vectors and (1, 1, 1) onto four points (4, 3); False if three are collinear."""
+    ax, ay, aw = x[0, 0], x[0, 1], x[0, 2]
+    bx, by, bw = x[1, 0], x[1, 1], x[1, 2]
+    cx, cy, cw = x[2, 0], x[2, 1], x[2, 2]
+    dx, dy, dw = x[3, 0], x[3, 1], x[3, 2]
+    la = dx * (by * cw - bw * cy) - dy * (bx * cw - bw * cx) + dw * (bx * cy - by * cx)
+    lb = ax * (dy * cw - dw * cy) - ay * (dx * cw - dw * cx) + aw * (dx * cy - dy * cx)
+    lc = ax * (by * dw - bw * dy) - ay * (bx * dw - bw * dx) + aw * (bx * dy - by * dx)
+    det = ax * (by * cw - bw * cy) - ay * (bx * cw - bw * cx) + aw * (bx * cy - by * cx)
+    if min(abs(la), abs(lb), abs(lc), abs(det)) < 1e-10:
+        return False
+    out[0], out[1], out[2] = la * ax, lb * bx, lc * cx
+    out[3], out[4], out[5] = la * ay, lb * by, lc * cy
+    out[6], out[7], out[8] = la * aw, lb * bw, lc * cw
+    return True
+
+
+@kernel
+def homography_four_point(x1, x2, out):
+    """H from four matches, x2 ~ H x1, through the projective bases of both quadrangles (HZ section 2.3).
+
+    Assumption: no three points collinear, coordinates of order one. Returns whether one was found.
+    """
+    a, b, inverse = np.empty(9), np.empty(9), np.empty(9)
+    if not (_projective_basis(x1, a) and _projective_basis(x2, b)):
+        return False
+    for i in range(3):
+        for j in range(3):
+            p, q, r, s = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            inverse[3 * i + j] = a[3 * p + r] * a[3 * q + s] - a[3 * p + s] * a[3 * q + r]
+    norm = 0.0
+    for i in range(3):
+        for j in range(3):
+            out[3 * i + j] = b[3 * i] * inverse[j] + b[3 * i + 1] * inverse[3 + j] + b[3 * i + 2] * inverse[6 + j]
+            norm += out[3 * i + j] ** 2
+    if not norm > 0.0:
+        return False
+    norm = 1.0 / math.sqrt(norm)
+    for i in range(9):
+        out[i] *= norm
+    # A quadrangle seen from in front keeps its sense of rotation: the weights of all four points agree.
+    weight = out[6] * x1[0, 0] + out[7] * x1[0, 1] + out[8] * x1[0, 2]
+    for k in range(1, 4):
+        if weight * (out[6] * x1[k, 0] + out[7] * x1[k, 1] + out[8] * x1[k, 2]) <= 0.0:
+            return False
+    return True
+
+
+@kernel
+def svd3(m, u, s, v):
+    """m (3 x 3) = u diag(s) v^T with proper rotations u, v and s0 >= s1 >= |s2|.
+
+    Jacobi on m^T m; the last column is completed by the cross product, so that rank two is exact.
+    """
+    a, vectors = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a[i, j] = m[0, i] * m[0, j] + m[1, i] * m[1, j] + m[2, i] * m[2, j]
+    symmetric_eigen(a, 3, vectors)
+    first, last = 0, 0
+    for i in range(1, 3):
+        if a[i, i] > a[first, first]:
+            first = i
+        if a[i, i] <= a[last, last]:
+            last = i
+    middle = 3 - first - last
+    if first == last:
+        first, middle, last = 0, 1, 2
+    for i in range(3):
+        v[i, 0], v[i, 1] = vectors[i, first], vectors[i, middle]
+    for k in range(2):
+        for i in range(3):
+            u[i, k] = m[i, 0] * v[0, k] + m[i, 1] * v[1, k] + m[i, 2] * v[2, k]
+        if k == 1:
+            dot = u[0, 0] * u[0, 1] + u[1, 0] * u[1, 1] + u[2, 0] * u[2, 1]
+            for i in range(3):
+                u[i, 1] -= dot * u[i, 0]
+        s[k] = math.sqrt(u[0, k] ** 2 + u[1, k] ** 2 + u[2, k] ** 2)
+        if not s[k] > 1e-300:
+            return False
+        for i in range(3):
+            u[i, k] /= s[k]
+    for x in (u, v):
+        x[0, 2] = x[1, 0] * x[2, 1] - x[2, 0] * x[1, 1]
+        x[1, 2] = x[2, 0] * x[0, 1] - x[0, 0] * x[2, 1]
+        x[2, 2] = x[0, 0] * x[1, 1] - x[1, 0] * x[0, 1]
+    s[2] = 0.0
+    for i in range(3):
+        for j in range(3):
+            s[2] += u[i, 2] * m[i, j] * v[j, 2]
+    return True
+
+
+@kernel
+def essential_from_motion(motion, out):
+    """E = [t]x R from motion = (R row by row, t)."""
+    tx, ty, tz = motion[9], motion[10], motion[11]
+    for j in range(3):
+        out[j] = ty * motion[6 + j] - tz * motion[3 + j]
+        out[3 + j] = tz * motion[j] - tx * motion[6 + j]
+        out[6 + j] = tx * motion[3 + j] - ty * motion[j]
+
+
+@kernel
+def is_in_front(motion, a, b):
+    """Whether the rays a (camera 1) and b (camera 2) meet before both cameras; lengths do not matter."""
+    ax = motion[0] * a[0] + motion[1] * a[1] + motion[2] * a[2]
+    ay = motion[3] * a[0] + motion[4] * a[1] + motion[5] * a[2]
+    az = motion[6] * a[0] + motion[7] * a[1] + motion[8] * a[2]
+    tx, ty, tz = motion[9], motion[10], motion[11]
+    ab = ax * b[0] + ay * b[1] + az * b[2]
+    aa = ax * ax + ay * ay + az * az
+    bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+    at = ax * tx + ay * ty + az * tz
+    bt = b[0] * tx + b[1] * ty + b[2] * tz
+    # Depths times the positive determinant aa bb - ab^2 of min |l1 R a + t - l2 b|.
+    return ab * bt - bb * at > 0.0 and aa * bt - ab * at > 0.0
+
+
+@kernel
+def motions_from_essential(e, y1, y2, count, motions):
+    """Those of the four motions (R, t), |t| = 1, of E that put all `count` matches in front (HZ result 9.19)."""
+    m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            m[i, j] = e[3 * i + j]
+    if not svd3(m, u, s, v):
+        return 0
+    found = 0
+    for turn in (1.0, -1.0):
+        for sign in (1.0, -1.0):
+            out = motions[found]
+            for i in range(3):
+                for j in range(3):
+                    # R = U W V^T with W = [[0, -turn, 0], [turn, 0, 0], [0, 0, 1]].
+                    out[3 * i + j] = turn * (u[i, 1] * v[j, 0] - u[i, 0] * v[j, 1]) + u[i, 2] * v[j, 2]
+                out[9 + i] = sign * u[i, 2]
+            in_front = True
+            for k in range(count):
+                if not is_in_front(out, y1[k], y2[k]):
+                    in_front = False
+                    break
+            if in_front:
+                found += 1
+                if found == len(motions):
+                    return found
+    return found

@@ -1,0 +1,118 @@
+"""Solvers between two views, for callers with arrays; the kernels serve the robust loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_float_array, as_points, require_same_length
+from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.geometry import from_homogeneous, to_homogeneous
+from epipole.solvers import _two_view_kernels as kernels
+
+
+def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k 3 3"]:
+    """All essential matrices of five matches, y2^T E y1 = 0, |E| = 1 (Nister, PAMI 2004).
+
+    Args:
+        rays1: directions in camera 1, (5, 3), any length.
+        rays2: the same in camera 2.
+
+    Returns:
+        Between 0 and 10 matrices; none for degenerate input.
+    """
+    y1, y2 = as_float_array(rays1, "rays1", 5, 3, finite=True), as_float_array(rays2, "rays2", 5, 3, finite=True)
+    out = np.empty((10, 9))
+    return out[: kernels.essential_five_point(y1, y2, out, kernels.five_point_workspace())].reshape(-1, 3, 3)
+
+
+def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
+    """The one to three fundamental matrices of seven matches (HZ section 11.1.2), |F| = 1.
+
+    Args:
+        pixels1: (7, 2).
+        pixels2: (7, 2).
+    """
+    p1 = as_float_array(pixels1, "pixels1", 7, 2, finite=True)
+    p2 = as_float_array(pixels2, "pixels2", 7, 2, finite=True)
+    t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
+    out = np.empty((3, 9))
+    x1, x2 = to_homogeneous(p1) @ t1.T, to_homogeneous(p2) @ t2.T
+    count = kernels.fundamental_seven_point(x1, x2, out, kernels.seven_point_workspace())
+    found = t2.T @ out[:count].reshape(-1, 3, 3) @ t1
+    return found / np.linalg.norm(found, axis=(1, 2), keepdims=True)
+
+
+def solve_fundamental_eight_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "3 3"]:
+    """The least-squares fundamental matrix of n >= 8 matches, normalised (Hartley, PAMI 1997), |F| = 1, rank 2.
+
+    Raises:
+        DegenerateGeometryError: more than one solution (a plane, a rotation, coinciding points).
+    """
+    p1, p2 = _matched(pixels1, pixels2, 8)
+    t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
+    x1, x2 = to_homogeneous(p1) @ t1.T, to_homogeneous(p2) @ t2.T
+    f = _null_vector((x2[:, :, None] * x1[:, None, :]).reshape(-1, 9)).reshape(3, 3)
+    u, s, vt = np.linalg.svd(f)
+    f = t2.T @ (u * [s[0], s[1], 0.0]) @ vt @ t1
+    return f / np.linalg.norm(f)
+
+
+def solve_homography_four_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
+    """The homography of four matches, x2 ~ H x1, |H| = 1: one, or none if three points are collinear."""
+    p1 = as_float_array(pixels1, "pixels1", 4, 2, finite=True)
+    p2 = as_float_array(pixels2, "pixels2", 4, 2, finite=True)
+    t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
+    out = np.empty(9)
+    if not kernels.homography_four_point(to_homogeneous(p1) @ t1.T, to_homogeneous(p2) @ t2.T, out):
+        return np.empty((0, 3, 3))
+    h = np.linalg.solve(t2, out.reshape(3, 3) @ t1)
+    return h[None] / np.linalg.norm(h)
+
+
+def solve_homography_dlt(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "3 3"]:
+    """The direct linear transform of n >= 4 matches, x2 ~ H x1, normalised (HZ algorithm 4.2), |H| = 1.
+
+    Raises:
+        DegenerateGeometryError: the points do not determine a homography.
+    """
+    p1, p2 = _matched(pixels1, pixels2, 4)
+    t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
+    x1, q2 = to_homogeneous(p1) @ t1.T, from_homogeneous(to_homogeneous(p2) @ t2.T)
+    zero = np.zeros_like(x1)
+    rows_u = np.concatenate([x1, zero, -q2[:, :1] * x1], axis=1)
+    rows_v = np.concatenate([zero, x1, -q2[:, 1:] * x1], axis=1)
+    h = _null_vector(np.concatenate([rows_u, rows_v])).reshape(3, 3)
+    h = np.linalg.solve(t2, h @ t1)
+    return h / np.linalg.norm(h)
+
+
+def hartley_normalization(pixels: Any) -> Float64[np.ndarray, "3 3"]:
+    """T with T x of mean zero and mean distance sqrt(2) (Hartley, PAMI 1997).
+
+    Raises:
+        DegenerateGeometryError: all points coincide.
+    """
+    points = as_points(pixels, "pixels", 2, finite=True)
+    center = points.mean(axis=0)
+    spread = np.linalg.norm(points - center, axis=1).mean()
+    if not spread > 0:
+        raise DegenerateGeometryError("all points coincide")
+    scale = np.sqrt(2.0) / spread
+    return np.array([[scale, 0, -scale * center[0]], [0, scale, -scale * center[1]], [0, 0, 1]])
+
+
+def _matched(pixels1: Any, pixels2: Any, least: int) -> tuple[np.ndarray, np.ndarray]:
+    p1, p2 = as_points(pixels1, "pixels1", 2, finite=True), as_points(pixels2, "pixels2", 2, finite=True)
+    if require_same_length(pixels1=p1, pixels2=p2) < least:
+        raise ShapeError(f"at least {least} matches are needed, got {len(p1)}")
+    return p1, p2
+
+
+def _null_vector(system: np.ndarray) -> np.ndarray:
+    _, s, vt = np.linalg.svd(system, full_matrices=True)
+    if len(s) >= 8 and s[7] <= 1e-9 * s[0]:
+        raise DegenerateGeometryError("the matches admit more than one solution")
+    return vt[-1]
