@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.gps import score_gps
 from benchmarks.tasks.sfm import SfmTask
-from epipole.errors import DegenerateGeometryError
+from epipole.errors import DegenerateGeometryError, EpipoleError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import read_colmap_model
 from epipole.io.truth import read_truth
@@ -24,11 +24,13 @@ Score = dict[str, float]
 
 def score_models(task: SfmTask, sparse: Path) -> Score:
     """Score the largest model under `sparse`; a metric that does not apply to the task is absent."""
-    model = largest_model(sparse)
+    model, num_unreadable = largest_model(sparse)
     score: Score = {"pictures": len(task.image_names), "registered": 0, "points": 0, "observations": 0}
     if model is not None:
         score["registered"] = int(model.is_registered().sum())
         score |= count_under_filter(model)
+    if num_unreadable:
+        score["unreadable_models"] = num_unreadable
     if task.truth is not None:
         score |= _score_truth(task, model)
     if task.has_gps and model is not None:
@@ -36,11 +38,20 @@ def score_models(task: SfmTask, sparse: Path) -> Score:
     return score
 
 
-def largest_model(sparse: Path) -> Reconstruction | None:
-    """The model with most registered images (then points) in the folders under `sparse`; None where there is none."""
+def largest_model(sparse: Path) -> tuple[Reconstruction | None, int]:
+    """The model with most registered images (then points) in the folders under `sparse`, None where there is none.
+
+    Also the number of models that are no geometry (a negative focal length, say) and are left out.
+    """
     folders = [p.parent for p in sorted(sparse.glob("*/images.*")) if p.suffix in (".bin", ".txt")]
-    models = [read_colmap_model(folder) for folder in dict.fromkeys(folders)]
-    return max(models, key=lambda m: (int(m.is_registered().sum()), len(m.points)), default=None)
+    models, num_unreadable = [], 0
+    for folder in dict.fromkeys(folders):
+        try:
+            models.append(read_colmap_model(folder))
+        except EpipoleError:
+            num_unreadable += 1
+    best = max(models, key=lambda m: (int(m.is_registered().sum()), len(m.points)), default=None)
+    return best, num_unreadable
 
 
 def count_under_filter(model: Reconstruction) -> Score:

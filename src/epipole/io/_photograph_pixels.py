@@ -211,7 +211,12 @@ def _decode_jpeg(
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
-    """Walk from marker to marker until the end-of-image marker; thumbnails inside segments are jumped over."""
+    """Whether the file ends with the end-of-image marker, or (with other data behind) has one after its pixels.
+
+    The walk goes from marker to marker; thumbnails inside segments are jumped over.
+    """
+    if data[-256:].rstrip(b"\0").endswith(b"\xff\xd9"):
+        return True
     at = 2
     while (marker := _JPEG_MARKER.search(data, at)) is not None:
         code = data[marker.end() - 1]

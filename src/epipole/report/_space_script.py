@@ -202,7 +202,7 @@ function spaceView(canvas, data) {
     if (act) { event.preventDefault(); act(); redraw(); }
   });
   byId("reset-view").addEventListener("click", () => flyTo(start()));
-  byId("view-above").addEventListener("click", () => flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57 }));
+  byId("view-above").addEventListener("click", () => flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57, dist: 2.7 * data.radius }));
   byId("full-screen").addEventListener("click", () =>
     document.fullscreenElement ? document.exitFullscreen() : canvas.parentElement.requestFullscreen());
   for (const id of ["point-size", "frustum-size", "show-cameras"]) byId(id).addEventListener("input", redraw);

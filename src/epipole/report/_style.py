@@ -47,7 +47,7 @@ section { margin-top: 36px; }
 .notes li.warn { border-color: var(--warn); background: var(--warn-soft); }
 
 .stage { position: relative; margin-top: 10px; background: var(--stage); border-radius: 6px; overflow: hidden; }
-.stage canvas { display: block; width: 100%; height: min(600px, 78vh); cursor: grab; touch-action: none; outline: none; }
+.stage canvas { display: block; width: 100%; height: min(600px, 70vh); cursor: grab; touch-action: none; outline: none; }
 .stage canvas:active { cursor: grabbing; }
 .stage:fullscreen canvas { height: 100vh; }
 .tools { position: absolute; top: 10px; right: 10px; display: flex; flex-wrap: wrap; gap: 8px 14px;

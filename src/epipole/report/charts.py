@@ -56,9 +56,9 @@ def histogram_of(values: Float[np.ndarray, " n"], label: str, num_bins: int = 32
     return Histogram(label, edges, counts.astype(np.int64), median, int((values > edges[-1]).sum()))
 
 
-def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: int = 30) -> Histogram:
-    """One bin per whole number from 2 up; values above `largest` are counted as beyond."""
-    top = int(min(max(values.max(initial=2), 3), largest))
+def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: int = 60) -> Histogram:
+    """One bin per whole number from 2 to the 99th percentile or `largest`; greater values count as beyond."""
+    top = min(max(int(np.percentile(values, 99)), 8), largest) if len(values) else 8
     counts = np.bincount(np.clip(values, 0, top + 1), minlength=top + 2)
     median = float(np.median(values)) if len(values) else math.nan
     edges = np.arange(2, top + 2) - 0.5

@@ -68,8 +68,8 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
     sentences = []
     if low:
         sentences.append(
-            f"{count(low)} of {plural(pairs, 'verified pair')} see their common points under a median angle "
-            f"below {limit}: such pairs fix directions well and depth poorly."
+            f"{count(low)} of {plural(pairs, 'verified pair')} {'sees its' if low == 1 else 'see their'} common "
+            f"points under a median angle below {limit}: such pairs fix directions well and depth poorly."
         )
     if narrow:
         share = 100 * narrow / len(angles)

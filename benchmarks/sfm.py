@@ -1,0 +1,274 @@
+"""Structure-from-motion against COLMAP, on the same pictures, under the same limits, scored by the same code.
+
+`python -m benchmarks.sfm --set fountain-P11 lund_gps` runs each program in a process of its own, in turn
+(A B A B ...), and prints median and range for every figure; the runs go to benchmarks/results/sfm_SET.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import sys
+import tempfile
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import REPOSITORY, describe_machine, run_measured
+from benchmarks.peers.base import Limits, SfmPeer
+from benchmarks.peers.epipole_sfm import EpipoleSfm
+from benchmarks.peers.pycolmap_sfm import PycolmapSfm
+from benchmarks.score import score_models
+from benchmarks.tasks.sfm import SETS, SfmTask, data_root, prepare
+
+WARM_UP_PICTURES = 4
+BEST = "pycolmap-best"
+ROWS = {
+    "registered": "registered images",
+    "position_mean": "position error, mean",
+    "position_median": "position error, median",
+    "position_max": "position error, max",
+    "rotation_mean_deg": "rotation error, mean (deg)",
+    "auc_1": "relative poses, AUC @ 1 deg",
+    "auc_3": "relative poses, AUC @ 3 deg",
+    "auc_5": "relative poses, AUC @ 5 deg",
+    "gps_median_m": "distance to GPS, median (m)",
+    "axis_to_motion_median_deg": "axis to motion, median (deg)",
+    "points": "points",
+    "observations": "observations",
+    "unreadable_models": "models left out (no geometry)",
+    "wall_s": "time of the whole run (s)",
+    "peak_memory_mb": "peak memory (MB)",
+}
+
+Run = dict[str, Any]
+
+
+def main() -> None:
+    """Run the sets asked for and print a table for each."""
+    arguments = _arguments()
+    console = Console(width=max(110, Console().width))
+    limits = Limits(arguments.max_image_size, arguments.max_features, arguments.threads)
+    peers: list[SfmPeer] = [
+        EpipoleSfm(),
+        PycolmapSfm("incremental", shared_camera=arguments.shared_camera),
+        PycolmapSfm("global", "pycolmap-incremental", shared_camera=arguments.shared_camera),
+    ]
+    installed = [peer for peer in peers if peer.version() is not None]
+    for name in arguments.set:
+        with tempfile.TemporaryDirectory(prefix="epipole-bench-") as scratch:
+            work = Path(scratch)
+            try:
+                task = prepare(name, data_root(arguments.data).resolve(), work / "data")
+            except FileNotFoundError as error:
+                console.print(f"{name}: {error}", style="red")
+                sys.exit(1)
+            if not arguments.cold:
+                _warm_up(task, installed, limits, work)
+            runs = _interleaved(task, installed, limits, work, arguments.runs, console)
+        report = _report(task, runs, peers, limits, arguments)
+        arguments.results.mkdir(parents=True, exist_ok=True)
+        file = arguments.results / f"sfm_{task.name}.json"
+        file.write_text(json.dumps(report, indent=1) + "\n")
+        console.print(_table(task, report, peers))
+        console.print(f"written to {file}\n")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Structure-from-motion: epipole and pycolmap side by side.")
+    parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS), metavar="SET")
+    parser.add_argument("--runs", type=int, default=3, help="runs of each program, taken in turn")
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    parser.add_argument("--max-image-size", type=int, default=Limits.max_image_size)
+    parser.add_argument("--max-features", type=int, default=Limits.max_num_features)
+    parser.add_argument("--threads", type=int, default=Limits.num_threads)
+    parser.add_argument("--cold", action="store_true", help="no warm-up: the first run compiles kernels")
+    parser.add_argument(
+        "--shared-camera", action="store_true", help="tell pycolmap that one camera took all pictures"
+    )
+    return parser.parse_args()
+
+
+def _warm_up(task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path) -> None:
+    """One run of each program on a few pictures, not counted: libraries are read, kernels compiled.
+
+    It may fail (a few pictures need not give a model); a program that starts from another's files has no need of it.
+    """
+    few = work / "warm-up" / "images"
+    few.mkdir(parents=True)
+    names = task.image_names[:WARM_UP_PICTURES]
+    for name in names:
+        shutil.copyfile(task.images / name, few / name)
+    for peer in peers:
+        if peer.needs is None:
+            out = work / "warm-up" / peer.name
+            command = peer.command(replace(task, images=few, image_names=names), out, limits)
+            run_measured(command, out.with_suffix(".log"), limits.num_threads)
+
+
+def _interleaved(
+    task: SfmTask, peers: list[SfmPeer], limits: Limits, work: Path, num_runs: int, console: Console
+) -> list[Run]:
+    """A B C A B C ...: what slows the machine for a while slows every program."""
+    runs = []
+    for number in range(num_runs):
+        folder = work / f"run{number}"
+        for peer in peers:
+            run = {"run": number, "peer": peer.name} | _one_run(task, peer, limits, folder)
+            console.print(f"{task.name} run {number + 1}/{num_runs} {peer.name}: {_in_a_line(run)}")
+            runs.append(run)
+        shutil.rmtree(folder, ignore_errors=True)
+    return runs
+
+
+def _one_run(task: SfmTask, peer: SfmPeer, limits: Limits, folder: Path) -> Run:
+    """Cost and score of one run; a program that fails keeps its exit code and the end of its output."""
+    out, log = folder / peer.name, folder / f"{peer.name}.log"
+    if peer.needs is not None and not (folder / peer.needs / "summary.json").is_file():
+        return {"exit_code": None, "error": f"{peer.needs} left nothing to start from"}
+    measure = run_measured(peer.command(task, out, limits), log, limits.num_threads)
+    run: Run = asdict(measure)
+    summary = out / "summary.json"
+    if summary.is_file():
+        run["summary"] = json.loads(summary.read_text())
+    if peer.needs is not None:
+        stages = json.loads((folder / peer.needs / "summary.json").read_text())["seconds"]
+        run["own_wall_s"], run["wall_s"] = (
+            run["wall_s"],
+            run["wall_s"] + stages["features"] + stages["matches"],
+        )
+    if measure.exit_code != 0:
+        run["error"] = log.read_text(errors="replace")[-2000:]
+    return run | {"score": score_models(task, out / "sparse")}
+
+
+def _in_a_line(run: Run) -> str:
+    if run["exit_code"] != 0:
+        return f"failed (exit {run['exit_code']}): {run['error'].strip().splitlines()[-1:]}"
+    score = run["score"]
+    return f"{score['registered']} of {score['pictures']} registered, {run['wall_s']:.1f} s"
+
+
+def value_of(run: Run, metric: str) -> float | None:
+    """One figure of a run: its cost or its score; None where it has none."""
+    if metric in ("wall_s", "peak_memory_mb"):
+        return run.get(metric) if run["exit_code"] == 0 else None
+    return run.get("score", {}).get(metric)
+
+
+def best_mapper(candidates: list[Run]) -> Run | None:
+    """The better of one peer's mappers in a run: more images, then nearer the truth, then more observations."""
+
+    def merit(run: Run) -> tuple[float, float, float]:
+        position = value_of(run, "position_mean")
+        nearness = -position if position is not None else -math.inf
+        return value_of(run, "registered") or 0, nearness, value_of(run, "observations") or 0
+
+    done = [run for run in candidates if run["exit_code"] == 0]
+    return max(done, key=merit, default=None)
+
+
+def summarise(runs: list[Run]) -> dict[str, dict[str, float]]:
+    """Median, least and greatest of every figure over the runs of one program."""
+    out = {}
+    for metric in ROWS:
+        values = sorted(v for run in runs if (v := value_of(run, metric)) is not None)
+        if values:
+            out[metric] = {"median": _median(values), "min": values[0], "max": values[-1]}
+    return out
+
+
+def paired_ratios(ours: list[Run], theirs: list[Run]) -> dict[str, dict[str, float]]:
+    """Ours over theirs for every figure, between runs of the same number; median, least and greatest."""
+    partner, out = {run["run"]: run for run in theirs}, {}
+    for metric in ROWS:
+        ratios = []
+        for run in ours:
+            a, b = value_of(run, metric), value_of(partner.get(run["run"], {"exit_code": None}), metric)
+            if a is not None and b:
+                ratios.append(a / b)
+        if ratios:
+            out[metric] = {"median": _median(sorted(ratios)), "min": min(ratios), "max": max(ratios)}
+    return out
+
+
+def _median(values: list[float]) -> float:
+    half = len(values) // 2
+    return values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2
+
+
+def _report(
+    task: SfmTask, runs: list[Run], peers: list[SfmPeer], limits: Limits, arguments: argparse.Namespace
+) -> dict[str, Any]:
+    by_peer = {peer.name: [run for run in runs if run["peer"] == peer.name] for peer in peers}
+    mappers = [run for run in runs if run["peer"].startswith("pycolmap")]
+    best = [best_mapper([run for run in mappers if run["run"] == n]) for n in range(arguments.runs)]
+    by_peer[BEST] = [run for run in best if run is not None]
+    return {
+        "set": task.name,
+        "pictures": len(task.image_names),
+        "told": task.known,
+        "unit": task.unit,
+        "limits": asdict(limits),
+        "warm_up": "none" if arguments.cold else f"one run on {WARM_UP_PICTURES} pictures, not counted",
+        "pycolmap_shared_camera": arguments.shared_camera,
+        "machine": describe_machine(limits.num_threads),
+        "versions": {peer.name: peer.version() for peer in peers},
+        "summary": {name: summarise(of_peer) for name, of_peer in by_peer.items() if of_peer},
+        "epipole_over": {
+            name: paired_ratios(by_peer["epipole"], of_peer)
+            for name, of_peer in by_peer.items()
+            if of_peer and name != "epipole"
+        },
+        "best_mappers": [run["peer"] for run in by_peer[BEST]],
+        "runs": runs,
+    }
+
+
+def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table:
+    """One row per figure, one column per program, and the ratio to pycolmap's better mapper."""
+    num_runs = max((run["run"] for run in report["runs"]), default=-1) + 1
+    title = (
+        f"{task.name}: {len(task.image_names)} pictures, told {task.known}; median (range) of {num_runs} runs"
+    )
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for peer in peers:
+        table.add_column(f"{peer.name} {peer.version() or ''}", justify="right")
+    table.add_column("epipole / better mapper", justify="right")
+    ratios = report["epipole_over"].get(BEST, {})
+    for metric, label in ROWS.items():
+        unit = f" ({task.unit})" if metric.startswith("position") and task.unit else ""
+        cells = [_cell(report["summary"].get(peer.name, {}).get(metric)) for peer in peers]
+        if any(cells):
+            table.add_row(label + unit, *cells, _cell(ratios.get(metric)))
+    missing = ["" if peer.version() else "not installed" for peer in peers]
+    if any(missing):
+        table.add_row("", *missing, "")
+    failed = [sum(r["peer"] == p.name and r["exit_code"] != 0 for r in report["runs"]) for p in peers]
+    if any(failed):
+        table.add_row("failed runs", *map(str, failed), "")
+    return table
+
+
+def _cell(figure: dict[str, float] | None) -> str:
+    if figure is None:
+        return ""
+    middle, low, high = (_short(figure[key]) for key in ("median", "min", "max"))
+    return middle if low == high else f"{middle} ({low}-{high})"
+
+
+def _short(value: float) -> str:
+    if float(value).is_integer() or abs(value) >= 1000:
+        return f"{value:.0f}"
+    return f"{value:.3g}"
+
+
+if __name__ == "__main__":
+    main()

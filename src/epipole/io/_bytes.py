@@ -1,0 +1,102 @@
+"""Reading files that may be cut short or lie about their contents."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from epipole.errors import FileFormatError
+
+_COUNT = struct.Struct("<Q")
+
+
+def file_bytes(path: Path) -> bytes:
+    """The whole file.
+
+    Raises:
+        FileFormatError: there is none, or it cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error.strerror or error}") from error
+
+
+def file_text(path: Path) -> str:
+    """The whole file as UTF-8 text.
+
+    Raises:
+        FileFormatError: there is none, it cannot be read, or it is no text.
+    """
+    try:
+        return file_bytes(path).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, f"byte {error.start}: not UTF-8 text") from error
+
+
+class ByteReader:
+    """A cursor over the bytes of one file that never reads past the end, nor believes a count that cannot be."""
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        self.path = path
+        self.data = data
+        self.position = 0
+
+    @property
+    def remaining(self) -> int:
+        """Bytes not read yet."""
+        return len(self.data) - self.position
+
+    def fail(self, problem: str) -> FileFormatError:
+        """The error to raise about the current place."""
+        return FileFormatError(self.path, f"byte {self.position}: {problem}")
+
+    def advance(self, size: int, what: str) -> int:
+        """Step over `size` bytes and return where they begin."""
+        if size > self.remaining:
+            raise self.fail(f"the file ends inside {what} ({self.remaining} of {size} bytes)")
+        start = self.position
+        self.position += size
+        return start
+
+    def values(self, layout: struct.Struct, what: str) -> tuple:
+        """The next fixed-size values."""
+        return layout.unpack_from(self.data, self.advance(layout.size, what))
+
+    def count(self, min_item_size: int, what: str) -> int:
+        """The next 64-bit number of items, each of which takes at least `min_item_size` bytes."""
+        (number,) = self.values(_COUNT, f"the number of {what}")
+        self.require_room(number, min_item_size, what)
+        return number
+
+    def require_room(self, number: int, min_item_size: int, what: str) -> None:
+        """Check that so many items can follow at all."""
+        if number * min_item_size > self.remaining:
+            raise self.fail(f"{number} {what} cannot be in the {self.remaining} bytes that follow")
+
+    def array(self, dtype: DTypeLike, number: int, what: str) -> np.ndarray:
+        """The next `number` values, as a read-only view."""
+        start = self.advance(number * np.dtype(dtype).itemsize, what)
+        return np.frombuffer(self.data, dtype, number, start)
+
+    def string(self, what: str) -> str:
+        """The next zero-terminated UTF-8 text."""
+        end = self.data.find(b"\0", self.position)
+        if end < 0:
+            raise self.fail(f"the file ends inside {what}")
+        try:
+            text = self.data[self.position : end].decode()
+        except UnicodeDecodeError as error:
+            raise self.fail(f"{what} is not UTF-8 text") from error
+        self.position = end + 1
+        return text
+
+    def finish(self) -> None:
+        """Check that nothing is left."""
+        if self.remaining:
+            raise self.fail(f"{self.remaining} bytes follow after the end")

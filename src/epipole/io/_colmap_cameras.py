@@ -1,0 +1,106 @@
+"""COLMAP's cameras: its models by number and name, and its half pixel.
+
+In COLMAP (0.5, 0.5) is the centre of the top-left pixel, in epipole (0, 0) is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, FileFormatError
+
+HALF_PIXEL = 0.5
+
+# Models that epipole does not have. The first four are special cases of one that it has; the number is how many
+# parameters a file holds for it.
+_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE, _FISHEYE, _FULL_OPENCV = 8, 9, 14, 15, 6
+_OTHER_MODELS = {
+    _SIMPLE_RADIAL_FISHEYE: ("SIMPLE_RADIAL_FISHEYE", 4),
+    _RADIAL_FISHEYE: ("RADIAL_FISHEYE", 5),
+    _SIMPLE_FISHEYE: ("SIMPLE_FISHEYE", 3),
+    _FISHEYE: ("FISHEYE", 4),
+    _FULL_OPENCV: ("FULL_OPENCV", 12),
+}
+_MAX_SIZE = 2**31 - 1
+
+
+def params_from_colmap(model: CameraModel, params: np.ndarray) -> Float64[np.ndarray, " p"]:
+    """COLMAP's parameters with the principal point in epipole's pixels."""
+    return _shifted(model, params, -HALF_PIXEL)
+
+
+def params_to_colmap(model: CameraModel, params: np.ndarray) -> Float64[np.ndarray, " p"]:
+    """Parameters with the principal point in COLMAP's pixels."""
+    return _shifted(model, params, HALF_PIXEL)
+
+
+def _shifted(model: CameraModel, params: np.ndarray, shift_px: float) -> np.ndarray:
+    out = np.array(params, np.float64)
+    out[list(model.principal_point_indices)] += shift_px
+    return out
+
+
+def num_params_of(model_id: int) -> int | None:
+    """Length of the parameter vector of a COLMAP model; None for one that epipole cannot read."""
+    if model_id in _OTHER_MODELS:
+        return _OTHER_MODELS[model_id][1]
+    return CameraModel(model_id).num_params if model_id in set(CameraModel) else None
+
+
+def model_id_named(name: str) -> int | None:
+    """COLMAP's number of a model; None for one that epipole cannot read."""
+    others = {other: number for number, (other, _) in _OTHER_MODELS.items()}
+    return int(CameraModel[name]) if name in CameraModel.__members__ else others.get(name)
+
+
+def readable_models() -> str:
+    """Names of the models that can be read, for messages."""
+    return ", ".join([*CameraModel.__members__, *(name for name, _ in _OTHER_MODELS.values())])
+
+
+def camera_from_colmap(
+    model_id: int, width: int, height: int, params: np.ndarray, source: FileFormatError
+) -> Camera:
+    """The camera of one record.
+
+    Args:
+        model_id: COLMAP's number of the model.
+        width: in pixels.
+        height: in pixels.
+        params: in COLMAP's pixels.
+        source: names the file and the record, to be raised with the reason.
+
+    Raises:
+        FileFormatError: no camera can have these values.
+    """
+
+    def refused(reason: str) -> FileFormatError:
+        return FileFormatError(source.path, f"{str(source).removeprefix(f'{source.path}: ')}: {reason}")
+
+    expected = num_params_of(model_id)
+    if expected is None:
+        raise refused(f"unknown camera model {model_id}; known are {readable_models()}")
+    if len(params) != expected:
+        raise refused(f"the camera model {model_id} has {expected} parameters, got {len(params)}")
+    if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):
+        raise refused(f"impossible picture size {width}x{height}")
+    if model_id == _FULL_OPENCV and np.any(params[8:] != 0):
+        raise refused("FULL_OPENCV with k3 to k6 is not supported, only k1, k2, p1, p2")
+    model, own_params = _as_own_model(model_id, np.asarray(params, np.float64))
+    try:
+        return Camera(model, width, height, params_from_colmap(model, own_params))
+    except ConfigError as error:
+        raise refused(str(error)) from error
+
+
+def _as_own_model(model_id: int, p: np.ndarray) -> tuple[CameraModel, np.ndarray]:
+    """The same camera in a model that epipole has."""
+    if model_id == _FULL_OPENCV:
+        return CameraModel.OPENCV, p[:8]
+    if model_id == _FISHEYE:
+        return CameraModel.OPENCV_FISHEYE, np.concatenate([p, np.zeros(4)])
+    if model_id in (_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE):
+        return CameraModel.OPENCV_FISHEYE, np.concatenate([p[:1], p, np.zeros(7 - len(p))])
+    return CameraModel(model_id), p

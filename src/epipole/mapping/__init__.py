@@ -1,0 +1,11 @@
+"""What mappers share: match components, the growing model, resection, triangulation of tracks, adjustment."""
+
+from epipole.mapping.adjustment import Freedom as Freedom
+from epipole.mapping.adjustment import PositionPriors as PositionPriors
+from epipole.mapping.adjustment import adjust_all as adjust_all
+from epipole.mapping.adjustment import adjust_around as adjust_around
+from epipole.mapping.model_builder import MatchComponents as MatchComponents
+from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
+from epipole.mapping.model_builder import connect_matches as connect_matches
+from epipole.mapping.resection import refine_resection as refine_resection
+from epipole.mapping.resection import resect_image as resect_image

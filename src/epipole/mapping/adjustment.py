@@ -1,0 +1,117 @@
+"""Bundle adjustment of a growing model: all of it, or the neighbourhood of one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.mapping.model_builder import ModelBuilder
+from epipole.optim import BundleConfig, BundleProblem, BundleResult, adjust_bundle, free_params_mask, with_fixed_gauge
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionPriors:
+    """Where images are expected (GPS), in the model's world coordinates; NaN rows for none."""
+
+    positions_in_world: np.ndarray  # (n, 3)
+    sigma: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Freedom:
+    """Which intrinsics an adjustment may change, for cameras that are not constant."""
+
+    focal: bool = True
+    principal_point: bool = False
+    distortion: bool = True
+
+
+def adjust_all(
+    model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
+) -> BundleResult:
+    """Adjust every registered image, every point and the intrinsics that are not constant."""
+    order, _ = model.rows_by_point()
+    images = np.flatnonzero(model.registered)
+    return _adjust(model, order, images, np.arange(model.num_points), config, freedom, priors)
+
+
+def adjust_around(
+    model: ModelBuilder, image: int, num_images: int, config: BundleConfig, freedom: Freedom
+) -> BundleResult:
+    """Adjust an image, the images that share most points with it, and their points; the rest stays.
+
+    Other images' observations of these points take part, from fixed places. Intrinsics of cameras that serve
+    images outside the neighbourhood stay too.
+    """
+    order, offsets = model.rows_by_point()
+    own = model.row_point[model.rows_of_image[image]]
+    own = np.unique(own[own >= 0])
+    rows = order[_ranges(offsets, own)]
+    shared = np.bincount(model.row_image[rows], minlength=len(model.registered))
+    shared[image] = 0
+    neighbours = np.argsort(-shared, kind="stable")[: num_images - 1]
+    free = np.concatenate([[image], neighbours[shared[neighbours] > 0]])
+    points = np.zeros(model.num_points, bool)
+    for i in free:
+        seen = model.row_point[model.rows_of_image[i]]
+        points[seen[seen >= 0]] = True
+    members = np.flatnonzero(points)
+    return _adjust(model, order[_ranges(offsets, members)], free, members, config, freedom, None)
+
+
+def _adjust(
+    model: ModelBuilder,
+    rows: np.ndarray,
+    free_images: np.ndarray,
+    free_points: np.ndarray,
+    config: BundleConfig,
+    freedom: Freedom,
+    priors: PositionPriors | None,
+) -> BundleResult:
+    point = model.row_point[rows]
+    used, local = np.unique(point, return_inverse=True)
+    counts = np.bincount(local, minlength=len(used))
+    n = len(model.registered)
+    frame_free = np.zeros((n, 6))
+    frame_free[free_images] = 1.0
+    camera = model.camera_of_image[model.row_image[rows]]
+    params_free = free_params_mask(
+        model.cameras.model, focal=freedom.focal, principal_point=freedom.principal_point, distortion=freedom.distortion
+    )
+    params_free[model.cameras.is_constant] = 0.0
+    serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
+    params_free[np.unique(serves_others)] = 0.0
+    places = Rigid3(np.nan_to_num(model.motion[:, :9]).reshape(-1, 3, 3), np.nan_to_num(model.motion[:, 9:]))
+    problem = BundleProblem(
+        places,
+        Rigid3.identity(1),
+        model.cameras.model,
+        model.params,
+        model.points[used].copy(),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        model.row_image[rows],
+        np.zeros(len(rows), np.int32),
+        camera,
+        model.row_pixel[rows],
+        frame_free,
+        params_free,
+        np.isin(used, free_points).astype(np.float64),
+        np.full((n, 3), np.nan) if priors is None else priors.positions_in_world,
+        1.0 if priors is None else priors.sigma,
+    )
+    result = adjust_bundle(with_fixed_gauge(problem), config)
+    model.set_places(free_images, result.rig_from_world[free_images])
+    model.set_points(used, result.points_in_world)
+    changed = np.flatnonzero((result.camera_params != model.params).any(axis=1))
+    model.params = result.camera_params
+    for c in changed:
+        model.update_rays(int(c))
+    return result
+
+
+def _ranges(offsets: np.ndarray, items: np.ndarray) -> np.ndarray:
+    counts = offsets[items + 1] - offsets[items]
+    starts = np.repeat(offsets[items] - np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64), counts)
+    return starts + np.arange(counts.sum())

@@ -1,0 +1,290 @@
+"""The growing model inside a mapper: mutable columns over fixed tracks; it freezes into a Reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32, Int64
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.mapping import _track_kernels as kernels
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks, ViewGraph, unregistered
+
+
+class _Rows(NamedTuple):
+    """Keypoints that have matches, grouped by component, as the kernels take them."""
+
+    image: np.ndarray  # (r,) int32
+    pixel: np.ndarray  # (r, 2)
+    ray: np.ndarray  # (r, 3) unit, in camera coordinates
+    point: np.ndarray  # (r,) int32, -1 = none
+
+
+class _Cams(NamedTuple):
+    """Images' places and cameras, as the kernels take them."""
+
+    motion: np.ndarray  # (n, 12) cam_from_world: R row by row, t
+    center: np.ndarray  # (n, 3)
+    registered: np.ndarray  # (n,) bool
+    camera: np.ndarray  # (n,) int32
+    model: np.ndarray  # (c,) int32
+    params: np.ndarray  # (c, 8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchComponents:
+    """Keypoints connected by verified matches: rows offsets[t] to offsets[t + 1] are component t."""
+
+    offsets: Int64[np.ndarray, " t1"]
+    image: Int32[np.ndarray, " r"]
+    keypoint: Int32[np.ndarray, " r"]
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+
+def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
+    """Merge the verified matches of all pairs into components of two or more keypoints (union-find)."""
+    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+    row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
+    row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
+    parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
+    kernels.connected_components(row1.astype(np.int64), row2.astype(np.int64), parent)
+    sizes = np.bincount(parent, minlength=len(parent))
+    rows = np.flatnonzero(sizes[parent] >= 2)
+    rows = rows[np.argsort(parent[rows], kind="stable")]
+    _, counts = np.unique(parent[rows], return_counts=True)
+    image = np.searchsorted(keypoint_offsets, rows, side="right") - 1
+    return MatchComponents(
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        image.astype(np.int32),
+        (rows - keypoint_offsets[image]).astype(np.int32),
+    )
+
+
+class ModelBuilder:
+    """Images, points and rows under construction. One image is one frame of its own rig."""
+
+    def __init__(
+        self, cameras: Cameras, camera_of_image: Int32[np.ndarray, " n"], keypoints: Sequence[np.ndarray],
+        components: MatchComponents,
+    ) -> None:
+        self.cameras = cameras
+        self.camera_of_image = camera_of_image.astype(np.int32)
+        self.params = cameras.params.copy()
+        self.components = components
+        self.keypoints = keypoints
+        starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+        stacked = np.concatenate(list(keypoints)) if len(keypoints) else np.zeros((0, 2))
+        self.row_image = components.image
+        self.row_pixel = np.ascontiguousarray(stacked[starts[components.image] + components.keypoint], np.float64)
+        self.row_component = np.repeat(np.arange(len(components)), np.diff(components.offsets))
+        self.longest = int(np.diff(components.offsets).max(initial=1))
+        order = np.argsort(self.row_image, kind="stable")
+        bounds = np.searchsorted(self.row_image[order], np.arange(len(keypoints) + 1))
+        self.rows_of_image = [order[a:b] for a, b in zip(bounds[:-1], bounds[1:])]
+        self.row_ray = np.zeros((len(self.row_image), 3))
+        for camera in range(len(cameras)):
+            self.update_rays(camera)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all places and points."""
+        n = len(self.camera_of_image)
+        self.registered = np.zeros(n, bool)
+        self.motion = np.full((n, 12), np.nan)
+        self.center = np.full((n, 3), np.nan)
+        self.row_point = np.full(len(self.row_image), -1, np.int32)
+        self._points = np.empty((1024, 3))
+        self.num_points = 0
+
+    @property
+    def points(self) -> Float64[np.ndarray, "p 3"]:
+        """Points in world coordinates; those without rows are dead."""
+        return self._points[: self.num_points]
+
+    def update_rays(self, camera: int) -> None:
+        """Unproject the rows of one camera again, after its parameters changed."""
+        model = self.camera(camera)
+        images = np.flatnonzero(self.camera_of_image == camera)
+        if len(images):
+            rows = np.concatenate([self.rows_of_image[i] for i in images])
+            self.row_ray[rows] = np.nan_to_num(model.unproject(self.row_pixel[rows]))
+
+    def camera(self, index: int) -> Camera:
+        """The camera of this row with its present parameters."""
+        return replace(self.cameras, params=self.params)[index]
+
+    def cam_from_world(self, image: int) -> Rigid3:
+        """Place of one image."""
+        return Rigid3(self.motion[image, :9].reshape(3, 3).copy(), self.motion[image, 9:].copy())
+
+    def register(self, image: int, cam_from_world: Rigid3) -> None:
+        """Give an image its place."""
+        self.set_places(np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None]))
+        self.registered[image] = True
+
+    def set_places(self, images: np.ndarray, cams_from_world: Rigid3) -> None:
+        """Move images."""
+        self.motion[images, :9] = cams_from_world.rotation.reshape(-1, 9)
+        self.motion[images, 9:] = cams_from_world.translation
+        self.center[images] = cams_from_world.centers()
+
+    def deregister(self, image: int) -> None:
+        """Take an image out, and its rows from their points."""
+        self.registered[image] = False
+        self.motion[image] = self.center[image] = np.nan
+        self.row_point[self.rows_of_image[image]] = -1
+
+    def set_points(self, indices: np.ndarray, xyz: np.ndarray) -> None:
+        """Move points."""
+        self._points[indices] = xyz
+
+    def _kernel_rows(self) -> _Rows:
+        return _Rows(self.row_image, self.row_pixel, self.row_ray, self.row_point)
+
+    def _kernel_cams(self) -> _Cams:
+        return _Cams(
+            self.motion, self.center, self.registered, self.camera_of_image, self.cameras.model, self.params
+        )
+
+    def triangulate(self, components: np.ndarray, max_error_px: float, min_angle_rad: float) -> int:
+        """Make new points from rows without one; returns the number of new observations."""
+        limit = np.cos(min_angle_rad)
+
+        def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            sizes = self.components.offsets[components[start:stop] + 1] - self.components.offsets[components[start:stop]]
+            made = np.empty((int((sizes // 2).clip(max=3).sum()), 3))
+            count = kernels.triangulate_components(
+                *(self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop),
+                *(max_error_px**2, limit, self.longest, made, point_of_row),
+            )
+            rows = _rows_of(self.components.offsets, components[start:stop])
+            rows = rows[point_of_row[rows] >= 0]
+            return made[:count], rows, point_of_row[rows]
+
+        point_of_row = np.full(len(self.row_image), -1, np.int32)
+        added = 0
+        for made, rows, local in _parallel.map_chunks(work, len(components)):
+            self._grow(len(made))
+            self._points[self.num_points : self.num_points + len(made)] = made
+            self.row_point[rows] = local + self.num_points
+            self.num_points += len(made)
+            added += len(rows)
+        return added
+
+    def extend(self, components: np.ndarray, max_error_px: float) -> int:
+        """Give rows without a point to points of their component; returns the number of new observations."""
+        given = np.full(len(self.row_image), -1, np.int32)
+        counts = _parallel.map_chunks(
+            lambda a, b, _: kernels.extend_components(
+                *(self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, a, b),
+                *(self.points, max_error_px**2, given),
+            ),
+            len(components),
+        )
+        rows = np.flatnonzero(given >= 0)
+        self.row_point[rows] = given[rows]
+        return int(sum(counts))
+
+    def filter(self, max_error_px: float, min_angle_rad: float) -> int:
+        """Drop rows with large errors and points seen under a narrow angle; returns the number of dropped rows."""
+        order, offsets = self.rows_by_point()
+        keep, errors = np.zeros(len(self.row_image), bool), np.empty(self.num_points)
+        limit = np.cos(min_angle_rad)
+        _parallel.map_chunks(
+            lambda a, b, _: kernels.filter_points(
+                *(self._kernel_rows(), self._kernel_cams(), offsets, order, a, b, self.points),
+                *(max_error_px**2, limit, keep, errors),
+            ),
+            self.num_points,
+        )
+        drop = (self.row_point >= 0) & ~keep
+        self.row_point[drop] = -1
+        return int(drop.sum())
+
+    def rows_by_point(self) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " p1"]]:
+        """Rows that have a point, grouped by point, with offsets."""
+        rows = np.flatnonzero(self.row_point >= 0)
+        order = rows[np.argsort(self.row_point[rows], kind="stable")]
+        counts = np.bincount(self.row_point[rows], minlength=self.num_points)
+        return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+    def has_point(self) -> Bool[np.ndarray, " t"]:
+        """Mask of components that hold a point."""
+        out = np.zeros(len(self.components), bool)
+        out[self.row_component[self.row_point >= 0]] = True
+        return out
+
+    def points_in_sight(self, image: int) -> tuple[Int64[np.ndarray, " k"], Int32[np.ndarray, " k"]]:
+        """(rows, points) that an image sees if its matches are right: points of its rows' components."""
+        rows = self.rows_of_image[image]
+        component = self.row_component[rows]
+        near = _rows_of(self.components.offsets, component)
+        repeats = np.diff(self.components.offsets)[component]
+        owner = np.repeat(rows, repeats)
+        point = self.row_point[near]
+        pairs = np.unique(np.stack([owner[point >= 0], point[point >= 0]], axis=1), axis=0)
+        return pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int32)
+
+    def _grow(self, extra: int) -> None:
+        need = self.num_points + extra
+        if need > len(self._points):
+            bigger = np.empty((max(need, 2 * len(self._points)), 3))
+            bigger[: self.num_points] = self.points
+            self._points = bigger
+
+    def freeze(
+        self, names: Sequence[str], colors: Sequence[np.ndarray] | None = None, timestamps_s: np.ndarray | None = None
+    ) -> Reconstruction:
+        """The model as frozen columns: living points only, in order of their index.
+
+        Args:
+            names: of all images.
+            colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 where absent.
+            timestamps_s: one per image.
+        """
+        order, offsets = self.rows_by_point()
+        alive = np.diff(offsets) >= 2
+        order = order[alive[self.row_point[order]]]
+        offsets = np.concatenate([[0], np.cumsum(np.diff(offsets)[alive])]).astype(np.int64)
+        n = len(names)
+        places = unregistered(n)
+        places.rotation[self.registered] = self.motion[self.registered, :9].reshape(-1, 3, 3)
+        places.translation[self.registered] = self.motion[self.registered, 9:]
+        image, keypoint = self.row_image[order], self.components.keypoint[order]
+        starts = np.concatenate([[0], np.cumsum([len(k) for k in self.keypoints])]).astype(np.int64)
+        rgb = np.full((int(alive.sum()), 3), 128, np.uint8)
+        if colors is not None and len(rgb):
+            seen = np.concatenate(list(colors))[starts[image] + keypoint].astype(np.float64)
+            rgb = np.rint(np.add.reduceat(seen, offsets[:-1], axis=0) / np.diff(offsets)[:, None]).astype(np.uint8)
+        model = Reconstruction(
+            replace(self.cameras, params=self.params.copy()),
+            Rigs.of_single_cameras(len(self.cameras)),
+            Frames(
+                self.camera_of_image.copy(),
+                places,
+                np.full(n, np.nan) if timestamps_s is None else np.asarray(timestamps_s, np.float64),
+            ),
+            Images(
+                tuple(names), np.arange(n, dtype=np.int32), self.camera_of_image.copy(), starts,
+                np.ascontiguousarray(np.concatenate(list(self.keypoints)), np.float64).reshape(-1, 2),
+            ),
+            Points(self.points[alive].copy(), rgb, np.zeros(len(rgb))),
+            Tracks(offsets, image.astype(np.int32), keypoint.astype(np.int32)),
+        )
+        errors = model.reprojection_errors_px()
+        mean = np.add.reduceat(errors, offsets[:-1]) / np.diff(offsets) if len(rgb) else np.zeros(0)
+        return replace(model, points=replace(model.points, error_px=mean))
+
+
+def _rows_of(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
+    """All rows of the given components, in their order."""
+    counts = offsets[components + 1] - offsets[components]
+    starts = np.repeat(offsets[components] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+    return starts + np.arange(counts.sum())

@@ -1,0 +1,85 @@
+"""Resection: the place of an image from the points it should see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.mapping.model_builder import ModelBuilder
+from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
+from epipole.robust import Estimate, RansacConfig, estimate_absolute_pose
+
+FOCAL_FACTORS = np.geomspace(0.4, 2.5, 15)
+"""Focal lengths tried, as factors of the guess, for a camera of unknown focal length."""
+
+
+def resect_image(
+    model: ModelBuilder, image: int, config: RansacConfig, *, search_focal: bool
+) -> tuple[Estimate, Camera, np.ndarray]:
+    """Estimate cam_from_world of an image from the points in its sight.
+
+    Args:
+        model: the growing model; it is not changed.
+        image: which image.
+        config: threshold in pixels and inliers needed.
+        search_focal: the camera's focal length is a guess that no registered image supports yet: try many.
+
+    Returns:
+        The estimate, the camera (with the focal length found) and the rows of the correspondences.
+    """
+    rows, points = model.points_in_sight(image)
+    camera = model.camera(int(model.camera_of_image[image]))
+    pixels, xyz = model.row_pixel[rows], model.points[points]
+    if not search_focal:
+        return estimate_absolute_pose(xyz, pixels, camera, config), camera, rows
+    quick = replace(config, max_iterations=300)
+    tried = [(estimate_absolute_pose(xyz, pixels, _with_focal(camera, f), quick), f) for f in FOCAL_FACTORS]
+    factor = max(tried, key=lambda e: e[0].num_inliers)[1]
+    camera = _with_focal(camera, factor)
+    estimate = estimate_absolute_pose(xyz, pixels, camera, config)
+    if not estimate.success:
+        return estimate, camera, rows
+    focal_only = refine_resection(xyz, pixels, estimate, camera, focal=True)
+    if focal_only is not None:
+        camera = focal_only[1]
+        estimate = estimate_absolute_pose(xyz, pixels, camera, config)
+    return estimate, camera, rows
+
+
+def refine_resection(
+    points_in_world: np.ndarray, pixels: np.ndarray, estimate: Estimate, camera: Camera, *, focal: bool
+) -> tuple[Rigid3, Camera] | None:
+    """Refine a resection (and its focal length) over its inliers with a Cauchy loss; None if it diverges."""
+    inliers = np.flatnonzero(estimate.inlier_mask)
+    n = len(inliers)
+    start = Rigid3(estimate.motion.rotation[None], estimate.motion.translation[None])
+    zeros = np.zeros(n, np.int32)
+    problem = BundleProblem(
+        start,
+        Rigid3.identity(1),
+        np.array([int(camera.model)], np.int32),
+        camera.padded_params()[None],
+        points_in_world[inliers],
+        np.arange(n + 1, dtype=np.int64),
+        *(zeros, zeros, zeros),
+        pixels[inliers],
+        np.ones((1, 6)),
+        free_params_mask(np.array([int(camera.model)], np.int32), focal=focal, distortion=False),
+        np.zeros(n),
+        np.full((1, 3), np.nan),
+    )
+    result = adjust_bundle(problem, BundleConfig(loss=Loss.CAUCHY, loss_scale_px=2.0, max_iterations=20))
+    params = result.camera_params[0, : camera.model.num_params]
+    ratio = params[0] / camera.params[0]
+    if not (np.isfinite(result.final_cost) and 0.3 < ratio < 3.0):
+        return None
+    return result.rig_from_world[0], replace(camera, params=params)
+
+
+def _with_focal(camera: Camera, factor: float) -> Camera:
+    params = camera.params.copy()
+    params[list(camera.model.focal_indices)] *= factor
+    return replace(camera, params=params)

@@ -1,0 +1,214 @@
+"""Incremental structure-from-motion: the algorithm, without files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.mapping import (
+    Freedom,
+    ModelBuilder,
+    PositionPriors,
+    adjust_all,
+    adjust_around,
+    refine_resection,
+    resect_image,
+)
+from epipole.optim import BundleConfig, Loss
+from epipole.robust import PairKind, RansacConfig
+from epipole.scene import ViewGraph
+from epipole.sfm.config import MapperConfig
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Why an image could not be placed."""
+
+    image: int
+    num_points_in_sight: int
+    num_inliers: int
+
+
+class IncrementalMapper:
+    """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016)."""
+
+    def __init__(self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig) -> None:
+        self.model, self.view_graph, self.config = model, view_graph, config
+        self.rejections: dict[int, Rejection] = {}
+        self._ransac = RansacConfig(
+            max_error_px=config.resection_max_error_px,
+            min_inliers=config.resection_min_inliers,
+            min_iterations=30,
+            max_iterations=5000,
+            seed=config.seed,
+        )
+        self._angle = np.deg2rad(config.min_angle_deg)
+
+    def run(self, usable: np.ndarray, progress: Progress | None = None) -> bool:
+        """Map the usable images (mask); False if no pair of them can start a model."""
+        total = int(usable.sum())
+        if not self.start(usable):
+            return False
+        size_at_global = 2
+        while (image := self.register_next(usable)) is not None:
+            self.triangulate_around(image)
+            count = int(self.model.registered.sum())
+            if count >= self.config.global_growth * size_at_global or count == total:
+                self.adjust_globally(rounds=1 if count < total else 0)
+                size_at_global = count
+            else:
+                adjust_around(self.model, image, self.config.local_images, self._local_bundle(), self._freedom())
+                self.model.filter(self.config.max_error_px, self._angle)
+            if progress is not None:
+                progress(int(self.model.registered.sum()), total)
+        self.adjust_globally(rounds=self.config.final_rounds)
+        return True
+
+    def start(self, usable: np.ndarray) -> bool:
+        """Find a pair that gives a sound model: many inliers under a wide angle, tried in falling order of both."""
+        g = self.view_graph
+        tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
+        candidates = np.flatnonzero(
+            tells_depth
+            & usable[g.image1]
+            & usable[g.image2]
+            & (g.num_inliers() >= self.config.start_min_inliers)
+            & np.isfinite(g.median_angle_rad)
+        )
+        wanted = np.deg2rad(self.config.start_angle_deg)
+        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(g.median_angle_rad / wanted, 1.0)
+        order = np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")
+        for edge in candidates[order[: self.config.start_trials]]:
+            if self._start_from(int(edge)):
+                return True
+        self.model.clear()
+        return False
+
+    def _start_from(self, edge: int) -> bool:
+        g, model = self.view_graph, self.model
+        model.clear()
+        first, second = int(g.image1[edge]), int(g.image2[edge])
+        model.register(first, Rigid3.identity())
+        model.register(second, g.cam2_from_cam1[edge])
+        components = self._components_of(np.array([first, second]))
+        model.triangulate(components, self.config.max_error_px, self._angle)
+        if len(np.unique(model.row_point[model.row_point >= 0])) < 20:
+            return False
+        adjust_all(model, self._global_bundle(), Freedom(focal=False, distortion=False))
+        model.filter(self.config.max_error_px, self._angle)
+        model.triangulate(components, self.config.max_error_px, self._angle)
+        adjust_all(model, self._global_bundle(), Freedom(focal=False, distortion=False))
+        model.filter(self.config.max_error_px, self._angle)
+        num_points = len(np.unique(model.row_point[model.row_point >= 0]))
+        return num_points >= max(20, min(self.config.start_min_inliers, int(0.3 * g.num_inliers()[edge])))
+
+    def register_next(self, usable: np.ndarray) -> int | None:
+        """Place the image that sees most of the model, well spread; None when none of them fits."""
+        for image in self._ranked_candidates(usable):
+            if self._register(int(image)):
+                self.rejections.pop(int(image), None)
+                return int(image)
+        return None
+
+    def _ranked_candidates(self, usable: np.ndarray) -> np.ndarray:
+        model = self.model
+        waiting = np.flatnonzero(usable & ~model.registered)
+        seen = model.has_point()[model.row_component]
+        scores = np.zeros(len(waiting))
+        for n, image in enumerate(waiting):
+            rows = model.rows_of_image[image]
+            rows = rows[seen[rows]]
+            # An image is tried again only when it sees more of the model than when it failed.
+            before = self.rejections.get(int(image))
+            stale = before is not None and len(rows) <= 1.1 * before.num_points_in_sight
+            if len(rows) >= self.config.resection_min_inliers and not stale:
+                camera = model.cameras[int(model.camera_of_image[image])]
+                scores[n] = spread_score(model.row_pixel[rows], camera.width, camera.height)
+            elif before is None:
+                self.rejections[int(image)] = Rejection(int(image), len(rows), 0)
+        order = np.argsort(-scores, kind="stable")
+        return waiting[order[scores[order] > 0]]
+
+    def _register(self, image: int) -> bool:
+        model, camera_index = self.model, int(self.model.camera_of_image[image])
+        guessed = not (model.cameras.is_focal_trusted[camera_index] or model.cameras.is_constant[camera_index])
+        used = model.camera_of_image[model.registered]
+        search_focal = guessed and camera_index not in used
+        estimate, camera, rows = resect_image(
+            model, image, replace(self._ransac, seed=self._ransac.seed + image), search_focal=search_focal
+        )
+        if not estimate.success or estimate.num_inliers < self.config.resection_min_ratio * len(np.unique(rows)):
+            in_sight = int(model.has_point()[model.row_component[model.rows_of_image[image]]].sum())
+            self.rejections[image] = Rejection(image, in_sight, estimate.num_inliers)
+            return False
+        if search_focal:
+            model.params[camera_index, : len(camera.params)] = camera.params
+            model.update_rays(camera_index)
+        rows, points = model.points_in_sight(image)
+        refined = refine_resection(model.points[points], model.row_pixel[rows], estimate, camera, focal=False)
+        model.register(image, estimate.motion if refined is None else refined[0])
+        return True
+
+    def triangulate_around(self, image: int) -> None:
+        """Extend the points an image sees and make new ones from its unused matches."""
+        components = self._components_of(np.array([image]))
+        self.model.extend(components, self.config.max_error_px)
+        self.model.triangulate(components, self.config.max_error_px, self._angle)
+
+    def adjust_globally(self, rounds: int) -> None:
+        """Adjust everything, filter, triangulate again; repeat until little changes, `rounds` times at most."""
+        model, config = self.model, self.config
+        everything = np.arange(len(model.components))
+        for turn in range(max(rounds, 1)):
+            adjust_all(model, self._global_bundle(), self._freedom(), self._priors())
+            dropped = model.filter(config.max_error_px, self._angle)
+            self._drop_lost_images()
+            if turn == rounds - 1 or rounds == 0:
+                break
+            added = model.extend(everything, config.max_error_px)
+            added += model.triangulate(everything, config.max_error_px, self._angle)
+            if dropped + added < config.settled_share * (model.row_point >= 0).sum():
+                break
+
+    def _drop_lost_images(self) -> None:
+        counts = np.bincount(self.model.row_image[self.model.row_point >= 0], minlength=len(self.model.registered))
+        for image in np.flatnonzero(self.model.registered & (counts < self.config.min_observations)):
+            self.rejections[int(image)] = Rejection(int(image), int(counts[image]), int(counts[image]))
+            self.model.deregister(int(image))
+
+    def _priors(self) -> PositionPriors | None:
+        return None
+
+    def _components_of(self, images: np.ndarray) -> np.ndarray:
+        rows = np.concatenate([self.model.rows_of_image[i] for i in images])
+        return np.unique(self.model.row_component[rows])
+
+    def _freedom(self) -> Freedom:
+        return Freedom(focal=self.config.refine_focal, distortion=self.config.refine_distortion)
+
+    def _local_bundle(self) -> BundleConfig:
+        return BundleConfig(loss=Loss.SOFT_L1, max_iterations=10, function_tolerance=1e-4)
+
+    def _global_bundle(self) -> BundleConfig:
+        return BundleConfig(
+            loss=self.config.loss, loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5
+        )
+
+
+def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:
+    """How many points an image sees and how evenly: cells hit on finer and finer grids, 4^level each.
+
+    The visibility pyramid of Schoenberger and Frahm (CVPR 2016, section 4.2).
+    """
+    score = 0.0
+    for level in range(1, levels + 1):
+        cells = 1 << level
+        x = np.clip(pixels[:, 0] * cells / width, 0, cells - 1).astype(int)
+        y = np.clip(pixels[:, 1] * cells / height, 0, cells - 1).astype(int)
+        score += len(np.unique(y * cells + x)) * 4.0**level
+    return score

@@ -1,0 +1,246 @@
+"""Focal length, place and time from EXIF."""
+
+import math
+from datetime import datetime
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from epipole.io.exif import (
+    GpsPosition,
+    camera_of,
+    capture_time_of,
+    focal_of,
+    gps_of,
+    gps_to_enu,
+    new_exif,
+    orientation_of,
+    upright_exif,
+)
+from epipole.io.sensor_widths import SENSOR_WIDTH_MM, camera_key, sensor_width_mm
+
+FOCAL_MM, FOCAL_35MM, PIXEL_WIDTH, PLANE_X, PLANE_UNIT = 0x920A, 0xA405, 0xA002, 0xA20E, 0xA210
+SEMI_MAJOR_M, E2 = 6378137.0, 0.00669437999014
+
+
+def block(details=None, gps=None, **tags):
+    """An EXIF block after a trip through bytes, as a file gives it."""
+    exif = Image.Exif()
+    names = {"make": 0x010F, "model": 0x0110, "orientation": 0x0112, "date_time": 0x0132}
+    for name, value in tags.items():
+        exif[names[name]] = value
+    exif.get_ifd(0x8769).update(details or {})
+    exif.get_ifd(0x8825).update(gps or {})
+    out = Image.Exif()
+    out.load(exif.tobytes())
+    return out
+
+
+def test_focal_from_35mm_equivalent_is_over_the_longer_side():
+    exif = block({FOCAL_35MM: 28})
+    for size in ((4000, 3000), (3000, 4000)):
+        focal = focal_of(exif, *size)
+        assert focal is not None
+        assert focal.focal_px == pytest.approx(28 / 36 * 4000)
+        assert focal.source == "35 mm equivalent"
+
+
+def test_focal_from_sensor_width_when_there_is_no_equivalent():
+    exif = block({FOCAL_MM: IFDRational(50), FOCAL_35MM: 0}, make="NIKON CORPORATION", model="NIKON D90")
+    focal = focal_of(exif, 4288, 2848)
+    assert focal is not None
+    assert focal.focal_px == pytest.approx(50 / 23.6 * 4288)
+    assert focal.source == "sensor width"
+
+
+def test_focal_from_focal_plane_resolution_follows_a_smaller_picture():
+    # 4000 px over a 20 mm sensor: 200 px per mm, 5080 px per inch, 2000 px per cm.
+    for unit, per_unit in ((2, 5080), (3, 2000), (4, 200)):
+        details = {
+            FOCAL_MM: IFDRational(10),
+            PLANE_X: IFDRational(per_unit),
+            PLANE_UNIT: unit,
+            PIXEL_WIDTH: 4000,
+        }
+        exif = block(details, make="Nobody", model="Unheard of")
+        full, half = focal_of(exif, 4000, 3000), focal_of(exif, 2000, 1500)
+        assert full is not None
+        assert half is not None
+        assert full.focal_px == pytest.approx(2000.0)
+        assert half.focal_px == pytest.approx(1000.0)
+        assert full.source == "focal-plane resolution"
+
+
+@pytest.mark.parametrize(
+    "details",
+    [
+        {},
+        {FOCAL_35MM: 0},
+        {FOCAL_35MM: 7},
+        {FOCAL_35MM: 721},
+        {FOCAL_MM: IFDRational(5)},
+        {FOCAL_MM: IFDRational(0, 0), PLANE_X: IFDRational(100), PLANE_UNIT: 3},
+        {FOCAL_MM: IFDRational(5), PLANE_X: IFDRational(0), PLANE_UNIT: 3},
+    ],
+)
+def test_absurd_focal_lengths_are_rejected(details):
+    assert focal_of(block(details, make="Nobody", model="Unheard of"), 4000, 3000) is None
+
+
+def test_limits_of_a_credible_focal_length():
+    low, high = focal_of(block({FOCAL_35MM: 8}), 4000, 3000), focal_of(block({FOCAL_35MM: 720}), 4000, 3000)
+    assert low is not None
+    assert high is not None
+    assert high.focal_px == pytest.approx(20 * 4000)
+
+
+def test_an_absurd_equivalent_falls_through_to_the_sensor():
+    exif = block({FOCAL_MM: IFDRational(50), FOCAL_35MM: 65535}, make="Canon", model="Canon EOS 5D Mark II")
+    focal = focal_of(exif, 5616, 3744)
+    assert focal is not None
+    assert focal.focal_px == pytest.approx(50 / 36 * 5616)
+
+
+def test_camera_names_and_table():
+    assert camera_key("NIKON CORPORATION", "NIKON  D90") == "nikon d90"
+    assert (
+        camera_key("EASTMAN KODAK COMPANY", "KODAK Z612 ZOOM DIGITAL CAMERA")
+        == "kodak z612 zoom digital camera"
+    )
+    assert camera_key("", "Thing") == "thing"
+    assert sensor_width_mm("SONY", "ILCE-6000") == 23.5
+    assert sensor_width_mm("SONY", "ILCE-0") is None
+    assert all(4.0 < width < 37.0 and key == key.lower() for key, width in SENSOR_WIDTH_MM.items())
+    assert camera_of(block(make=" Canon \x00", model="Canon EOS 7D")) == ("Canon", "Canon EOS 7D")
+    assert camera_of(block()) == ("", "")
+
+
+@pytest.mark.parametrize(("value", "expected"), [(6, 6), (1, 1), (8, 8), (0, 1), (9, 1), (77, 1)])
+def test_orientation(value, expected):
+    assert orientation_of(block(orientation=value)) == expected
+    assert orientation_of(block()) == 1
+
+
+@pytest.mark.parametrize(("north", "east"), [("N", "E"), ("S", "E"), ("N", "W"), ("S", "W")])
+def test_gps_signs(north, east):
+    dms = (IFDRational(33), IFDRational(30), IFDRational(3600, 100))
+    place = gps_of(block(gps={1: north, 2: dms, 3: east, 4: dms, 5: b"\x01", 6: IFDRational(25, 2)}))
+    value = 33 + 30 / 60 + 36 / 3600
+    assert place is not None
+    assert place.lat_deg == pytest.approx(value if north == "N" else -value)
+    assert place.lon_deg == pytest.approx(value if east == "E" else -value)
+    assert place.alt_m == pytest.approx(-12.5)
+
+
+def test_gps_without_altitude_and_decimal_minutes():
+    dm = (IFDRational(10), IFDRational(303, 10), IFDRational(0))
+    place = gps_of(block(gps={1: "N", 2: dm, 3: "E", 4: dm}))
+    assert place == GpsPosition(pytest.approx(10.505), pytest.approx(10.505), None)
+
+
+@pytest.mark.parametrize(
+    "gps",
+    [
+        {},
+        {1: "N", 2: (IFDRational(10), IFDRational(0), IFDRational(0))},
+        {1: "N", 2: (IFDRational(0),) * 3, 3: "E", 4: (IFDRational(0),) * 3},
+        {1: "N", 2: (IFDRational(95),) * 3, 3: "E", 4: (IFDRational(9),) * 3},
+        {1: "N", 2: (IFDRational(0, 0),) * 3, 3: "E", 4: (IFDRational(9),) * 3},
+        {1: "N", 2: (IFDRational(9),) * 3, 3: "E", 4: (IFDRational(9),) * 3, 9: "V"},
+    ],
+)
+def test_unusable_gps_is_none(gps):
+    assert gps_of(block(gps=gps)) is None
+
+
+def test_capture_time():
+    exif = block({0x9003: "2020:02:29 23:59:58", 0x9291: "25"}, date_time="2021:01:01 00:00:00")
+    assert capture_time_of(exif) == datetime(2020, 2, 29, 23, 59, 58, 250000)
+    assert capture_time_of(
+        block({0x9003: "    :  :     :  :  "}, date_time="2021:01:01 00:00:00")
+    ) == datetime(2021, 1, 1)
+    assert capture_time_of(block()) is None
+    assert capture_time_of(block({0x9003: "2021:13:01 00:00:00"})) is None
+
+
+def test_new_exif_is_read_back():
+    place = GpsPosition(-33.8567844, 151.2152967, -4.25)
+    exif = Image.Exif()
+    exif.load(new_exif("Maker", "Model", 35.4, place).tobytes())
+    focal, back = focal_of(exif, 3600, 2400), gps_of(exif)
+    assert camera_of(exif) == ("Maker", "Model")
+    assert focal is not None
+    assert focal.focal_px == pytest.approx(3500.0)
+    assert back is not None
+    np.testing.assert_allclose(np.array(back, float), np.array(place, float), atol=1e-9)
+
+
+def test_upright_exif_keeps_facts_and_drops_orientation():
+    details = {FOCAL_MM: IFDRational(50), 0x9003: "2020:02:29 23:59:58", 0x927C: b"maker" * 100}
+    dms = (IFDRational(33), IFDRational(30), IFDRational(36))
+    exif = block(details, {1: "S", 2: dms, 3: "E", 4: dms}, make="Canon", model="Canon EOS 7D", orientation=6)
+    upright = Image.Exif()
+    upright.load(upright_exif(exif).tobytes())
+    assert orientation_of(upright) == 1
+    assert 0x927C not in upright.get_ifd(0x8769)
+    for fact in (camera_of, gps_of, capture_time_of, lambda e: focal_of(e, 5184, 3456)):
+        assert fact(upright) == fact(exif) is not None
+
+
+def radii_m(lat_deg):
+    """Radii of curvature of the meridian and of the prime vertical."""
+    w = math.sqrt(1.0 - E2 * math.sin(math.radians(lat_deg)) ** 2)
+    return SEMI_MAJOR_M * (1.0 - E2) / w**3, SEMI_MAJOR_M / w
+
+
+@pytest.mark.parametrize(
+    ("lat", "lon"), [(0.0, 0.0), (55.7, 13.2), (-33.9, 151.2), (10.0, 180.0), (80.0, -179.9999)]
+)
+def test_enu_agrees_with_the_radii_of_curvature(lat, lon):
+    step_deg, alt_m = 1e-3, 120.0
+    meridian_m, vertical_m = radii_m(lat)
+    east_m = math.radians(step_deg) * (vertical_m + alt_m) * math.cos(math.radians(lat))
+    north_m = math.radians(step_deg) * (meridian_m + alt_m)
+    steps = np.array([[0, 0, 0], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 5], [0, 0, -5]], float)
+    table = np.array([lat, lon, alt_m]) + steps * [step_deg, step_deg, 1.0]
+    table[:, 1] = (table[:, 1] + 180.0) % 360.0 - 180.0
+    enu = gps_to_enu(table)
+    expected = np.array(
+        [[0, 0, 0], [east_m, 0, 0], [-east_m, 0, 0], [0, north_m, 0], [0, -north_m, 0], [0, 0, 5], [0, 0, -5]]
+    )
+    np.testing.assert_allclose(enu, expected, atol=0.01)
+
+
+def test_enu_keeps_distances():
+    rng = np.random.default_rng(3)
+    table = np.column_stack([rng.uniform(47, 48, 20), rng.uniform(8, 9, 20), rng.uniform(0, 2000, 20)])
+    lat, lon = np.radians(table[:, :2].T)
+    n = SEMI_MAJOR_M / np.sqrt(1 - E2 * np.sin(lat) ** 2)
+    ecef = np.column_stack(
+        [
+            (n + table[:, 2]) * np.cos(lat) * np.cos(lon),
+            (n + table[:, 2]) * np.cos(lat) * np.sin(lon),
+            (n * (1 - E2) + table[:, 2]) * np.sin(lat),
+        ]
+    )
+    enu = gps_to_enu(table)
+    distances = [np.linalg.norm(p[:, None] - p[None], axis=-1) for p in (enu, ecef)]
+    np.testing.assert_allclose(distances[0], distances[1], atol=1e-5)
+
+
+def test_enu_with_missing_values():
+    table = np.array([[50.0, 8.0, 100.0], [np.nan, 8.0, 100.0], [50.001, 8.0, np.nan], [50.0, 8.0, 100.0]])
+    before = table.copy()
+    enu = gps_to_enu(table)
+    np.testing.assert_array_equal(table, before)
+    assert np.isnan(enu[1]).all()
+    assert enu[2, 1] == pytest.approx(math.radians(1e-3) * (radii_m(50.0)[0] + 100), abs=0.01)
+    assert np.isnan(enu[2, 2])
+    np.testing.assert_allclose(enu[[0, 3]], 0.0, atol=1e-9)
+    assert gps_to_enu(np.zeros((0, 3))).shape == (0, 3)
+    assert np.isnan(gps_to_enu(np.full((2, 3), np.nan))).all()
+    without_altitude = gps_to_enu(np.array([[50.0, 8.0, np.nan], [50.001, 8.0, np.nan]]))
+    assert np.isfinite(without_altitude[:, :2]).all()
+    assert np.isnan(without_altitude[:, 2]).all()
