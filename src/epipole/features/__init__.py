@@ -6,3 +6,4 @@ from epipole.features.detect import root_sift as root_sift
 from epipole.features.features import Features as Features
 from epipole.features.match import MatchConfig as MatchConfig
 from epipole.features.match import match_descriptors as match_descriptors
+from epipole.features.match import match_along_epipolar_lines as match_along_epipolar_lines

@@ -76,3 +76,66 @@ def hamming_top_two(a, b, best_column, best, second, column_best):
             elif distance < second[i]:
                 second[i] = distance
             column_best[j] = min(column_best[j], distance)
+
+
+@kernel
+def _dot(a, b):
+    total = np.int32(0)
+    for c in range(a.shape[0]):
+        total += np.int32(a[c]) * np.int32(b[c])
+    return total
+
+
+@kernel
+def _first_at_least(values, order, low, high, bound):
+    while low < high:
+        middle = (low + high) >> 1
+        if values[order[middle]] < bound:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@kernel
+def guided_top_two(
+    pixels1, descriptors1, pixels2, descriptors2, f, band, cell, orders, bounds, best_column, best, second, column_best
+):
+    """Nearest and second nearest feature of image 2 within `band` pixels of each feature's epipolar line F x.
+
+    Features of image 2 lie in strips of width `cell`: orders[0] sorts those of each strip of x by y, orders[1]
+    those of each strip of y by x; bounds[d] are the strips' first positions. A line is followed strip by strip
+    along the axis to which it is nearer.
+    """
+    for i in range(len(pixels1)):
+        best[i], second[i], best_column[i] = -1, -1, -1
+        x, y = pixels1[i, 0], pixels1[i, 1]
+        a = f[0, 0] * x + f[0, 1] * y + f[0, 2]
+        b = f[1, 0] * x + f[1, 1] * y + f[1, 2]
+        c = f[2, 0] * x + f[2, 1] * y + f[2, 2]
+        size = np.sqrt(a * a + b * b)
+        if not size > 0.0:
+            continue
+        d = 0 if abs(b) >= abs(a) else 1
+        along, across = (a, b) if d == 0 else (b, a)
+        margin = band * size / abs(across)
+        values, order, strips = pixels2[1 - d], orders[d], bounds[d]
+        for s in range(len(strips) - 1):
+            if strips[s] == strips[s + 1]:
+                continue
+            p = -(along * (s * cell) + c) / across
+            q = -(along * ((s + 1) * cell) + c) / across
+            low, high = min(p, q) - margin, max(p, q) + margin
+            n = _first_at_least(values, order, strips[s], strips[s + 1], low)
+            while n < strips[s + 1] and values[order[n]] <= high:
+                j = order[n]
+                n += 1
+                if abs(a * pixels2[0, j] + b * pixels2[1, j] + c) > band * size:
+                    continue
+                v = _dot(descriptors1[i], descriptors2[j])
+                if v > best[i]:
+                    second[i], best[i], best_column[i] = best[i], v, j
+                elif v > second[i]:
+                    second[i] = v
+                if v > column_best[j]:
+                    column_best[j] = v

@@ -62,7 +62,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
 def _sift(grey: np.ndarray, config: FeatureConfig) -> Features:
     # Without precise upscaling the doubled first octave shifts every keypoint by a quarter of a pixel.
     detector = cv2.SIFT_create(
-        nfeatures=config.max_features,
+        nfeatures=0,
         contrastThreshold=config.contrast_threshold,
         enable_precise_upscale=True,
     )
