@@ -29,20 +29,20 @@ from benchmarks.tasks.sfm import SETS, SfmTask, data_root, prepare
 WARM_UP_PICTURES = 4
 BEST = "pycolmap-best"
 ROWS = {
-    "registered": "registered images",
-    "position_mean": "position error, mean",
-    "position_median": "position error, median",
-    "position_max": "position error, max",
-    "rotation_mean_deg": "rotation error, mean (deg)",
-    "auc_1": "relative poses, AUC @ 1 deg",
-    "auc_3": "relative poses, AUC @ 3 deg",
-    "auc_5": "relative poses, AUC @ 5 deg",
-    "gps_median_m": "distance to GPS, median (m)",
-    "axis_to_motion_median_deg": "axis to motion, median (deg)",
+    "registered": "images registered",
+    "position_mean": "position mean",
+    "position_median": "position median",
+    "position_max": "position max",
+    "rotation_mean_deg": "rotation mean (deg)",
+    "auc_1": "AUC @ 1 deg",
+    "auc_3": "AUC @ 3 deg",
+    "auc_5": "AUC @ 5 deg",
+    "gps_median_m": "to GPS, median (m)",
+    "axis_to_motion_median_deg": "axis to motion (deg)",
     "points": "points",
     "observations": "observations",
-    "unreadable_models": "models left out (no geometry)",
-    "wall_s": "time of the whole run (s)",
+    "unreadable_models": "models left out",
+    "wall_s": "whole run (s)",
     "peak_memory_mb": "peak memory (MB)",
 }
 
@@ -74,20 +74,21 @@ def main() -> None:
         report = _report(task, runs, peers, limits, arguments)
         arguments.results.mkdir(parents=True, exist_ok=True)
         file = arguments.results / f"sfm_{task.name}.json"
-        file.write_text(json.dumps(report, indent=1) + "\n")
+        file.write_text(_without_paths(json.dumps(report, indent=1), task, work) + "\n")
         console.print(_table(task, report, peers))
         console.print(f"written to {file}\n")
 
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Structure-from-motion: epipole and pycolmap side by side.")
+    default = Limits()
     parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS), metavar="SET")
     parser.add_argument("--runs", type=int, default=3, help="runs of each program, taken in turn")
     parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
-    parser.add_argument("--max-image-size", type=int, default=Limits.max_image_size)
-    parser.add_argument("--max-features", type=int, default=Limits.max_num_features)
-    parser.add_argument("--threads", type=int, default=Limits.num_threads)
+    parser.add_argument("--max-image-size", type=int, default=default.max_image_size)
+    parser.add_argument("--max-features", type=int, default=default.max_num_features)
+    parser.add_argument("--threads", type=int, default=default.num_threads)
     parser.add_argument("--cold", action="store_true", help="no warm-up: the first run compiles kernels")
     parser.add_argument(
         "--shared-camera", action="store_true", help="tell pycolmap that one camera took all pictures"
@@ -231,6 +232,18 @@ def _report(
     }
 
 
+def _without_paths(text: str, task: SfmTask, work: Path) -> str:
+    """Results are for other machines too: folders of this one are named by what they are."""
+    for folder, name in (
+        (task.images, "IMAGES"),
+        (work, "WORK"),
+        (REPOSITORY, "REPOSITORY"),
+        (Path.home(), "~"),
+    ):
+        text = text.replace(str(folder), name)
+    return text
+
+
 def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table:
     """One row per figure, one column per program, and the ratio to pycolmap's better mapper."""
     num_runs = max((run["run"] for run in report["runs"]), default=-1) + 1
@@ -238,10 +251,10 @@ def _table(task: SfmTask, report: dict[str, Any], peers: list[SfmPeer]) -> Table
         f"{task.name}: {len(task.image_names)} pictures, told {task.known}; median (range) of {num_runs} runs"
     )
     table = Table(title=title, title_justify="left")
-    table.add_column("")
+    table.add_column("", no_wrap=True)
     for peer in peers:
         table.add_column(f"{peer.name} {peer.version() or ''}", justify="right")
-    table.add_column("epipole / better mapper", justify="right")
+    table.add_column("epipole / better", justify="right")
     ratios = report["epipole_over"].get(BEST, {})
     for metric, label in ROWS.items():
         unit = f" ({task.unit})" if metric.startswith("position") and task.unit else ""

@@ -8,14 +8,17 @@ in another file has changed.
 import hashlib
 import os
 import tempfile
+import threading
 from collections.abc import Callable
 from functools import cache
 from inspect import unwrap
 from pathlib import Path
+from time import perf_counter
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import config as numba_config
+from numba.core import event as numba_event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -68,3 +71,33 @@ def kernel(function: Function | None = None, *, inline: bool = False, extra_fast
     finally:
         numba_config.CACHE_DIR = previous
     return cast(Function, compiled)
+
+
+class _CompileClock(numba_event.Listener):
+    """Adds up the seconds spent compiling; compiling a callee counts as part of its caller."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._own = threading.local()
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
+        """Note the time when the outermost compilation of this thread begins."""
+        depth = getattr(self._own, "depth", 0)
+        if depth == 0:
+            self._own.begin = perf_counter()
+        self._own.depth = depth + 1
+
+    def on_end(self, event: Any) -> None:  # noqa: ARG002 - the listener's interface
+        """Add the time when it ends."""
+        self._own.depth -= 1
+        if self._own.depth == 0:
+            self.seconds += perf_counter() - self._own.begin
+
+
+_clock = _CompileClock()
+numba_event.register("numba:compile", _clock)
+
+
+def compile_seconds() -> float:
+    """Seconds this process has spent compiling kernels; zero when all came from the disk."""
+    return _clock.seconds

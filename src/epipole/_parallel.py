@@ -89,6 +89,11 @@ def map_items(work: Callable[[int], Result], num_items: int) -> list[Result]:
     return map_chunks(lambda start, _stop, _chunk: work(start), num_items, num_items)
 
 
+def run_inline_here() -> None:
+    """Mark this thread as a worker: parallel work inside it runs inline."""
+    _inside.worker = True
+
+
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster."""

@@ -2,38 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from epipole.errors import ConfigError
+from epipole.config import FeatureConfig
 from epipole.features.features import Features
-
-
-@dataclass(frozen=True, kw_only=True)
-class FeatureConfig:
-    """Options of feature detection."""
-
-    kind: Literal["sift", "orb"] = "sift"
-    """SIFT, or ORB where speed matters more than reach."""
-    max_features: int = 8192
-    """Strongest features kept per image."""
-    max_size_px: int = 3200
-    """Larger pictures are reduced to this longer side for detection."""
-    contrast_threshold: float = 0.02
-    """SIFT: fainter blobs are ignored (OpenCV's unit; divided by the three layers of an octave)."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: a value makes no sense.
-        """
-        if self.max_features < 1 or self.max_size_px < 16:
-            raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
 
 
 def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
-from epipole.errors import ConfigError, ShapeError
+from epipole.config import MatchConfig
+from epipole.errors import ShapeError
 from epipole.features import _matching_kernels as kernels
 from epipole.features.features import Features
 
@@ -16,27 +15,6 @@ _STRIP_PX = 32.0
 """Width of the strips in which features along a line are looked up."""
 _UNIT = 512.0
 """Length of a root-SIFT descriptor."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MatchConfig:
-    """Options of matching."""
-
-    max_ratio: float = 0.8
-    """Lowe's ratio: the nearest descriptor must be nearer than this times the second nearest."""
-    max_distance: float = 0.7
-    """SIFT: largest angle between matching descriptors, in radians."""
-    max_bits: int = 64
-    """ORB: largest Hamming distance of a match."""
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: a value makes no sense.
-        """
-        if not 0 < self.max_ratio <= 1:
-            raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
 
 
 def match_descriptors(

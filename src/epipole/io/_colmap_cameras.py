@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError
 
 HALF_PIXEL = 0.5
 
@@ -60,39 +60,23 @@ def readable_models() -> str:
     return ", ".join([*CameraModel.__members__, *(name for name, _ in _OTHER_MODELS.values())])
 
 
-def camera_from_colmap(
-    model_id: int, width: int, height: int, params: np.ndarray, source: FileFormatError
-) -> Camera:
-    """The camera of one record.
-
-    Args:
-        model_id: COLMAP's number of the model.
-        width: in pixels.
-        height: in pixels.
-        params: in COLMAP's pixels.
-        source: names the file and the record, to be raised with the reason.
+def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarray) -> Camera:
+    """The camera of one record, whose parameters are in COLMAP's pixels.
 
     Raises:
-        FileFormatError: no camera can have these values.
+        ConfigError: no camera can have these values, or epipole has no such model.
     """
-
-    def refused(reason: str) -> FileFormatError:
-        return FileFormatError(source.path, f"{str(source).removeprefix(f'{source.path}: ')}: {reason}")
-
     expected = num_params_of(model_id)
     if expected is None:
-        raise refused(f"unknown camera model {model_id}; known are {readable_models()}")
+        raise ConfigError(f"unknown camera model {model_id}; known are {readable_models()}")
     if len(params) != expected:
-        raise refused(f"the camera model {model_id} has {expected} parameters, got {len(params)}")
+        raise ConfigError(f"camera model {model_id} has {expected} parameters, got {len(params)}")
     if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):
-        raise refused(f"impossible picture size {width}x{height}")
+        raise ConfigError(f"impossible picture size {width}x{height}")
     if model_id == _FULL_OPENCV and np.any(params[8:] != 0):
-        raise refused("FULL_OPENCV with k3 to k6 is not supported, only k1, k2, p1, p2")
+        raise ConfigError("FULL_OPENCV with k3 to k6 is not supported, only k1, k2, p1, p2")
     model, own_params = _as_own_model(model_id, np.asarray(params, np.float64))
-    try:
-        return Camera(model, width, height, params_from_colmap(model, own_params))
-    except ConfigError as error:
-        raise refused(str(error)) from error
+    return Camera(model, width, height, params_from_colmap(model, own_params))
 
 
 def _as_own_model(model_id: int, p: np.ndarray) -> tuple[CameraModel, np.ndarray]:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -75,7 +74,7 @@ def readable_suffixes() -> frozenset[str]:
     return _PICTURE_SUFFIXES | heif | (AVIF_SUFFIXES if features.check("avif") else frozenset())
 
 
-def opened(path: Path) -> BinaryIO:
+def opened(path: Path) -> io.BufferedReader:
     """Open a file for reading, with a clear error."""
     try:
         return path.open("rb")
@@ -102,13 +101,15 @@ def format_of(path: Path, head: bytes) -> str:
         raise FileFormatError(path, "camera RAW is not read; develop it to JPEG or TIFF first")
     found = next((name for name, magic in _MAGIC if magic.match(head)), None)
     if found is None:
-        is_text = all(byte >= 32 or byte in b"\t\n\r\f" for byte in head)
+        is_text = all(
+            32 <= byte < 127 or byte in b"\t\n\r\f" for byte in head.removeprefix(b"\xef\xbb\xbf")[:16]
+        )
         kind = "it looks like text" if is_text else f"it starts with the bytes {head[:8].hex(' ')}"
         raise FileFormatError(path, f"is not a picture in a known format: {kind}")
     return found
 
 
-def open_with_pillow(path: Path, stream: BinaryIO, file_format: str) -> ImageFile:
+def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
     """Read a header. The reader is called by name: `Image.open` refuses every picture of 180 megapixels."""
     stream.seek(0)
     reader = _PILLOW_READERS.get(file_format) or _optional_reader(path, file_format)
@@ -211,7 +212,7 @@ def _decode_jpeg(
 
 
 def _jpeg_is_complete(data: bytes) -> bool:
-    """Whether the file ends with the end-of-image marker, or (with other data behind) has one after its pixels.
+    """Whether the file ends with the end-of-image marker or, with data behind, has one after its pixels.
 
     The walk goes from marker to marker; thumbnails inside segments are jumped over.
     """
@@ -230,21 +231,21 @@ def _jpeg_is_complete(data: bytes) -> bool:
 
 
 def pillow_pixels(path: Path, image: ImageFile, *, stretch: bool) -> tuple[np.ndarray, int]:
-    """Grey or RGB pixels and the orientation still to be applied; deep grey is stretched to 8 bits if asked."""
+    """Grey or RGB pixels, and the orientation still to be applied; deep grey is stretched if asked."""
     try:
         image.load()
         orientation = orientation_of(exif_of(image))
         if image.mode.startswith(("I", "F")):
-            deep = np.asarray(image)
+            deep = np.array(image)
             return (_stretched(deep) if stretch else deep), orientation
         if image.mode in ("1", "L"):
-            return np.asarray(image.convert("L")), orientation
-        if "A" in image.mode or "a" in image.mode or "transparency" in image.info:
+            return np.array(image.convert("L")), orientation
+        if image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info:
             rgba = image.convert("RGBA")
             black = Image.new("RGB", image.size)
             black.paste(rgba, mask=rgba.getchannel("A"))
-            return np.asarray(black), orientation
-        return np.asarray(image.convert("RGB")), orientation
+            return np.array(black), orientation
+        return np.array(image.convert("RGB")), orientation
     except _PILLOW_ERRORS as error:
         raise FileFormatError(path, f"the {image.format} data are damaged or truncated ({error})") from error
 
@@ -266,25 +267,30 @@ def _shrink(
     full_size: tuple[int, int],
     reduction: int,
     max_size_px: int | None,
-) -> UInt8[np.ndarray, "h w *channels"]:
+) -> UInt8[np.ndarray, "new_h new_w *channels"]:
     """Area averages on the grid that divides the full picture evenly.
 
-    A reduced JPEG of ceil(width / reduction) pixels covers a little more than the picture; the scale is therefore
-    taken from the full size, and what exceeds the result is cut off.
+    A JPEG reduced to ceil(width / reduction) pixels covers a little more than the picture where the division
+    leaves a remainder; it is then sampled (bilinearly, less than two pixels apart) at the places of the grid.
     """
     width, height = full_size
     if max_size_px is None or max(width, height) <= max_size_px:
         return pixels
     scale = max_size_px / max(width, height)
     new_width, new_height = max(1, round(width * scale)), max(1, round(height * scale))
-    if reduction == 1:
+    if width % reduction == 0 and height % reduction == 0:
         return cv2.resize(pixels, (new_width, new_height), interpolation=cv2.INTER_AREA)
-    fx, fy = new_width * reduction / width, new_height * reduction / height
-    small = cv2.resize(pixels, None, fx=fx, fy=fy, interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(small[:new_height, :new_width])
+    step_x, step_y = width / new_width / reduction, height / new_height / reduction
+    reduced_from_new = np.array([[step_x, 0.0, 0.5 * step_x - 0.5], [0.0, step_y, 0.5 * step_y - 0.5]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(
+        pixels, reduced_from_new, (new_width, new_height), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
 
 
-def turn(pixels: UInt8[np.ndarray, "h w *channels"], orientation: int) -> UInt8[np.ndarray, "h w *channels"]:
+def turn(
+    pixels: UInt8[np.ndarray, "h w *channels"], orientation: int
+) -> UInt8[np.ndarray, "new_h new_w *channels"]:
     """Apply an EXIF orientation."""
     if orientation in (5, 6, 7, 8):
         pixels = cv2.transpose(pixels)

@@ -1,6 +1,7 @@
 """What a photograph's EXIF block tells about its camera, place and time.
 
-Focal length in pixels, from the first of these that is present and credible (0.2 to 20 times the longer side):
+Focal length in pixels, from the first of these that is present and credible (0.2 to 20 times the longer
+side):
 
 1. "35 mm equivalent": focal_px = f35 / 36 * max(width, height). The equivalent is taken over the picture's
    longer side; the variant over the diagonal (43.27 mm) is not used.
@@ -146,7 +147,7 @@ def new_exif(
     focal_35mm: float | None = None,
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
 ) -> Image.Exif:
-    """Build the block of a rendered photograph (the 35 mm equivalent is a whole number in EXIF: it is rounded)."""
+    """Build the block of a rendered photograph (EXIF has the 35 mm equivalent in whole mm: it is rounded)."""
     out = Image.Exif()
     out[_MAKE], out[_MODEL] = make, model
     if focal_35mm is not None:

@@ -8,8 +8,9 @@ Rules for what is not 8-bit grey or RGB:
 - 16-bit colour keeps its full range (its high byte);
 - transparency is composited on black; palette and CMYK become RGB.
 
-JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and not the
-file (a progressive JPEG still needs its coefficients in memory). Other formats are limited to 150 megapixels.
+JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and
+not the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are
+limited to 150 megapixels.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from epipole.io._photograph_pixels import (
     stored_size,
     turn,
 )
+from epipole.io.atomic import atomic_write
 from epipole.io.exif import (
     FocalSource,
     GpsPosition,
@@ -110,7 +112,8 @@ class PhotographHeader:
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
     """List the photographs of a folder and its sub-folders.
 
-    Hidden files and folders are ignored, as are sub-folders that hold results (a `config.json` or a `database.db`).
+    Hidden files and folders are ignored, as are sub-folders that hold results (a `config.json` or
+    a `database.db`).
 
     Args:
         folder: where to look.
@@ -167,8 +170,8 @@ def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndar
 
     Args:
         path: the picture.
-        max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x lies at
-            (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
+        max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x
+            lies at (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
@@ -194,7 +197,7 @@ def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarr
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
-    """Read the mask of a picture: `NAME.png` (with the picture's own suffix before it), else NAME with suffix .png.
+    """Read the mask of a picture: NAME.png (photo.jpg.png), else NAME with the suffix .png (photo.png).
 
     Args:
         mask_folder: folder of masks, laid out like the folder of pictures.
@@ -226,8 +229,9 @@ def read_mask(
 def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
 
-    An upright file is hard-linked (copied across file systems). One that is turned, or of another format than the
-    suffix of `target` says, is encoded anew (JPEG quality 97) with camera, focal length, place and time kept.
+    An upright file is hard-linked (copied across file systems). One that is turned, or of another format than
+    the suffix of `target` says, is encoded anew (JPEG at quality 97, others without loss) with camera, focal
+    length, place and time kept.
 
     Raises:
         FileFormatError: the source cannot be read, or the suffix of `target` cannot be written.
@@ -236,7 +240,6 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     with opened(source) as stream:
         file_format = format_of(source, stream.read(64))
         exif = exif_of(open_with_pillow(source, stream, file_format))
-    target.parent.mkdir(parents=True, exist_ok=True)
     target_format = _FORMAT_OF_SUFFIX.get(target.suffix.lower())
     if target_format is None:
         raise FileFormatError(target, "pictures are not written in this format; use .jpg, .png or .tif")
@@ -244,12 +247,12 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         _link_or_copy(source, target)
         return
     pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
-    options: dict[str, Any] = {"quality": 97} if target_format in ("JPEG", "WEBP") else {}
+    lossy: dict[str, Any] = {"quality": 97, "subsampling": 0}
+    options = {"JPEG": lossy, "WEBP": {"lossless": True}}.get(target_format, {})
     if target_format not in ("BMP", "PPM"):
         options["exif"] = upright_exif(exif).tobytes()
-    encoded = io.BytesIO()
-    Image.fromarray(pixels).save(encoded, target_format, **options)
-    write_atomically(target, encoded.getvalue())
+    with atomic_write(target) as part:
+        Image.fromarray(pixels).save(part, target_format, **options)
 
 
 def write_jpeg_with_exif(
@@ -262,21 +265,10 @@ def write_jpeg_with_exif(
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
     quality: int = 95,
 ) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (the 35 mm equivalent is rounded to whole mm)."""
-    encoded = io.BytesIO()
-    exif = new_exif(make, model, focal_35mm, gps)
-    Image.fromarray(np.ascontiguousarray(rgb)).save(encoded, "JPEG", quality=quality, exif=exif.tobytes())
-    write_atomically(Path(path), encoded.getvalue())
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it is either there whole or not at all."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm)."""
+    exif = new_exif(make, model, focal_35mm, gps).tobytes()
+    with atomic_write(path) as part:
+        Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
 
 
 def _suffix(name: str) -> str:
@@ -321,13 +313,8 @@ def _advice(unreadable: Sequence[str]) -> str:
 def _link_or_copy(source: Path, target: Path) -> None:
     if target.exists() and source.samefile(target):
         return
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    temporary.unlink(missing_ok=True)
-    try:
-        os.link(source.resolve(), temporary)
-    except OSError:
-        shutil.copy2(source, temporary)
-    try:
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with atomic_write(target) as part:
+        try:
+            os.link(source.resolve(), part)
+        except OSError:
+            shutil.copy2(source, part)

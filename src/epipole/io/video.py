@@ -1,7 +1,8 @@
 """Photographs out of a video: evenly spaced frames, each the sharpest of its neighbourhood.
 
-Sharpness is the variance of the Laplacian (Pech-Pacheco et al., Diatom autofocusing in brightfield microscopy, ICPR
-2000) of the grey frame at 640 pixels. The video is read once from start to end: seeking in compressed video is not exact.
+Sharpness is the variance of the Laplacian (Pech-Pacheco et al., Diatom autofocusing in brightfield
+microscopy, ICPR 2000) of the grey frame at 640 pixels. The video is read once from start to end: seeking in
+compressed video is not exact.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.photographs import write_atomically
+from epipole.io.atomic import atomic_write
 
 VIDEO_SUFFIXES = frozenset(
     {
@@ -74,10 +75,10 @@ def extract_frames(
     every_s: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> VideoFrames:
-    """Write evenly spaced sharp frames of a video as frame_000123.jpg (the number is the frame's in the video).
+    """Write evenly spaced sharp frames of a video as frame_000123.jpg (numbered as in the video).
 
-    The folder also gets `frames.json`. Called again with the same video and options it reads nothing anew; with
-    other options the frames named there are replaced.
+    The folder also gets `frames.json`. Called again with the same video and options it reads nothing anew;
+    with other options the frames named there are replaced.
 
     Args:
         video: the file.
@@ -147,7 +148,8 @@ def _extract(
     for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
         name = f"frame_{index:06d}.jpg"
         encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-        write_atomically(folder / name, encoded.tobytes())
+        with atomic_write(folder / name) as part:
+            part.write_bytes(encoded.tobytes())
         names.append(name)
         indices.append(index)
         times.append(time_s)
@@ -244,4 +246,5 @@ def _write_manifest(folder: Path, request: dict[str, Any], frames: VideoFrames) 
         {"name": name, "index": int(index), "time_s": float(time_s) if np.isfinite(time_s) else None}
         for name, index, time_s in zip(frames.name, frames.index, frames.timestamp_s)
     ]
-    write_atomically(folder / _MANIFEST, json.dumps({"request": request, "frames": rows}, indent=1).encode())
+    with atomic_write(folder / _MANIFEST) as part:
+        part.write_text(json.dumps({"request": request, "frames": rows}, indent=1), encoding="utf-8")

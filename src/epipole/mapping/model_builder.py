@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 
 from epipole import _parallel
 from epipole.cameras import Camera
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks, ViewGraph, unregistered
 
@@ -144,6 +144,21 @@ class ModelBuilder:
     def set_points(self, indices: np.ndarray, xyz: np.ndarray) -> None:
         """Move points."""
         self._points[indices] = xyz
+
+    def registered_places(self) -> Rigid3:
+        """cam_from_world of the registered images."""
+        rows = self.motion[self.registered]
+        return Rigid3(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())
+
+    def living_points(self) -> Float64[np.ndarray, "p 3"]:
+        """Points that some row sees."""
+        return self.points[np.unique(self.row_point[self.row_point >= 0])]
+
+    def move(self, target_from_world: Similarity3) -> None:
+        """Put the whole model into other coordinates."""
+        images = np.flatnonzero(self.registered)
+        self.set_places(images, target_from_world.move_cam_from_source(self.registered_places()))
+        self._points[: self.num_points] = target_from_world.apply(self.points)
 
     def _kernel_rows(self) -> _Rows:
         return _Rows(self.row_image, self.row_pixel, self.row_ray, self.row_point)

@@ -10,7 +10,8 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
-from epipole.robust import Estimate, RansacConfig, estimate_absolute_pose
+from epipole.config import RansacConfig
+from epipole.robust import Estimate, estimate_absolute_pose
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 15)
 """Focal lengths tried, as factors of the guess, for a camera of unknown focal length."""

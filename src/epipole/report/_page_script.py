@@ -85,11 +85,12 @@ function matchMatrix(canvas, data) {
       }
     });
     pen.fillStyle = cssColour("--line");
-    for (let k = 0; k < n; k++) pen.fillRect(snap(at(k)), snap(at(k)), Math.max(1, cell - gap), Math.max(1, cell - gap));
+    const inner = Math.max(1, cell - gap);
+    for (let k = 0; k < n; k++) pen.fillRect(snap(at(k)), snap(at(k)), inner, inner);
     pen.fillStyle = cssColour("--warn");
     for (let k = 0; k < n; k++) if (!placed.has(k)) {
-      pen.fillRect(margin - 5, at(k), 3, Math.max(1, cell - gap));
-      pen.fillRect(at(k), margin - 5, Math.max(1, cell - gap), 3);
+      pen.fillRect(margin - 5, at(k), 3, inner);
+      pen.fillRect(at(k), margin - 5, inner, 3);
     }
     pen.strokeStyle = cssColour("--line");
     pen.strokeRect(margin - 0.5, margin - 0.5, cell * n + 1, cell * n + 1);
@@ -104,7 +105,7 @@ function matchMatrix(canvas, data) {
   }
   canvas.addEventListener("pointermove", (event) => {
     const cell = (canvas.clientWidth - margin - 1) / n;
-    const column = Math.floor((event.offsetX - margin) / cell), row = Math.floor((event.offsetY - margin) / cell);
+    const [column, row] = [event.offsetX, event.offsetY].map((v) => Math.floor((v - margin) / cell));
     const inside = column >= 0 && row >= 0 && column < n && row < n;
     if (!inside) return showTip(event, "");
     const title = row === column ? NAMES[row] : NAMES[row] + "\n" + NAMES[column];

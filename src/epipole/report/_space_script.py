@@ -1,4 +1,4 @@
-"""The report's 3D view: points splatted into a pixel buffer with a depth buffer, frusta as lines. No WebGL."""
+"""The report's 3D view: points splatted into pixels with a depth buffer, frusta as lines. No WebGL."""
 
 SPACE_SCRIPT = r"""
 function bytesOf(text) {
@@ -11,8 +11,10 @@ function spaceView(canvas, data) {
   const n = data.count, steps = new Uint16Array(bytesOf(data.xyz).buffer), rgb = bytesOf(data.rgb);
   const points = new Float32Array(3 * n), colours = new Uint32Array(n);
   for (let k = 0; k < 3 * n; k++) points[k] = data.low[k % 3] + (steps[k] / 65535) * data.span[k % 3];
-  for (let k = 0; k < n; k++) colours[k] = 0xff000000 | (rgb[3 * k + 2] << 16) | (rgb[3 * k + 1] << 8) | rgb[3 * k];
-  const cameras = data.centers.map((center, k) => ({ center, corners: data.corners[k], name: NAMES[data.image[k]] }));
+  const packed = (r, g, b) => (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
+  for (let k = 0; k < n; k++) colours[k] = packed(rgb[3 * k], rgb[3 * k + 1], rgb[3 * k + 2]);
+  const cameras = data.centers.map(
+    (center, k) => ({ center, corners: data.corners[k], name: NAMES[data.image[k]] }));
   const pen = canvas.getContext("2d");
   const start = () => ({ focus: data.focus.slice(), yaw: 0.9, pitch: -0.55, dist: 2.2 * data.radius });
   let eye = start(), hovered = -1, asked = false, pixels = null, depth = null, active = false;
@@ -26,8 +28,8 @@ function spaceView(canvas, data) {
   const focal = () => 1.15 * Math.min(canvas.width, canvas.height);
 
   function toView(b, p) {
-    const x = p[0] - b.o[0], y = p[1] - b.o[1], z = p[2] - b.o[2];
-    return [b.r[0] * x + b.r[1] * y, b.d[0] * x + b.d[1] * y + b.d[2] * z, b.f[0] * x + b.f[1] * y + b.f[2] * z];
+    const [x, y, z] = p.map((v, k) => v - b.o[k]);
+    return [b.r, b.d, b.f].map((axis) => axis[0] * x + axis[1] * y + axis[2] * z);
   }
   function toPixel(v) {
     return [canvas.width / 2 + focal() * v[0] / v[2], canvas.height / 2 + focal() * v[1] / v[2]];
@@ -40,8 +42,7 @@ function spaceView(canvas, data) {
       depth = new Float32Array(w * h);
     }
     const out = new Uint32Array(pixels.data.buffer), ground = cssColour("--stage");
-    const [gr, gg, gb] = [1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16));
-    out.fill((0xff000000 | (gb << 16) | (gg << 8) | gr) >>> 0);
+    out.fill(packed(...[1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16))));
     depth.fill(0);
     const size = Number(byId("point-size").value) * ratio * eye.dist, near = 0.01 * data.radius;
     const [r0, r1] = b.r, [d0, d1, d2] = b.d, [f0, f1, f2] = b.f, [ox, oy, oz] = b.o;
@@ -186,7 +187,11 @@ function spaceView(canvas, data) {
     const found = kind === "pointerup" && moved < 4 ? cameraAt(event) : -1;
     if (found >= 0) lookFrom(cameras[found]);
   });
-  canvas.addEventListener("pointerleave", (event) => { active = false; hovered = -1; showTip(event, ""); redraw(); });
+  canvas.addEventListener("pointerleave", (event) => {
+    active = false; hovered = -1;
+    showTip(event, "");
+    redraw();
+  });
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
     if (!active && !event.ctrlKey) return;
@@ -202,7 +207,8 @@ function spaceView(canvas, data) {
     if (act) { event.preventDefault(); act(); redraw(); }
   });
   byId("reset-view").addEventListener("click", () => flyTo(start()));
-  byId("view-above").addEventListener("click", () => flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57, dist: 2.7 * data.radius }));
+  byId("view-above").addEventListener("click", () =>
+    flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57, dist: 2.7 * data.radius }));
   byId("full-screen").addEventListener("click", () =>
     document.fullscreenElement ? document.exitFullscreen() : canvas.parentElement.requestFullscreen());
   for (const id of ["point-size", "frustum-size", "show-cameras"]) byId(id).addEventListener("input", redraw);

@@ -33,21 +33,27 @@ section { margin-top: 36px; }
 .two > section { margin-top: 0; }
 .three { display: grid; grid-template-columns: repeat(3, minmax(0, 1fr)); gap: 16px; margin-top: 12px; }
 .panel { background: var(--panel); border: 1px solid var(--line); border-radius: 6px; padding: 14px; }
-@media (max-width: 940px) { .two, .three { grid-template-columns: minmax(0, 1fr); } main { padding: 24px 16px; } }
+@media (max-width: 940px) {
+  .two, .three { grid-template-columns: minmax(0, 1fr); }
+  main { padding: 24px 16px; }
+}
 
 .numbers { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); margin: 26px 0 0;
   border-top: 1px solid var(--line); border-bottom: 1px solid var(--line); }
 .numbers div { padding: 12px 16px 12px 0; display: flex; flex-direction: column; justify-content: end; }
 .numbers dt { font-size: 13px; color: var(--soft); }
-.numbers dd { margin: 0; font-size: 23px; line-height: 1.25; font-variant-numeric: tabular-nums; white-space: nowrap; }
+.numbers dd { margin: 0; font-size: 23px; line-height: 1.25; font-variant-numeric: tabular-nums;
+  white-space: nowrap; }
 .numbers small { font-size: 14px; color: var(--soft); }
 
 .notes { list-style: none; margin: 8px 0 0; padding: 0; max-width: 96ch; }
 .notes li { padding: 5px 0 5px 15px; border-left: 3px solid var(--line); margin-bottom: 5px; }
 .notes li.warn { border-color: var(--warn); background: var(--warn-soft); }
 
-.stage { position: relative; margin-top: 10px; background: var(--stage); border-radius: 6px; overflow: hidden; }
-.stage canvas { display: block; width: 100%; height: min(600px, 70vh); cursor: grab; touch-action: none; outline: none; }
+.stage { position: relative; margin-top: 10px; background: var(--stage); border-radius: 6px;
+  overflow: hidden; }
+.stage canvas { display: block; width: 100%; height: min(600px, 70vh); cursor: grab; touch-action: none;
+  outline: none; }
 .stage canvas:active { cursor: grabbing; }
 .stage:fullscreen canvas { height: 100vh; }
 .tools { position: absolute; top: 10px; right: 10px; display: flex; flex-wrap: wrap; gap: 8px 14px;
@@ -58,7 +64,8 @@ section { margin-top: 36px; }
 .tools button { font: inherit; color: inherit; background: #ffffff14; border: 1px solid #ffffff26;
   border-radius: 4px; padding: 2px 9px; cursor: pointer; }
 .tools button:hover { background: #ffffff2b; }
-.empty { border: 1px dashed var(--line); border-radius: 6px; padding: 30px; color: var(--soft); text-align: center;
+.empty { border: 1px dashed var(--line); border-radius: 6px; padding: 30px; color: var(--soft);
+  text-align: center;
   margin-top: 10px; }
 
 svg { display: block; width: 100%; height: auto; }
@@ -81,14 +88,16 @@ figure { margin: 10px 0 0; }
 .timings { max-width: 760px; }
 
 .matrix canvas { display: block; width: 100%; aspect-ratio: 1; }
-.ramp { display: flex; align-items: center; gap: 8px; margin-top: 8px; color: var(--soft); font-size: 12.5px; }
+.ramp { display: flex; align-items: center; gap: 8px; margin-top: 8px; color: var(--soft);
+  font-size: 12.5px; }
 .ramp i { flex: 0 0 150px; height: 10px; border-radius: 2px;
   background: linear-gradient(90deg, var(--ramp0), var(--ramp1)); }
 .ramp b { flex: 0 0 4px; height: 12px; background: var(--warn); margin-left: 14px; }
 
 .scroll { overflow-x: auto; margin-top: 10px; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; }
-th, td { text-align: left; padding: 7px 12px 7px 0; border-bottom: 1px solid var(--line); vertical-align: middle; }
+th, td { text-align: left; padding: 7px 12px 7px 0; border-bottom: 1px solid var(--line);
+  vertical-align: middle; }
 thead th { font-weight: 500; white-space: nowrap; padding-bottom: 5px; border-bottom-color: var(--soft); }
 thead th[data-sort=number], .num { text-align: right; }
 .num { font-variant-numeric: tabular-nums; white-space: nowrap; }
@@ -97,16 +106,18 @@ th button:hover, th[aria-sort] button { color: var(--ink); }
 th button:focus-visible, .zoom:focus-visible { outline: 2px solid var(--accent); outline-offset: 2px; }
 th[aria-sort=ascending] button::after { content: " \\2191"; }
 th[aria-sort=descending] button::after { content: " \\2193"; }
-.name { font-weight: 500; overflow-wrap: anywhere; unicode-bidi: isolate; min-width: 12ch; }
-td.state { color: var(--soft); padding-left: 16px; min-width: 12ch; }
+.name { font-weight: 500; overflow-wrap: anywhere; unicode-bidi: isolate; min-width: 20ch; }
+th:last-child, td.state { padding-left: 16px; }
+td.state { color: var(--soft); min-width: 24ch; }
 tr.absent td.state { color: var(--warn); }
 .thumb { width: 152px; padding-right: 16px; }
 .zoom { all: unset; display: block; width: 136px; cursor: zoom-in; }
 .zoom svg, dialog svg { border-radius: 3px; }
 .halo, .dots { fill: none; stroke-linecap: round; }
-.halo { stroke: #000000a0; stroke-width: 4px; }
-.dots { stroke: #ffd34d; stroke-width: 2.4px; }
-dialog { border: 0; padding: 0; background: var(--panel); color: var(--ink); width: min(92vw, 1100px); border-radius: 6px; }
+.halo { stroke: #000000a0; stroke-width: 5.5px; }
+.dots { stroke: #ffd34d; stroke-width: 3.6px; }
+dialog { border: 0; padding: 0; background: var(--panel); color: var(--ink); width: min(92vw, 1100px);
+  border-radius: 6px; }
 dialog p { margin: 0; padding: 8px 14px; overflow-wrap: anywhere; }
 dialog svg { max-height: 84vh; }
 dialog .halo { stroke-width: 2.6px; } dialog .dots { stroke-width: 1.5px; }
@@ -117,10 +128,13 @@ summary { cursor: pointer; color: var(--soft); }
 .settings { max-width: 760px; font-size: 13.5px; }
 .settings th { font-weight: 400; color: var(--soft); }
 .settings td { font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
-.cameras { margin: 8px 0 0; padding: 0; list-style: none; font-variant-numeric: tabular-nums; overflow-wrap: anywhere; }
+.cameras { margin: 8px 0 0; padding: 0; list-style: none; font-variant-numeric: tabular-nums;
+  overflow-wrap: anywhere; }
 .cameras li { padding: 4px 0; border-bottom: 1px solid var(--line); }
-footer { margin-top: 44px; padding-top: 12px; border-top: 1px solid var(--line); color: var(--soft); font-size: 13px; }
-#tip { position: fixed; z-index: 9; pointer-events: none; max-width: 340px; padding: 5px 9px; border-radius: 4px;
+footer { margin-top: 44px; padding-top: 12px; border-top: 1px solid var(--line); color: var(--soft);
+  font-size: 13px; }
+#tip { position: fixed; z-index: 9; pointer-events: none; max-width: 340px; padding: 5px 9px;
+  border-radius: 4px;
   background: #0b0e10f0; color: #eef2f4; font-size: 13px; line-height: 1.4; white-space: pre-line;
   overflow-wrap: anywhere; }
 """

@@ -27,7 +27,7 @@ class Histogram:
     """Values right of the last edge, not drawn."""
 
 
-def nice_ticks(low: float, high: float, target: int = 5) -> list[float]:
+def nice_ticks(low: int | float, high: int | float, target: int = 5) -> list[float]:
     """About `target` round numbers (1, 2 or 5 times a power of ten) from low to high."""
     span = high - low
     if not (math.isfinite(span) and span > 0 and target > 0):
@@ -38,7 +38,7 @@ def nice_ticks(low: float, high: float, target: int = 5) -> list[float]:
     return [round(k * step, 12) for k in range(first, last + 1)]
 
 
-def tick_text(value: float) -> str:
+def tick_text(value: int | float) -> str:
     """A tick's number, short: 12k rather than 12000."""
     if abs(value) >= 10_000:
         return f"{value / 1000:g}k"
@@ -73,11 +73,11 @@ def draw_histogram(histogram: Histogram, digits: int = 2) -> str:
     def x_of(value: float) -> float:
         return _LEFT + (value - low) / (high - low) * (_WIDTH - _LEFT - _RIGHT)
 
-    def y_of(value: float) -> float:
+    def y_of(value: int | float) -> float:
         return _HEIGHT - _BOTTOM - value / (most * 1.04) * (_HEIGHT - _TOP - _BOTTOM)
 
     parts = [_grid_line(y_of(t), tick_text(t)) for t in nice_ticks(0, most * 1.04, 4) if t == int(t)]
-    for left, right, value in zip(histogram.edges[:-1], histogram.edges[1:], histogram.counts):
+    for left, right, value in zip(histogram.edges[:-1], histogram.edges[1:], histogram.counts.tolist()):
         x, y, width = x_of(left), y_of(value), x_of(right) - x_of(left)
         hint = f"{left:.4g} to {right:.4g}: {count(value)}"
         parts.append(
@@ -127,6 +127,7 @@ def draw_timings(timings: Mapping[str, float]) -> str:
     return svg(width, row * len(timings), parts, "seconds of each stage")
 
 
-def svg(width: float, height: float, parts: Sequence[str], label: str) -> str:
+def svg(width: int, height: int, parts: Sequence[str], label: str) -> str:
     """An SVG element that scales with its column."""
-    return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(label)}">{"".join(parts)}</svg>'
+    box, inside = f"0 0 {width} {height}", "".join(parts)
+    return f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>'

@@ -55,8 +55,6 @@ class ReportContent:
     scale_note: str = "unknown scale: pictures alone cannot tell"
     is_metric: bool = False
     """World coordinates are metres."""
-    pair_kinds: Mapping[int, str] = field(default_factory=dict)
-    """`ViewGraph.kind` in words."""
     truth_errors: Mapping[str, str] = field(default_factory=dict)
     """What was compared with a known truth, and the outcome, in words with units."""
 

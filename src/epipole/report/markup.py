@@ -29,9 +29,9 @@ def json_block(element_id: str, data: Any) -> str:
     return f'<script type="application/json" id="{element_id}">{text}</script>'
 
 
-def count(value: float) -> str:
+def count(value: int) -> str:
     """A whole number with thousands separated."""
-    return f"{int(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def plural(value: int, singular: str, many: str | None = None) -> str:

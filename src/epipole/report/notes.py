@@ -16,7 +16,7 @@ def notes_of(content: ReportContent, statistics: Statistics) -> tuple[tuple[str,
     if not statistics.num_registered:
         return (
             *notes,
-            ("There is no model: no picture has a place, so nothing below it can be shown.", True),
+            ("There is no model: no picture could be placed.", True),
         )
     notes.append((_scale(content.scale_note), False))
     notes += [(text, False) for text in (_parallax(content, statistics), _two_view(statistics)) if text]
@@ -41,7 +41,10 @@ def _absent(content: ReportContent) -> str:
         return ""
     verb = "has" if absent == 1 else "have"
     total = plural(len(content.image_rows), "picture")
-    return f"{count(absent)} of {total} {verb} no place in the model. The table of pictures gives each one's reason."
+    return (
+        f"{count(absent)} of {total} {verb} no place in the model. "
+        "The table of pictures gives each one's reason."
+    )
 
 
 def _components(content: ReportContent) -> str:
@@ -55,8 +58,9 @@ def _components(content: ReportContent) -> str:
             f"{plural(others[0], 'picture')}. More pictures between the two would join them."
         )
     return (
-        f"The pictures fell into {len(others) + 1} models that are not tied to each other. This page shows the "
-        f"largest; the others hold {sizes} pictures. More pictures between them would join them."
+        f"The pictures fell into {len(others) + 1} models that are not tied to each other. "
+        f"This page shows the largest; the others hold {sizes} pictures. "
+        "More pictures between them would join them."
     )
 
 
@@ -68,8 +72,9 @@ def _parallax(content: ReportContent, statistics: Statistics) -> str:
     sentences = []
     if low:
         sentences.append(
-            f"{count(low)} of {plural(pairs, 'verified pair')} {'sees its' if low == 1 else 'see their'} common "
-            f"points under a median angle below {limit}: such pairs fix directions well and depth poorly."
+            f"{count(low)} of {plural(pairs, 'verified pair')} {'sees its' if low == 1 else 'see their'} "
+            f"common points under a median angle below {limit}: "
+            "such pairs fix directions well and depth poorly."
         )
     if narrow:
         share = 100 * narrow / len(angles)

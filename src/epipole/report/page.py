@@ -18,6 +18,7 @@ from epipole.report.pictures import draw_pictures
 from epipole.report.plan import draw_plan
 from epipole.report.space import space_payload
 from epipole.report.statistics import Statistics, statistics_of
+from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 
 # The browser itself refuses to load anything from outside the page.
@@ -38,7 +39,8 @@ def render_report(content: ReportContent) -> str:
             _cameras(content),
             _timings(content),
             _settings(content),
-            f"<footer>Made by epipole {escape(content.version)}. This page is one file and loads nothing.</footer>",
+            f"<footer>Made by epipole {escape(content.version)}. "
+            "This page is one file and loads nothing.</footer>",
         )
     )
     names = [str(name) for name in content.reconstruction.images.name]
@@ -76,7 +78,8 @@ def _header(content: ReportContent, statistics: Statistics) -> str:
         if statistics.num_registered
         else f"No model could be made from {plural(total, 'picture')}."
     )
-    return f'<header><h1>{escape(content.title)}</h1><p class="lead">{lead}</p></header><dl class="numbers">{numbers}</dl>'
+    title = f'<header><h1>{escape(content.title)}</h1><p class="lead">{lead}</p></header>'
+    return f'{title}<dl class="numbers">{numbers}</dl>'
 
 
 def _notes(content: ReportContent, statistics: Statistics) -> str:
@@ -94,18 +97,20 @@ def _space(reconstruction: Reconstruction) -> str:
     num_points = len(reconstruction.points)
     shown = f"{count(payload['count'])} of {plural(num_points, 'point')}"
     tools = (
-        '<div class="tools"><label>Points <input id="point-size" type="range" min="1" max="6" step="0.5" value="2">'
-        '</label><label>Frusta <input id="frustum-size" type="range" min="0.2" max="4" step="0.1" value="1"></label>'
+        '<div class="tools">'
+        '<label>Points <input id="point-size" type="range" min="1" max="6" step="0.5" value="2"></label>'
+        '<label>Frusta <input id="frustum-size" type="range" min="0.2" max="4" step="0.1" value="1"></label>'
         '<label><input id="show-cameras" type="checkbox" checked> Cameras</label>'
-        '<button type="button" id="view-above">From above</button><button type="button" id="reset-view">Reset</button>'
+        '<button type="button" id="view-above">From above</button>'
+        '<button type="button" id="reset-view">Reset</button>'
         '<button type="button" id="full-screen">Full screen</button></div>'
     )
     return _section(
         "The model",
-        f'<div class="stage"><canvas id="space" tabindex="0" aria-label="3D view of points and cameras"></canvas>'
-        f"{tools}</div>{json_block('model', payload)}",
-        f"{shown} and every camera. Drag to turn, shift-drag or two fingers to move, click and then scroll or "
-        "pinch to zoom. Click a camera to look from it.",
+        '<div class="stage"><canvas id="space" tabindex="0" aria-label="3D view of points and cameras">'
+        f"</canvas>{tools}</div>{json_block('model', payload)}",
+        f"{shown} and every camera. Drag to turn, shift-drag or two fingers to move, "
+        "click and then scroll or pinch to zoom. Click a camera to look from it.",
     )
 
 
@@ -126,7 +131,8 @@ def _plan(content: ReportContent) -> str:
 
 def _matrix(content: ReportContent) -> str:
     graph = content.view_graph
-    explanation = f"Inlier matches of {plural(len(graph), 'verified pair')}; pictures are numbered in the order of names."
+    pairs = plural(len(graph), "verified pair")
+    explanation = f"Inlier matches of {pairs}; pictures are numbered in the order of names."
     if not len(graph):
         return _section(
             "Matches", '<div class="empty">No pair of pictures could be verified.</div>', explanation
@@ -136,12 +142,12 @@ def _matrix(content: ReportContent) -> str:
     return _section(
         "Matches",
         f'<figure class="panel matrix"><canvas id="matrix"></canvas>{legend}</figure>'
-        + json_block("pairs", _pairs(graph, content.reconstruction, content.pair_kinds)),
+        + json_block("pairs", _pairs(graph, content.reconstruction)),
         explanation,
     )
 
 
-def _pairs(graph: ViewGraph, reconstruction: Reconstruction, kinds: Mapping[int, str]) -> dict[str, Any]:
+def _pairs(graph: ViewGraph, reconstruction: Reconstruction) -> dict[str, Any]:
     angles = np.rad2deg(graph.median_angle_rad)
     return {
         "n": len(reconstruction.images),
@@ -151,7 +157,7 @@ def _pairs(graph: ViewGraph, reconstruction: Reconstruction, kinds: Mapping[int,
         "count": graph.num_inliers().tolist(),
         "putative": graph.num_putative.tolist(),
         "kind": graph.kind.tolist(),
-        "kinds": {str(kind): str(name) for kind, name in kinds.items()},
+        "kinds": {str(int(kind)): kind.name.lower() for kind in PairKind},
         "angle": [round(float(a), 1) if np.isfinite(a) else None for a in angles],
     }
 
@@ -168,9 +174,10 @@ def _histograms(statistics: Statistics) -> str:
     panels = []
     for title, histogram, digits in charts:
         beyond = f"; {count(histogram.num_beyond)} further right" if histogram.num_beyond else ""
+        shown = plural(int(histogram.counts.sum()), "value")
         panels.append(
             f'<figure class="panel"><h3>{title}</h3>{draw_histogram(histogram, digits)}'
-            f'<figcaption class="soft">{plural(int(histogram.counts.sum()), "value")} shown{beyond}</figcaption></figure>'
+            f'<figcaption class="soft">{shown} shown{beyond}</figcaption></figure>'
         )
     return _section("Distributions", f'<div class="three">{"".join(panels)}</div>')
 

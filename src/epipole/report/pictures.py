@@ -18,7 +18,7 @@ MAX_FEATURES = 400
 
 
 def draw_pictures(content: ReportContent) -> str:
-    """A sortable table, one row per picture; those without a place come first, in the order of names within."""
+    """A sortable table, one row per picture; those without a place come first."""
     with_models = bool(content.other_components)
     heads = [("", ""), ("Picture", "text"), *([("Model", "number")] if with_models else [])]
     heads += [("Keypoints", "number"), ("Observations", "number"), ("Used", "number"), ("Error", "number")]
@@ -54,7 +54,7 @@ def _row(row: ImageRow, content: ReportContent, with_models: bool) -> str:
     return f"<tr{kind}>{''.join(cells)}</tr>"
 
 
-def _cell(value: float, text: str) -> str:
+def _cell(value: int | float, text: str) -> str:
     key = f"{value:.6g}" if math.isfinite(value) else ""
     return f'<td class="num" data-key="{key}">{text}</td>'
 
@@ -68,10 +68,11 @@ def _thumbnail(
         return ""
     width, height = size
     dots = _dots(inliers[name], width, height) if name in inliers else ""
+    picture = f'<image width="{width}" height="{height}" href="{data_uri(data, "image/jpeg")}"/>'
     marks = f'<path class="halo" d="{dots}"/><path class="dots" d="{dots}"/>' if dots else ""
     return (
-        f'<button type="button" class="zoom" aria-label="enlarge"><svg viewBox="0 0 {width} {height}">'
-        f'<image width="{width}" height="{height}" href="{data_uri(data, "image/jpeg")}"/>{marks}</svg></button>'
+        '<button type="button" class="zoom" aria-label="enlarge">'
+        f'<svg viewBox="0 0 {width} {height}">{picture}{marks}</svg></button>'
     )
 
 

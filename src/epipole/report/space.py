@@ -51,7 +51,7 @@ def _bulk_distance(points: Float64[np.ndarray, "n 3"], focus: Float64[np.ndarray
 
 
 def frustum_size(centers: Float64[np.ndarray, "n 3"], radius: float) -> float:
-    """Depth at which to draw frusta: half the usual gap between neighbours, within bounds of the scene's size."""
+    """Depth at which to draw frusta: half the usual gap between neighbours, bounded by the scene's size."""
     if len(centers) < 2:
         return 0.15 * radius
     sample = centers[:: max(1, len(centers) // 500)]
@@ -61,7 +61,7 @@ def frustum_size(centers: Float64[np.ndarray, "n 3"], radius: float) -> float:
 
 
 def frustum_corners_in_cam(camera: Camera) -> Float64[np.ndarray, "4 3"]:
-    """The picture's corners (top-left, top-right, bottom-right, bottom-left) at depth 1, without distortion."""
+    """The picture's corners, clockwise from the top-left, at depth 1 and without distortion."""
     K = camera.K
     x = (np.array([-0.5, camera.width - 0.5]) - K[0, 2]) / K[0, 0]
     y = (np.array([-0.5, camera.height - 0.5]) - K[1, 2]) / K[1, 1]
@@ -78,7 +78,7 @@ def sample_points(reconstruction: Reconstruction, stage: Stage, max_points: int)
 
 
 def space_payload(reconstruction: Reconstruction, max_points: int = MAX_POINTS) -> dict[str, Any]:
-    """Points as 16-bit steps inside the stage and bytes of colour, base64; frusta as corners around centres."""
+    """Points as 16-bit steps inside the stage and bytes of colour; frusta as corners around centres."""
     stage = stage_of(reconstruction)
     rows = sample_points(reconstruction, stage, max_points)
     span = stage.high - stage.low

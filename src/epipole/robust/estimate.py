@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 
 from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
-from epipole.errors import ConfigError
+from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
 from epipole.robust import _ransac_kernels as kernels
 
@@ -23,32 +23,6 @@ class Reason(StrEnum):
     TOO_FEW = "fewer matches than the model has unknowns"
     NO_MODEL = "no sample of the matches gave a model"
     TOO_FEW_INLIERS = "too few matches agree with any model"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RansacConfig:
-    """Options of the robust loop."""
-
-    max_error_px: float = 4.0
-    """Matches with a larger residual are outliers."""
-    confidence: float = 0.9999
-    """Probability of having drawn a sample of inliers before stopping."""
-    min_iterations: int = 50
-    max_iterations: int = 10_000
-    min_inliers: int = 15
-    """Fewer inliers count as failure."""
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the ranges.
-
-        Raises:
-            ConfigError: a value makes no sense.
-        """
-        if not self.max_error_px > 0:
-            raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
-        if not 0 < self.confidence < 1:
-            raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole.cameras import Camera
+from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
 from epipole.geometry.epipolar import essential_from_fundamental, fundamental_from_essential
 from epipole.robust.estimate import (
-    RansacConfig,
     estimate_essential_matrix,
     estimate_fundamental_matrix,
     estimate_homography,

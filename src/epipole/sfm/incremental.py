@@ -18,9 +18,9 @@ from epipole.mapping import (
     resect_image,
 )
 from epipole.optim import BundleConfig, Loss
-from epipole.robust import PairKind, RansacConfig
+from epipole.config import MapperConfig, RansacConfig
+from epipole.robust import PairKind
 from epipole.scene import ViewGraph
-from epipole.sfm.config import MapperConfig
 
 Progress = Callable[[int, int], None]
 
@@ -40,6 +40,7 @@ class IncrementalMapper:
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig) -> None:
         self.model, self.view_graph, self.config = model, view_graph, config
         self.rejections: dict[int, Rejection] = {}
+        self.priors: PositionPriors | None = None
         self._ransac = RansacConfig(
             max_error_px=config.resection_max_error_px,
             min_inliers=config.resection_min_inliers,
@@ -165,7 +166,7 @@ class IncrementalMapper:
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
         for turn in range(max(rounds, 1)):
-            adjust_all(model, self._global_bundle(), self._freedom(), self._priors())
+            adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
             if turn == rounds - 1 or rounds == 0:
@@ -181,9 +182,6 @@ class IncrementalMapper:
             self.rejections[int(image)] = Rejection(int(image), int(counts[image]), int(counts[image]))
             self.model.deregister(int(image))
 
-    def _priors(self) -> PositionPriors | None:
-        return None
-
     def _components_of(self, images: np.ndarray) -> np.ndarray:
         rows = np.concatenate([self.model.rows_of_image[i] for i in images])
         return np.unique(self.model.row_component[rows])
@@ -196,7 +194,7 @@ class IncrementalMapper:
 
     def _global_bundle(self) -> BundleConfig:
         return BundleConfig(
-            loss=self.config.loss, loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5
+            loss=Loss[self.config.loss.upper()], loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5
         )
 
 

@@ -1,0 +1,215 @@
+"""Every option of the system, defined once; the command line is generated from these classes.
+
+They stand in one light module, because rooms import compiled kernels and `epipole --help` must not wait for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from epipole.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureConfig:
+    """Options of feature detection."""
+
+    kind: Literal["sift", "orb"] = "sift"
+    """SIFT, or ORB where speed matters more than reach."""
+    max_features: int = 8192
+    """Features kept per image, the largest first."""
+    max_size_px: int = 3200
+    """Larger pictures are reduced to this longer side for detection."""
+    contrast_threshold: float = 0.02
+    """SIFT: fainter blobs are ignored (OpenCV's unit)."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if self.max_features < 1 or self.max_size_px < 16:
+            raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchConfig:
+    """Options of matching."""
+
+    max_ratio: float = 0.8
+    """Lowe's ratio: the nearest descriptor must be nearer than this times the second nearest."""
+    max_distance: float = 0.7
+    """SIFT: largest angle between matching descriptors, in radians."""
+    max_bits: int = 64
+    """ORB: largest Hamming distance of a match."""
+    scout_features: int = 2048
+    """SIFT: the largest features of both pictures are compared first; their geometry guides the rest. 0: never."""
+    scout_min_matches: int = 12
+    """Fewer matches of the scouts mean that the pictures do not overlap."""
+    scout_min_inliers: int = 30
+    """Fewer consistent scouts guide nobody: all features are compared with all."""
+    band_px: float = 8.0
+    """Guided matches lie within so many pixels of their epipolar line."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if not 0 < self.max_ratio <= 1:
+            raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
+        if self.scout_features < 0 or not self.band_px > 0:
+            raise ConfigError("scout_features must not be negative and band_px must be positive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairingConfig:
+    """Options of choosing the pairs of images that are matched."""
+
+    method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"] = "auto"
+    """auto: sequential for video; exhaustive up to a limit; beyond it spatial with GPS, else retrieval."""
+    exhaustive_limit: int = 120
+    """auto: up to so many images, all pairs."""
+    neighbours: int = 30
+    """retrieval and spatial: pairs per image."""
+    overlap: int = 10
+    """sequential: each image with so many that follow, and with its retrieved look-alikes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RansacConfig:
+    """Options of the robust loop."""
+
+    max_error_px: float = 4.0
+    """Matches with a larger residual are outliers."""
+    confidence: float = 0.9999
+    """Probability of having drawn a sample of inliers before stopping."""
+    min_iterations: int = 50
+    max_iterations: int = 10_000
+    min_inliers: int = 15
+    """Fewer inliers count as failure."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if not self.max_error_px > 0:
+            raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
+        if not 0 < self.confidence < 1:
+            raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapperConfig:
+    """Options of incremental mapping."""
+
+    start_min_inliers: int = 100
+    """Matches that the first pair must have; less is asked when no pair has them."""
+    start_angle_deg: float = 16.0
+    """Median triangulation angle from which on a wider one does not make a better first pair."""
+    start_trials: int = 30
+    """First pairs tried at most."""
+    max_error_px: float = 4.0
+    """Observations with a larger reprojection error are dropped."""
+    min_angle_deg: float = 1.5
+    """Points seen under a narrower angle are dropped: their depth is not known."""
+    resection_max_error_px: float = 12.0
+    resection_min_inliers: int = 30
+    resection_min_ratio: float = 0.25
+    """Share of the points in sight that must agree with an image's place."""
+    min_observations: int = 15
+    """An image left with fewer is taken out again."""
+    local_images: int = 6
+    """Images adjusted together after each new one."""
+    global_growth: float = 1.25
+    """The whole model is adjusted each time it has grown by this factor."""
+    final_rounds: int = 5
+    """Adjust, filter and triangulate again at most so often in the end."""
+    settled_share: float = 5e-4
+    """Share of changed observations below which the model counts as settled."""
+    loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "soft_l1"
+    """Robust loss of the global adjustment."""
+    loss_scale_px: float = 1.0
+    refine_focal: bool = True
+    """Refine focal lengths that are not given as known."""
+    refine_distortion: bool = True
+    """Refine distortion that is not given as known."""
+    max_models: int = 10
+    """Components mapped at most when the pictures do not connect."""
+    gps_sigma_m: float = 3.0
+    """Standard deviation of GPS places; they take part in the adjustment with Cauchy's loss."""
+    use_gps: bool = True
+    """Use GPS of the EXIF as a robust prior and for the scale."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
+            raise ConfigError("error bounds must be positive")
+        if self.global_growth <= 1:
+            raise ConfigError("global_growth must be greater than 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructConfig:
+    """Options of `epipole reconstruct`. A new user needs none."""
+
+    camera_model: str | None = None
+    """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
+    camera_params: str | None = None
+    """Known intrinsics, comma separated, in COLMAP's order and pixel convention: one camera took all pictures."""
+    refine_known: bool = False
+    """Refine known intrinsics too."""
+    single_camera: bool = False
+    """One camera took all pictures."""
+    masks: Path | None = None
+    """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
+    pairs: Path | None = None
+    """Text file of image pairs to match, two names a line."""
+    database: Path | None = None
+    """COLMAP database from which features and matches are taken."""
+    max_frames: int = 200
+    """Frames taken from a video."""
+    executor: Literal["threads", "processes", "inline"] = "threads"
+    """Who does the units of work."""
+    threads: int | None = None
+    """Number of threads; results do not depend on it. None: every processor."""
+    features: FeatureConfig = field(default_factory=FeatureConfig)
+    matching: MatchConfig = field(default_factory=MatchConfig)
+    pairing: PairingConfig = field(default_factory=PairingConfig)
+    verification: RansacConfig = field(default_factory=RansacConfig)
+    mapper: MapperConfig = field(default_factory=MapperConfig)
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without looking at the pictures.
+
+        Raises:
+            ConfigError: camera parameters are not numbers, or threads is not positive.
+        """
+        self.known_params()
+        if self.threads is not None and self.threads < 1:
+            raise ConfigError(f"threads must be at least 1, got {self.threads}")
+
+    def known_params(self) -> tuple[float, ...] | None:
+        """The numbers of `camera_params`; None when not given.
+
+        Raises:
+            ConfigError: not numbers.
+        """
+        if self.camera_params is None:
+            return None
+        try:
+            return tuple(float(p) for p in self.camera_params.replace(",", " ").split())
+        except ValueError:
+            raise ConfigError(f"camera_params must be numbers separated by commas, got {self.camera_params!r}") from None

@@ -1,0 +1,53 @@
+"""Retrieval: which pictures look alike, from the descriptors of the set itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+
+
+def train_vocabulary(
+    descriptors: Sequence[UInt8[np.ndarray, "n d"]], num_words: int = 64, seed: int = 0, rounds: int = 10
+) -> Float32[np.ndarray, "w d"]:
+    """Lloyd's k-means over a sample of all pictures' descriptors (Lloyd 1982); the words' centres."""
+    random = np.random.default_rng(seed)
+    per_image = max(1, 50_000 // max(len(descriptors), 1))
+    picked = [d[np.sort(random.permutation(len(d))[:per_image])] for d in descriptors if len(d)]
+    sample = np.concatenate(picked).astype(np.float32) if picked else np.zeros((0, 128), np.float32)
+    if len(sample) <= num_words:
+        return sample
+    words = sample[np.sort(random.choice(len(sample), num_words, replace=False))]
+    for _ in range(rounds):
+        word = _nearest_word(sample, words)
+        counts = np.bincount(word, minlength=num_words)
+        sums = np.stack([np.bincount(word, sample[:, c], num_words) for c in range(sample.shape[1])], axis=1)
+        words = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], words).astype(np.float32)
+    return words
+
+
+def describe_image(
+    descriptors: UInt8[np.ndarray, "n d"], words: Float32[np.ndarray, "w d"]
+) -> Float32[np.ndarray, " v"]:
+    """VLAD with signed square roots, unit length (Jegou et al., CVPR 2010; Arandjelovic and Zisserman 2013)."""
+    out = np.zeros_like(words)
+    if len(descriptors) and len(words):
+        values = descriptors.astype(np.float32)
+        word = _nearest_word(values, words)
+        np.add.at(out, word, values - words[word])
+        out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
+    flat = np.sign(out) * np.sqrt(np.abs(out))
+    return (flat / max(float(np.linalg.norm(flat)), 1e-12)).ravel()
+
+
+def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.ndarray, "n c"]:
+    """For each picture the `count` others of greatest cosine, best first."""
+    similarity = vectors @ vectors.T
+    np.fill_diagonal(similarity, -np.inf)
+    order = np.argsort(-similarity, axis=1, kind="stable")
+    return order[:, : max(0, min(count, len(vectors) - 1))].astype(np.int32)
+
+
+def _nearest_word(values: np.ndarray, words: np.ndarray) -> np.ndarray:
+    return np.argmax(values @ words.T - 0.5 * (words**2).sum(axis=1), axis=1)

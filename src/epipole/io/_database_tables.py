@@ -1,0 +1,157 @@
+"""The schema of COLMAP's database (version 4), the blobs in its cells, and the columns that it becomes."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int32, UInt8
+from numpy.typing import DTypeLike
+
+from epipole.errors import FileFormatError
+from epipole.io._colmap_cameras import HALF_PIXEL
+from epipole.io._colmap_tables import UNKNOWN_POSE
+from epipole.robust.pair_kind import PairKind
+from epipole.scene import Cameras, Frames, Images, Rigs, ViewGraph
+
+SCHEMA_VERSION = 4020100
+"""COLMAP's own number of the version whose schema this is (4.2.1); newer ones migrate from it."""
+MAX_IMAGES = 2147483647
+"""A pair is stored as MAX_IMAGES * smaller id + larger id."""
+WGS84 = 0
+SIFT_DESCRIPTOR = 0
+HALF_SHIFT = np.array([[1.0, 0.0, HALF_PIXEL], [0.0, 1.0, HALF_PIXEL], [0.0, 0.0, 1.0]])
+"""colmap_pixel = HALF_SHIFT @ pixel, both homogeneous."""
+
+CONFIG_OF_KIND = {
+    PairKind.DEGENERATE: 1,
+    PairKind.GENERAL: 2,  # CALIBRATED
+    PairKind.UNCALIBRATED: 3,
+    PairKind.PLANAR: 4,
+    PairKind.ROTATION: 5,  # PANORAMIC
+    PairKind.NO_MOTION: 5,  # a rotation by nothing: COLMAP has no word for it
+}
+# PLANAR_OR_PANORAMIC (6) still has a homography; UNDEFINED (0), WATERMARK (7) and MULTIPLE (8) have no model at all;
+# CALIBRATED_RIG (9) was verified through the rig's poses.
+KIND_OF_CONFIG = {
+    **{1: PairKind.DEGENERATE, 2: PairKind.GENERAL, 3: PairKind.UNCALIBRATED},
+    **{4: PairKind.PLANAR, 5: PairKind.ROTATION, 6: PairKind.PLANAR},
+    **{0: PairKind.DEGENERATE, 7: PairKind.DEGENERATE, 8: PairKind.DEGENERATE, 9: PairKind.GENERAL},
+}
+
+SCHEMA = (
+    """CREATE TABLE cameras (
+        camera_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+        model INTEGER NOT NULL, width INTEGER NOT NULL, height INTEGER NOT NULL,
+        params BLOB, prior_focal_length INTEGER NOT NULL)""",
+    """CREATE TABLE rigs (
+        rig_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+        ref_sensor_id INTEGER NOT NULL, ref_sensor_type INTEGER NOT NULL)""",
+    "CREATE UNIQUE INDEX rig_ref_sensor_assignment ON rigs(ref_sensor_id, ref_sensor_type)",
+    """CREATE TABLE rig_sensors (
+        rig_id INTEGER NOT NULL, sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL, sensor_from_rig BLOB,
+        FOREIGN KEY(rig_id) REFERENCES rigs(rig_id) ON DELETE CASCADE)""",
+    "CREATE UNIQUE INDEX rig_sensor_assignment ON rig_sensors(sensor_id, sensor_type)",
+    """CREATE TABLE frames (
+        frame_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, rig_id INTEGER NOT NULL,
+        FOREIGN KEY(rig_id) REFERENCES rigs(rig_id) ON DELETE CASCADE)""",
+    """CREATE TABLE frame_data (
+        frame_id INTEGER NOT NULL, data_id INTEGER NOT NULL, sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL,
+        FOREIGN KEY(frame_id) REFERENCES frames(frame_id) ON DELETE CASCADE)""",
+    "CREATE UNIQUE INDEX frame_sensor_assignment ON frame_data(data_id, sensor_type)",
+    """CREATE TABLE images (
+        image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE, camera_id INTEGER NOT NULL,
+        CONSTRAINT image_id_check CHECK(image_id >= 0 and image_id < 2147483647),
+        FOREIGN KEY(camera_id) REFERENCES cameras(camera_id))""",
+    "CREATE UNIQUE INDEX index_name ON images(name)",
+    """CREATE TABLE pose_priors (
+        pose_prior_id INTEGER PRIMARY KEY NOT NULL,
+        corr_data_id INTEGER NOT NULL, corr_sensor_id INTEGER NOT NULL, corr_sensor_type INTEGER NOT NULL,
+        position BLOB, position_covariance BLOB, gravity BLOB, coordinate_system INTEGER NOT NULL)""",
+    """CREATE UNIQUE INDEX pose_prior_data_assignment
+        ON pose_priors(corr_data_id, corr_sensor_id, corr_sensor_type)""",
+    """CREATE TABLE keypoints (
+        image_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB,
+        FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE)""",
+    """CREATE TABLE descriptors (
+        image_id INTEGER PRIMARY KEY NOT NULL, type INTEGER NOT NULL,
+        rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB,
+        FOREIGN KEY(image_id) REFERENCES images(image_id) ON DELETE CASCADE)""",
+    """CREATE TABLE matches (
+        pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB)""",
+    """CREATE TABLE two_view_geometries (
+        pair_id INTEGER PRIMARY KEY NOT NULL, rows INTEGER NOT NULL, cols INTEGER NOT NULL, data BLOB,
+        config INTEGER NOT NULL, F BLOB, E BLOB, H BLOB, qvec BLOB, tvec BLOB, camera1 BLOB, camera2 BLOB)""",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DatabaseContents:
+    """What a database holds, in rows; `frames` has no places, since a database knows none."""
+
+    cameras: Cameras
+    rigs: Rigs
+    frames: Frames
+    images: Images
+    descriptors: Sequence[UInt8[np.ndarray, "k d"] | None] | None = None
+    """For each image, a row per keypoint; None where there are none."""
+    matches: Mapping[tuple[int, int], Int32[np.ndarray, "m 2"]] = field(default_factory=dict)
+    """Matches before verification: (image1, image2) -> keypoint in image1, keypoint in image2."""
+    view_graph: ViewGraph | None = None
+    """Verified pairs."""
+    gps_lat_lon_alt: Float64[np.ndarray, "n 3"] | None = None
+    """For each image latitude and longitude in degrees and altitude in metres (WGS84); NaN where unknown."""
+
+    def __repr__(self) -> str:
+        pairs = 0 if self.view_graph is None else len(self.view_graph)
+        return f"DatabaseContents({self.images}, {len(self.matches)} matched and {pairs} verified pairs)"
+
+
+def blob(array: np.ndarray, dtype: DTypeLike) -> bytes | None:
+    """Values row by row; an array that is not finite gives an empty cell."""
+    return np.ascontiguousarray(array, dtype).tobytes() if np.isfinite(array).all() else None
+
+
+class DatabaseReader:
+    """Read-only access to the tables of any version, with the file's name in every error."""
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._connection = connection
+
+    def columns(self, table: str) -> set[str]:
+        """Names of a table's columns; empty where there is no such table."""
+        return {row[1] for row in self._connection.execute(f"PRAGMA table_info({table})")}
+
+    def rows(self, table: str, columns: str, order: str) -> list[tuple]:
+        """All rows of a table, or none where the table is not there."""
+        if not self.columns(table):
+            return []
+        return self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}").fetchall()
+
+    def fail(self, place: str, problem: str) -> FileFormatError:
+        """The error to raise about a row."""
+        return FileFormatError(self.path, f"{place}: {problem}")
+
+    def matrix(self, data: object, dtype: DTypeLike, rows: object, cols: object, place: str) -> np.ndarray:
+        """A cell with rows x cols values; an empty cell is a matrix without rows."""
+        dtype = np.dtype(dtype)
+        if not isinstance(rows, int) or not isinstance(cols, int) or rows < 0 or cols < 0:
+            raise self.fail(place, f"impossible size {rows} x {cols}")
+        content = data if isinstance(data, bytes) else b""
+        if len(content) != rows * cols * dtype.itemsize:
+            raise self.fail(place, f"{rows} x {cols} values do not take {len(content)} bytes")
+        return np.frombuffer(content, dtype).reshape(rows, cols)
+
+    def numbers(self, data: object, count: int, place: str) -> np.ndarray:
+        """A cell with `count` doubles; NaN where it is empty."""
+        if not isinstance(data, bytes) or len(data) == 0:
+            return np.full(count, np.nan)
+        return self.matrix(data, "<f8", 1, count, place)[0]
+
+    def pose(self, data: object, place: str) -> np.ndarray:
+        """A cell with a pose (7,); NaN where it is empty."""
+        return self.numbers(data, 7, place) if data is not None else UNKNOWN_POSE

@@ -1,0 +1,116 @@
+"""Known cameras of a benchmark, in the forms in which they are published."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.io._bytes import file_text
+from epipole.io.colmap import read_colmap_model
+from epipole.io.transforms_json import read_transforms
+from epipole.scene import Reconstruction
+
+_ROTATION_TOLERANCE = 1e-2
+_FORMS = (
+    "a folder with a COLMAP model, with Strecha's .camera files or with a Middlebury *_par.txt file, "
+    "a *_par.txt file or a transforms.json"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TruthCameras:
+    """Where the images of a benchmark were taken."""
+
+    names: tuple[str, ...]
+    """Of the images, as the source gives them."""
+    cams_from_world: Rigid3
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def read_truth(path: str | Path) -> TruthCameras:
+    """Read known cameras; the form is found by looking.
+
+    Raises:
+        FileFormatError: the path holds none of the known forms, or a broken one.
+    """
+    path = Path(path)
+    if path.is_file():
+        if path.suffix.lower() == ".json":
+            return _registered(read_transforms(path), path)
+        if path.name.endswith("_par.txt"):
+            return _middlebury(path)
+    if path.is_dir():
+        if any((path / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
+            return _registered(read_colmap_model(path), path)
+        strecha = sorted(path.glob("*.camera"))
+        if strecha:
+            return _truth(
+                [file.name.removesuffix(".camera") for file in strecha], [_strecha(f) for f in strecha]
+            )
+        lists = sorted(path.glob("*_par.txt"))
+        if len(lists) == 1:
+            return _middlebury(lists[0])
+    problem = "these are no known cameras" if path.exists() else "there is no such file or folder"
+    raise FileFormatError(path, f"{problem}; readable are {_FORMS}")
+
+
+def _truth(names: list[str], cams_from_world: list[Rigid3]) -> TruthCameras:
+    rotation = np.array([motion.rotation for motion in cams_from_world]).reshape(-1, 3, 3)
+    translation = np.array([motion.translation for motion in cams_from_world]).reshape(-1, 3)
+    return TruthCameras(tuple(names), Rigid3(rotation, translation))
+
+
+def _registered(reconstruction: Reconstruction, path: Path) -> TruthCameras:
+    motions = reconstruction.cams_from_world()
+    rows = np.flatnonzero(np.isfinite(motions.translation).all(axis=1))
+    if len(rows) == 0:
+        raise FileFormatError(path, "the model has no registered image")
+    return TruthCameras(tuple(reconstruction.images.name[row] for row in rows), motions[rows])
+
+
+def _numbers(path: Path, words: list[str], count: int, place: str) -> np.ndarray:
+    try:
+        values = np.array(words, np.float64)
+    except ValueError as error:
+        raise FileFormatError(path, f"{place}: {error}") from error
+    if len(values) != count or not np.isfinite(values).all():
+        raise FileFormatError(path, f"{place}: {count} finite numbers expected, got {len(values)}")
+    return values
+
+
+def _rotation(path: Path, matrix: np.ndarray, place: str) -> np.ndarray:
+    """The nearest rotation: files hold few digits."""
+    nearest = Rotation3.nearest(matrix).matrix
+    if np.abs(nearest - matrix).max() > _ROTATION_TOLERANCE:
+        raise FileFormatError(path, f"{place}: not a rotation matrix")
+    return nearest
+
+
+def _strecha(path: Path) -> Rigid3:
+    """K (3 lines), distortion, R world_from_cam (3 lines), centre, size (Strecha et al., CVPR 2008)."""
+    lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
+    if len(lines) != 9:
+        raise FileFormatError(path, f"a .camera file has 9 lines, this one has {len(lines)}")
+    world_from_cam = _numbers(path, lines[4] + lines[5] + lines[6], 9, "lines 5 to 7").reshape(3, 3)
+    center = _numbers(path, lines[7], 3, "line 8")
+    return Rigid3(_rotation(path, world_from_cam, "lines 5 to 7"), center).inverse()
+
+
+def _middlebury(path: Path) -> TruthCameras:
+    """Per line: name, K, R and t of P = K [R t], row by row (Seitz et al., CVPR 2006); the first line counts."""
+    lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
+    names, motions = [], []
+    for number, words in enumerate(lines[1:], 2):
+        place = f"line {number}"
+        values = _numbers(path, words[1:], 21, place)
+        names.append(words[0])
+        motions.append(Rigid3(_rotation(path, values[9:18].reshape(3, 3), place), values[18:]))
+    if not names or lines[0] != [str(len(names))]:
+        raise FileFormatError(path, f"line 1: the number of cameras is not {len(names)}")
+    return _truth(names, motions)

@@ -1,0 +1,88 @@
+"""The second stage: features of every picture, one file each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole.config import FeatureConfig
+from epipole.errors import FileFormatError, MissingDependencyError
+from epipole.features import Features, detect_features
+from epipole.io.photographs import read_header, read_mask, read_rgb
+from epipole.sfm.photographs import ImageSet
+from epipole.workflow import Unit, digest, load
+
+FORMAT = 1
+"""Raise when the meaning of the files changes."""
+THUMBNAIL_PX = 320
+
+
+@dataclass(frozen=True, slots=True)
+class FeaturePayload:
+    """What the unit of one picture needs."""
+
+    path: Path
+    name: str
+    masks: Path | None
+    config: FeatureConfig
+
+
+def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
+    """One unit per picture."""
+    units = []
+    for name, fingerprint in zip(images.names, images.fingerprints):
+        mask = _mask_fingerprint(masks, name)
+        key = digest("features", FORMAT, name, fingerprint, mask, asdict(config))
+        path = folder / f"{digest(name)}.npz"
+        units.append(Unit(path, key, detect_in_file, FeaturePayload(images.folder / name, name, masks, config)))
+    return units
+
+
+def _mask_fingerprint(masks: Path | None, name: str) -> list[str]:
+    if masks is None:
+        return []
+    candidates = (masks / f"{name}.png", (masks / name).with_suffix(".png"))
+    return [f"{p}-{p.stat().st_size}-{p.stat().st_mtime_ns}" for p in candidates if p.is_file()]
+
+
+def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
+    """Features of one picture, their colours and a thumbnail; for a damaged picture the reason instead."""
+    try:
+        header = read_header(payload.path)
+        rgb = read_rgb(payload.path, payload.config.max_size_px)
+        mask = None
+        if payload.masks is not None:
+            mask = read_mask(payload.masks, payload.name, size=(header.width, header.height))
+    except (FileFormatError, MissingDependencyError) as error:
+        return {"failure": np.array(str(error).removeprefix(f"{payload.path}: "))}
+    cv2.setNumThreads(1)  # pictures are the unit of parallel work
+    small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
+    rows, columns = (np.clip(np.rint(small.pixels[:, i]).astype(int), 0, rgb.shape[1 - i] - 1) for i in (1, 0))
+    colors = rgb[rows, columns]
+    stretch = np.array([header.width / rgb.shape[1], header.height / rgb.shape[0]])
+    pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
+    keep = np.ones(len(pixels), bool)
+    if mask is not None:
+        at = np.clip(np.rint(pixels).astype(int), 0, [header.width - 1, header.height - 1])
+        keep = mask[at[:, 1], at[:, 0]]
+    factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
+    size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
+    _, jpeg = cv2.imencode(".jpg", cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    return {
+        "pixels": pixels[keep],
+        "scale_px": (small.scale_px * stretch.mean()).astype(np.float32)[keep],
+        "angle_rad": small.angle_rad[keep],
+        "descriptors": small.descriptors[keep],
+        "colors": colors[keep],
+        "thumbnail": jpeg,
+        "contrast": np.array(float(rgb.std())),
+    }
+
+
+def load_features(path: Path) -> Features:
+    """The features of a unit's file."""
+    arrays = load(path)
+    return Features(arrays["pixels"], arrays["scale_px"], arrays["angle_rad"], arrays["descriptors"])

@@ -1,0 +1,280 @@
+"""Structure-from-motion from a folder of photographs (or a video) to models on disk."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.config import ReconstructConfig
+from epipole.errors import NoModelError
+from epipole.io.colmap import write_colmap_model
+from epipole.io.colmap_database import DatabaseContents, write_database
+from epipole.io.photographs import copy_or_rotate
+from epipole.io.ply import write_scene_ply
+from epipole.io.video import extract_frames, is_video
+from epipole.robust import PairKind
+from epipole.scene import Cameras, Frames, Images, Reconstruction, Rigs, ViewGraph, unregistered
+from epipole.sfm.feature_stage import feature_units
+from epipole.sfm.focal import estimate_focals
+from epipole.sfm.mapping_stage import Mapped, map_images, no_model_reason, reasons_in_words
+from epipole.sfm.match_stage import load_putative, load_view_graph, match_units, verification_units
+from epipole.sfm.pairing import choose_pairs, read_pairs
+from epipole.sfm.photographs import ImageSet, read_image_set
+from epipole.sfm.warm_up import warm_up
+from epipole.sfm.workspace import Workspace, open_workspace
+from epipole.workflow import Progress, ProgressCallback, Unit, ignore_progress, load, run_units, timed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PipelineResult:
+    """Everything a report needs to know about a run."""
+
+    workspace: Workspace
+    images: ImageSet
+    view_graph: ViewGraph
+    mapped: Mapped
+    reasons: dict[str, str]
+    """Why each picture without a place has none."""
+    num_keypoints: tuple[int, ...]
+    feature_files: tuple[Path, ...]
+    warnings: tuple[str, ...]
+    timings_s: dict[str, float]
+
+    @property
+    def models(self) -> tuple[Reconstruction, ...]:
+        """Largest first."""
+        return self.mapped.models
+
+
+def run_pipeline(
+    source: Path, out: Path, config: ReconstructConfig, progress: ProgressCallback = ignore_progress
+) -> PipelineResult:
+    """Read, detect, match, verify, map and write; each stage resumes from what the output folder holds.
+
+    Args:
+        source: folder of photographs, or a video file.
+        out: the output folder; made if missing.
+        config: options.
+        progress: called from the calling thread.
+
+    Raises:
+        NoModelError: there are no usable pictures, or they give no depth; the message says why.
+        WorkspaceError: the output folder cannot be used.
+        ConfigError: options that do not fit the pictures.
+    """
+    timings_s: dict[str, float] = {}
+    workspace = open_workspace(out, str(source.resolve()))
+    compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
+    compiling.start()
+    with _parallel.single_threaded_blas():
+        with timed(timings_s, "read"):
+            images = _read(source, workspace, config, progress)
+        with timed(timings_s, "features"):
+            images, features = _detect(images, workspace, config, progress)
+        with timed(timings_s, "match"):
+            pairs = _choose_pairs(images, features, config)
+            matching = (workspace.units / "matches", config.matching, config.verification)
+            matches = match_units(pairs, features, images.cameras, images.camera_of_image, *matching)
+            run_units(matches, stage="match", executor=config.executor, progress=progress)
+        with timed(timings_s, "verify"):
+            cameras, view_graph, notes = _verify(pairs, images, features, matches, workspace, config, progress)
+        with timed(timings_s, "map"):
+            keypoints, colors = _keypoints(features)
+            compiling.join()
+            mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
+        reasons = reasons_in_words(images, mapped, view_graph, keypoints, config.mapper.resection_min_inliers)
+        with timed(timings_s, "write"):
+            _write_database(workspace, images, cameras, keypoints, features, load_putative(matches), view_graph)
+            if not mapped.models:
+                raise NoModelError(no_model_reason(view_graph, len(images)))
+            _write_models(workspace, images, mapped)
+    return PipelineResult(
+        workspace,
+        images,
+        view_graph,
+        mapped,
+        reasons,
+        tuple(len(k) for k in keypoints),
+        tuple(u.path for u in features),
+        (*notes, *_warnings(images, mapped, reasons)),
+        timings_s,
+    )
+
+
+def _read(source: Path, workspace: Workspace, config: ReconstructConfig, progress: ProgressCallback) -> ImageSet:
+    if is_video(source):
+        frames = extract_frames(
+            source,
+            workspace.frames,
+            max_frames=config.max_frames,
+            progress=lambda done, total: progress(Progress("video", done, total)),
+        )
+        times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
+        return read_image_set(workspace.frames, config, timestamps_s=times, progress=progress)
+    if not source.is_dir():
+        what = "is neither a folder of photographs nor a video" if source.exists() else "does not exist"
+        raise NoModelError(f"{source} {what}")
+    ignore = (workspace.root, *((config.masks,) if config.masks else ()))
+    return read_image_set(source, config, ignore=ignore, progress=progress)
+
+
+def _detect(
+    images: ImageSet, workspace: Workspace, config: ReconstructConfig, progress: ProgressCallback
+) -> tuple[ImageSet, list[Unit]]:
+    """Features of every picture; damaged pictures leave the set."""
+    units = feature_units(images, workspace.units / "features", config.features, config.masks)
+    run_units(units, stage="features", executor=config.executor, progress=progress)
+    failures = {}
+    for i, unit in enumerate(units):
+        stored = load(unit.path)
+        if "failure" in stored:
+            failures[i] = str(stored["failure"])
+    images = images.without(failures)
+    if len(images) == 0:
+        reason = next(iter(images.left_out.values()))
+        raise NoModelError(f"none of the pictures can be read ({reason})")
+    if len(images) < 2:
+        left_out = "".join(f"; {name}: {why}" for name, why in list(images.left_out.items())[:3])
+        raise NoModelError(f"only one usable picture, and one picture cannot give depth{left_out}")
+    return images, [u for i, u in enumerate(units) if i not in failures]
+
+
+def _choose_pairs(images: ImageSet, features: Sequence[Unit], config: ReconstructConfig) -> np.ndarray:
+    if config.pairs is not None:
+        return read_pairs(config.pairs, images.names)
+    descriptors = _Lazy([u.path for u in features])
+    return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
+
+
+class _Lazy(Sequence[np.ndarray]):
+    """Descriptors read from disk when asked for: exhaustive pairing asks for none."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._paths = paths
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def,override]
+        return load(self._paths[index])["descriptors"]
+
+
+def _verify(
+    pairs: np.ndarray,
+    images: ImageSet,
+    features: Sequence[Unit],
+    matches: Sequence[Unit],
+    workspace: Workspace,
+    config: ReconstructConfig,
+    progress: ProgressCallback,
+) -> tuple[Cameras, ViewGraph, tuple[str, ...]]:
+    """Geometry of all pairs; where focal lengths were guessed, again with those that the pairs agree on."""
+
+    def verify(cameras: Cameras, folder: str) -> ViewGraph:
+        units = verification_units(
+            *(pairs, features, cameras, images.camera_of_image, workspace.units / folder),
+            *(config.matching, config.verification, matches),
+        )
+        run_units(units, stage="verify", executor=config.executor, progress=progress)
+        return load_view_graph(units)
+
+    view_graph = verify(images.cameras, "geometry")
+    cameras, found = estimate_focals(images.cameras, images.camera_of_image, view_graph)
+    if not found:
+        return cameras, view_graph, ()
+    notes = tuple(
+        f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves" for c in found
+    )
+    return cameras, verify(cameras, "geometry-calibrated"), notes
+
+
+def _keypoints(features: Sequence[Unit]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    keypoints, colors = [], []
+    for unit in features:
+        with np.load(unit.path) as stored:
+            keypoints.append(stored["pixels"].astype(np.float64))
+            colors.append(stored["colors"])
+    return keypoints, colors
+
+
+def _write_database(
+    workspace: Workspace,
+    images: ImageSet,
+    cameras: Cameras,
+    keypoints: Sequence[np.ndarray],
+    features: Sequence[Unit],
+    putative: dict[tuple[int, int], np.ndarray],
+    view_graph: ViewGraph,
+) -> None:
+    n = len(images)
+    offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+    stacked = np.concatenate(list(keypoints)).reshape(-1, 2)
+    rows = np.arange(n, dtype=np.int32)
+    descriptors = []
+    for unit in features:
+        with np.load(unit.path) as stored:
+            descriptors.append(stored["descriptors"] if stored["descriptors"].shape[1] == 128 else None)
+    contents = DatabaseContents(
+        cameras,
+        Rigs.of_single_cameras(len(cameras)),
+        Frames(images.camera_of_image, unregistered(n), images.timestamps_s),
+        Images(images.names, rows, images.camera_of_image, offsets, stacked),
+        descriptors,
+        putative,
+        view_graph,
+        images.lat_lon_alt,
+    )
+    write_database(workspace.database, contents)
+
+
+def _write_models(workspace: Workspace, images: ImageSet, mapped: Mapped) -> None:
+    for number, model in enumerate(mapped.models):
+        write_colmap_model(model, workspace.sparse / str(number))
+    number = len(mapped.models)
+    while (stale := workspace.sparse / str(number)).is_dir():
+        for file in stale.iterdir():
+            file.unlink()
+        stale.rmdir()
+        number += 1
+    write_scene_ply(workspace.root / "points.ply", mapped.models[0])
+    registered = np.zeros(len(images), bool)
+    for model in mapped.models:
+        registered |= model.is_registered()
+    for image in np.flatnonzero(registered):
+        target = workspace.images / images.names[image]
+        if not target.is_file():
+            copy_or_rotate(images.folder / images.names[image], target)
+
+
+def _warnings(images: ImageSet, mapped: Mapped, reasons: dict[str, str]) -> tuple[str, ...]:
+    out = []
+    if reasons:
+        out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
+    if len(mapped.models) > 1:
+        counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
+        out.append(f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)")
+    return tuple(out)
+
+
+def with_threads(config: ReconstructConfig) -> ReconstructConfig:
+    """Apply the number of threads of a config to this process."""
+    _parallel.set_num_threads(config.threads)
+    return replace(config)
+
+
+def pair_kind_words() -> dict[int, str]:
+    """`ViewGraph.kind` in words."""
+    words = {
+        PairKind.DEGENERATE: "degenerate",
+        PairKind.GENERAL: "general",
+        PairKind.UNCALIBRATED: "uncalibrated",
+        PairKind.PLANAR: "planar",
+        PairKind.ROTATION: "rotation only",
+        PairKind.NO_MOTION: "no motion",
+    }
+    return {int(k): v for k, v in words.items()}

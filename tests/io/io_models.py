@@ -1,0 +1,76 @@
+"""A small model with a rig, single cameras, an unregistered frame and unmatched keypoints, shared by the tests."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.cameras import Camera, CameraModel
+from epipole.geometry import Rigid3
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks, unregistered
+
+NUM_POINTS = 25
+
+
+def make_cameras() -> Cameras:
+    return Cameras.from_list(
+        [
+            Camera(CameraModel.SIMPLE_RADIAL, 640, 480, np.array([500.0, 310.0, 245.0, 0.03])),
+            Camera(
+                CameraModel.OPENCV, 800, 600, np.array([610.0, 605.0, 401.5, 297.0, 0.02, -0.01, 1e-3, -2e-3])
+            ),
+            Camera(CameraModel.PINHOLE, 320, 240, np.array([260.0, 261.0, 159.5, 119.5])),
+        ]
+    )
+
+
+def look_at_origin(centers: np.ndarray, rng: np.random.Generator) -> Rigid3:
+    """cam_from_world of cameras that look at the origin, with a little roll."""
+    z = -centers / np.linalg.norm(centers, axis=1, keepdims=True)
+    x = np.cross(rng.normal(size=3) * 0.2 + np.array([0.0, 1.0, 0.0]), z)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    rotation = np.stack([x, np.cross(z, x), z], axis=1)
+    return Rigid3(rotation, -(rotation @ centers[..., None])[..., 0])
+
+
+def small_model(seed: int = 0) -> Reconstruction:
+    """Two cameras on a rig (frames 0, 1, 2), a single camera (frames 3, 4 and the unregistered 5)."""
+    rng = np.random.default_rng(seed)
+    cameras = make_cameras()
+    second_from_first = Rigid3.exp([0.2, 0.01, -0.02, 0.01, 0.05, -0.02])
+    cam_from_rig = Rigid3(
+        np.stack([np.eye(3), second_from_first.rotation, np.eye(3)]),
+        np.stack([np.zeros(3), second_from_first.translation, np.zeros(3)]),
+    )
+    rigs = Rigs(np.array([0, 2, 3], np.int32), np.array([0, 1, 2], np.int32), cam_from_rig)
+    centers = np.array([[np.sin(a) * 4, 0.3 * a, -np.cos(a) * 4] for a in np.linspace(-0.6, 0.6, 5)])
+    known, lost = look_at_origin(centers, rng), unregistered(1)
+    rig_from_world = Rigid3(
+        np.concatenate([known.rotation, lost.rotation]), np.concatenate([known.translation, lost.translation])
+    )
+    frames = Frames(np.array([0, 0, 0, 1, 1, 1], np.int32), rig_from_world, np.full(6, np.nan))
+    frame = np.array([0, 0, 1, 1, 2, 2, 3, 4, 5], np.int32)
+    sensor = np.array([0, 1, 0, 1, 0, 1, 2, 2, 2], np.int32)
+    names = ("rig/a 0.jpg", "rig/b0.jpg", "a1.jpg", "b1.jpg", "a2.jpg", "b2.jpg", "straße.png", "c4.jpg", "c5.jpg")
+    xyz = rng.uniform(-0.7, 0.7, (NUM_POINTS, 3))
+    cams_from_world = cam_from_rig[sensor] @ rig_from_world[frame]
+    keypoints, seen = [], []
+    for image in range(len(names)):
+        clutter = rng.uniform(0, 200, (4, 2))
+        if frame[image] == 5:
+            keypoints.append(clutter)
+            continue
+        points = np.sort(rng.choice(NUM_POINTS, 15, replace=False))
+        camera = cameras[int(rigs.sensor_camera[sensor[image]])]
+        pixels = camera.project(cams_from_world[image].apply(xyz[points])) + rng.normal(0, 0.4, (15, 2))
+        keypoints.append(np.concatenate([clutter, pixels]))
+        seen += [(int(point), image, 4 + k) for k, point in enumerate(points)]
+    offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+    images = Images(names, frame, sensor, offsets, np.concatenate(keypoints))
+    table = np.array(sorted(seen), np.int64)
+    track_offsets = np.concatenate([[0], np.cumsum(np.bincount(table[:, 0], minlength=NUM_POINTS))]).astype(np.int64)
+    tracks = Tracks(track_offsets, table[:, 1].astype(np.int32), table[:, 2].astype(np.int32))
+    points = Points(xyz, rng.integers(0, 256, (NUM_POINTS, 3)).astype(np.uint8), np.full(NUM_POINTS, np.nan))
+    model = Reconstruction(cameras, rigs, frames, images, points, tracks)
+    errors, point = model.reprojection_errors_px(), tracks.point_of_observation()
+    error_px = np.bincount(point, errors, NUM_POINTS) / np.maximum(np.bincount(point, minlength=NUM_POINTS), 1)
+    return replace(model, points=replace(points, error_px=error_px))

@@ -1,0 +1,124 @@
+"""The whole page: self-contained, safe, complete, small."""
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from report_ring import HOSTILE, content_of, empty_model
+
+from epipole.report import ReportContent, render_report
+
+VOID = {"meta", "input", "br", "img", "link"}
+
+
+class Reader(HTMLParser):
+    """Collects elements and text; complains about elements that do not close in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stack: list[str] = []
+        self.elements: list[tuple[str, dict[str, str]]] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    assert reader.stack == []
+    return reader
+
+
+def block(page: str, element_id: str) -> object:
+    found = re.search(rf'<script type="application/json" id="{element_id}">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found.group(1))
+
+
+@pytest.fixture(scope="module")
+def page(content: ReportContent) -> str:
+    return render_report(content)
+
+
+def test_page_is_well_formed_and_loads_nothing(page: str) -> None:
+    reader = read(page)
+    assert not re.search(r"(https?:)?//[a-z0-9.-]+\.[a-z]{2,}", page)
+    for tag, attributes in reader.elements:
+        assert tag not in ("link", "iframe", "base", "object")
+        assert "src" not in attributes
+        assert attributes.get("href", "data:").startswith("data:")
+    policies = [a["content"] for t, a in reader.elements if t == "meta" and "http-equiv" in a]
+    assert policies[0].startswith("default-src 'none'")
+
+
+def test_header_numbers(page: str, content: ReportContent) -> None:
+    tiles = dict(re.findall(r"<div><dt>([^<]*)</dt><dd>(.*?)</dd></div>", page))
+    model = content.reconstruction
+    assert tiles["Pictures placed"] == "10 <small>of 12</small>"
+    assert tiles["Points"] == "400"
+    assert tiles["Observations"].replace("\u202f", "") == str(len(model.tracks.image))
+    assert tiles["Mean reprojection error"] == f"{model.mean_reprojection_error_px():.2f} <small>px</small>"
+    assert tiles["Mean track length"] == f"{len(model.tracks.image) / 400:.2f}"
+    assert tiles["Time"] == "1 min 54 s"
+
+
+def test_truth_settings_cameras_and_timings_are_told(content: ReportContent) -> None:
+    page = render_report(replace(content, truth_errors={"Camera position, median": "12 mm"}))
+    assert "<dt>Camera position, median</dt><dd>12 mm</dd>" in page
+    text = "\n".join(read(page).text)
+    for expected in ("features.max_keypoints", "8000", "PINHOLE, 640x480", "matching", "8.2 s", "1.2.3"):
+        assert expected in text
+
+
+def test_match_matrix_holds_every_pair(page: str, content: ReportContent) -> None:
+    pairs, graph = block(page, "pairs"), content.view_graph
+    assert pairs["first"] == graph.image1.tolist()
+    assert pairs["count"] == graph.num_inliers().tolist()
+    assert [pairs["kinds"][str(k)] for k in pairs["kind"][:2]] == ["planar", "general"]
+    assert pairs["angle"][0] == 1.0
+    assert pairs["angle"][3] is None
+    assert pairs["placed"] == list(range(10))
+    assert block(page, "names") == list(content.reconstruction.images.name)
+
+
+def test_hostile_names_stay_text(hostile_content: ReportContent) -> None:
+    page = render_report(hostile_content)
+    page.encode("utf-8")
+    reader = read(page)
+    assert "img" not in {tag for tag, _ in reader.elements}
+    assert not any(key.startswith("on") for _, attributes in reader.elements for key in attributes)
+    scripts = [a for tag, a in reader.elements if tag == "script"]
+    assert [a.get("id") for a in scripts] == ["model", "pairs", "names", None]
+    assert HOSTILE in reader.text
+    assert block(page, "names") == list(hostile_content.reconstruction.images.name)
+
+
+@pytest.mark.parametrize("num_images", [0, 1, 4])
+def test_a_page_without_a_model(num_images: int) -> None:
+    page = render_report(content_of(empty_model(num_images), "Nothing"))
+    text = "\n".join(read(page).text)
+    assert "No model could be made" in text
+    assert "There is no model to show." in text
+    assert text.count("too few matches") == num_images
+    assert not re.search(r"\bnan\b", text.split('"use strict"')[0])
+
+
+def test_fifty_pictures_and_many_points_stay_small(big_content: ReportContent) -> None:
+    page = render_report(big_content)
+    assert block(page, "model")["count"] == 60_000
+    assert len(page.encode("utf-8")) < 8e6

@@ -1,0 +1,116 @@
+"""The viewer as a server: it answers, shows what was asked for, and stops."""
+
+import socket
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from epipole.cameras import Camera, CameraModel
+from epipole.geometry import Rigid3
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from epipole.viewer import view
+from epipole.viewer.selection import extent_of
+
+OPEN = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
+
+
+def three_cameras(num_points: int = 5) -> Reconstruction:
+    """Cameras at x = 0, 1, 2 that look along +y; the third is not registered. Points lie at y = 4."""
+    rotation = np.broadcast_to(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), (3, 3, 3)).copy()
+    centers = np.array([[0.0, 0, 0], [1.0, 0, 0], [np.nan, 0, 0]])
+    camera = Camera(CameraModel.SIMPLE_PINHOLE, 64, 48, np.array([50.0, 31.5, 23.5]))
+    xyz = np.stack([np.linspace(-1, 2, num_points), np.full(num_points, 4.0), np.zeros(num_points)], axis=1)
+    return Reconstruction(
+        Cameras.from_list([camera]),
+        Rigs.of_single_cameras(1),
+        Frames(
+            np.zeros(3, np.int32),
+            Rigid3(rotation, -(rotation @ centers[:, :, None])[:, :, 0]),
+            np.full(3, np.nan),
+        ),
+        Images(
+            ("a.jpg", "b <i>.jpg", "c.jpg"),
+            np.arange(3, dtype=np.int32),
+            np.zeros(3, np.int32),
+            np.array([0, num_points, 2 * num_points, 2 * num_points]),
+            np.zeros((2 * num_points, 2)),
+        ),
+        Points(xyz, np.full((num_points, 3), 90, np.uint8), np.linspace(0.2, 1.0, num_points)),
+        Tracks(
+            2 * np.arange(num_points + 1),
+            np.tile(np.array([0, 1], np.int32), num_points),
+            np.repeat(np.arange(num_points, dtype=np.int32), 2),
+        ),
+    )
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(condition: object, seconds: float = 10.0) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not condition():
+        time.sleep(0.05)
+    return bool(condition())
+
+
+def test_viewer_answers_loads_pictures_and_stops(capsys: pytest.CaptureFixture) -> None:
+    asked = []
+
+    def load_image(name: str) -> np.ndarray | None:
+        asked.append(name)
+        return np.full((480, 640, 3), 128, np.uint8) if name == "a.jpg" else None
+
+    port = free_port()
+    handle = view(three_cameras(), load_image, port=port, block=False)
+    try:
+        assert handle.url == f"http://127.0.0.1:{port}"
+        with OPEN(handle.url, timeout=10) as answer:
+            assert answer.status == 200
+            assert b"<html" in answer.read().lower()
+        assert wait_until(lambda: len(asked) == 2)
+        assert asked == ["a.jpg", "b <i>.jpg"]
+    finally:
+        handle.stop()
+    handle.stop()
+    with pytest.raises(urllib.error.URLError):
+        OPEN(handle.url, timeout=2)
+    assert capsys.readouterr().out == ""
+
+
+def test_an_empty_model_can_be_viewed() -> None:
+    model = three_cameras(0)
+    handle = view(model, lambda _: None, port=free_port(), block=False)
+    try:
+        with OPEN(handle.url, timeout=10) as answer:
+            assert answer.status == 200
+    finally:
+        handle.stop()
+
+
+def test_a_taken_port_is_stepped_over() -> None:
+    port = free_port()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port))
+        taken.listen()
+        handle = view(three_cameras(), lambda _: None, port=port, block=False)
+        try:
+            assert handle.url != f"http://127.0.0.1:{port}"
+            with OPEN(handle.url, timeout=10) as answer:
+                assert answer.status == 200
+        finally:
+            handle.stop()
+
+
+def test_extent_of_the_scene() -> None:
+    extent = extent_of(three_cameras())
+    np.testing.assert_allclose(extent.focus, [0.5, 4.0, 0.0])
+    # Both cameras are sqrt(0.25 + 16) away, every point nearer; they are 1 apart.
+    assert extent.radius == pytest.approx(np.sqrt(16.25))
+    assert extent.frustum_size == pytest.approx(0.08 * np.sqrt(16.25))
