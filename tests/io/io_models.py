@@ -1,4 +1,4 @@
-"""A small model with a rig, single cameras, an unregistered frame and unmatched keypoints, shared by the tests."""
+"""Small models shared by the tests: one with a rig and an unregistered frame, and a plain one."""
 
 from dataclasses import replace
 
@@ -50,7 +50,17 @@ def small_model(seed: int = 0) -> Reconstruction:
     frames = Frames(np.array([0, 0, 0, 1, 1, 1], np.int32), rig_from_world, np.full(6, np.nan))
     frame = np.array([0, 0, 1, 1, 2, 2, 3, 4, 5], np.int32)
     sensor = np.array([0, 1, 0, 1, 0, 1, 2, 2, 2], np.int32)
-    names = ("rig/a 0.jpg", "rig/b0.jpg", "a1.jpg", "b1.jpg", "a2.jpg", "b2.jpg", "straße.png", "c4.jpg", "c5.jpg")
+    names = (
+        "rig/a 0.jpg",
+        "rig/b0.jpg",
+        "a1.jpg",
+        "b1.jpg",
+        "a2.jpg",
+        "b2.jpg",
+        "straße.png",
+        "c4.jpg",
+        "c5.jpg",
+    )
     xyz = rng.uniform(-0.7, 0.7, (NUM_POINTS, 3))
     cams_from_world = cam_from_rig[sensor] @ rig_from_world[frame]
     keypoints, seen = [], []
@@ -67,10 +77,46 @@ def small_model(seed: int = 0) -> Reconstruction:
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     images = Images(names, frame, sensor, offsets, np.concatenate(keypoints))
     table = np.array(sorted(seen), np.int64)
-    track_offsets = np.concatenate([[0], np.cumsum(np.bincount(table[:, 0], minlength=NUM_POINTS))]).astype(np.int64)
+    track_offsets = np.concatenate([[0], np.cumsum(np.bincount(table[:, 0], minlength=NUM_POINTS))]).astype(
+        np.int64
+    )
     tracks = Tracks(track_offsets, table[:, 1].astype(np.int32), table[:, 2].astype(np.int32))
     points = Points(xyz, rng.integers(0, 256, (NUM_POINTS, 3)).astype(np.uint8), np.full(NUM_POINTS, np.nan))
     model = Reconstruction(cameras, rigs, frames, images, points, tracks)
     errors, point = model.reprojection_errors_px(), tracks.point_of_observation()
-    error_px = np.bincount(point, errors, NUM_POINTS) / np.maximum(np.bincount(point, minlength=NUM_POINTS), 1)
+    error_px = np.bincount(point, errors, NUM_POINTS) / np.maximum(
+        np.bincount(point, minlength=NUM_POINTS), 1
+    )
     return replace(model, points=replace(points, error_px=error_px))
+
+
+def mappable_model(num_images: int = 6, num_points: int = 200) -> Reconstruction:
+    """Single-camera views that all see the same points, enough for a mapper to start from."""
+    rng = np.random.default_rng(7)
+    cameras = Cameras.from_list(
+        [Camera(CameraModel.SIMPLE_RADIAL, 640, 480, np.array([550.0, 319.5, 239.5, 0.0]))]
+    )
+    angles = np.linspace(-0.5, 0.5, num_images)
+    centers = np.stack([4 * np.sin(angles), 0.2 * np.cos(5 * angles), -4 * np.cos(angles)], axis=1)
+    cams_from_world = look_at_origin(centers, rng)
+    xyz = rng.uniform(-0.9, 0.9, (num_points, 3))
+    keypoints = []
+    for image in range(num_images):
+        pixels = cameras[0].project(cams_from_world[image].apply(xyz)) + rng.normal(0, 0.1, (num_points, 2))
+        keypoints.append(np.concatenate([rng.uniform(0, 400, (4, 2)), pixels]))
+    per_image = num_points + 4
+    images = Images(
+        tuple(f"{i:03d}.jpg" for i in range(num_images)),
+        np.arange(num_images, dtype=np.int32),
+        np.zeros(num_images, np.int32),
+        per_image * np.arange(num_images + 1, dtype=np.int64),
+        np.concatenate(keypoints),
+    )
+    frames = Frames(np.zeros(num_images, np.int32), cams_from_world, np.full(num_images, np.nan))
+    tracks = Tracks(
+        num_images * np.arange(num_points + 1, dtype=np.int64),
+        np.tile(np.arange(num_images, dtype=np.int32), num_points),
+        np.repeat(np.arange(4, per_image, dtype=np.int32), num_images),
+    )
+    points = Points(xyz, np.zeros((num_points, 3), np.uint8), np.full(num_points, np.nan))
+    return Reconstruction(cameras, Rigs.of_single_cameras(1), frames, images, points, tracks)

@@ -17,9 +17,15 @@ needs_pycolmap = pytest.mark.skipif(
 
 def run_pycolmap(script: str, *arguments: Path | str) -> Any:
     """Run a script that finds its arguments in `args` and prints one line of JSON last."""
-    code = "import json, sys\nimport numpy as np\nimport pycolmap\nargs = sys.argv[1:]\n" + textwrap.dedent(script)
+    code = "import json, sys\nimport numpy as np\nimport pycolmap\nargs = sys.argv[1:]\n" + textwrap.dedent(
+        script
+    )
     done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     return json.loads(done.stdout.strip().splitlines()[-1])

@@ -35,7 +35,10 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
 
 def test_system_errors_become_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(WorkspaceError, match="cannot write .*file"), atomic_write(tmp_path / "file" / "x.txt"):
+    with (
+        pytest.raises(WorkspaceError, match=r"cannot write .*file"),
+        atomic_write(tmp_path / "file" / "x.txt"),
+    ):
         pass
     with pytest.raises(WorkspaceError, match="No space left"), atomic_write(tmp_path / "x.txt"):
         raise OSError(28, "No space left on device")
@@ -62,7 +65,13 @@ def test_a_new_folder_appears_in_one_step(tmp_path: Path) -> None:
         (part / "sub").mkdir()
         (part / "sub" / "b.bin").write_text("b")
         assert not target.exists()
-    assert names_in(tmp_path) == ["sparse", "sparse/0", "sparse/0/a.bin", "sparse/0/sub", "sparse/0/sub/b.bin"]
+    assert names_in(tmp_path) == [
+        "sparse",
+        "sparse/0",
+        "sparse/0/a.bin",
+        "sparse/0/sub",
+        "sparse/0/sub/b.bin",
+    ]
 
 
 def test_a_folder_that_exists_keeps_what_is_not_ours(tmp_path: Path) -> None:

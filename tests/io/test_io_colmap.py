@@ -29,7 +29,9 @@ def folder(tmp_path: Path) -> Path:
 def test_round_trip_keeps_everything_registered(tmp_path: Path, text: bool) -> None:
     model = small_model()
     write_colmap_model(model, tmp_path, text=text)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(f"{n}.{'txt' if text else 'bin'}" for n in NAMES)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        f"{n}.{'txt' if text else 'bin'}" for n in NAMES
+    )
     read = read_colmap_model(tmp_path)
     assert read.images.name == model.images.name[:8]
     assert len(read.frames) == 5 and read.is_registered().all()
@@ -37,7 +39,9 @@ def test_round_trip_keeps_everything_registered(tmp_path: Path, text: bool) -> N
     np.testing.assert_allclose(read.cameras.params, model.cameras.params, atol=1e-12)
     assert read.cameras.is_focal_trusted.all() and not read.cameras.is_constant.any()
     np.testing.assert_array_equal(read.rigs.sensor_offsets, model.rigs.sensor_offsets)
-    np.testing.assert_allclose(read.rigs.cam_from_rig.as_matrix(), model.rigs.cam_from_rig.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(
+        read.rigs.cam_from_rig.as_matrix(), model.rigs.cam_from_rig.as_matrix(), atol=1e-14
+    )
     np.testing.assert_array_equal(read.images.sensor, model.images.sensor[:8])
     expected = model.cams_from_world()[np.arange(8)]
     np.testing.assert_allclose(read.cams_from_world().as_matrix(), expected.as_matrix(), atol=1e-13)
@@ -48,7 +52,9 @@ def test_round_trip_keeps_everything_registered(tmp_path: Path, text: bool) -> N
     np.testing.assert_array_equal(read.tracks.image, model.tracks.image)
     np.testing.assert_array_equal(read.tracks.keypoint, model.tracks.keypoint)
     for image in range(8):
-        np.testing.assert_allclose(read.images.keypoints_of(image), model.images.keypoints_of(image), atol=1e-12)
+        np.testing.assert_allclose(
+            read.images.keypoints_of(image), model.images.keypoints_of(image), atol=1e-12
+        )
     assert abs(read.mean_reprojection_error_px() - model.mean_reprojection_error_px()) < 1e-10
 
 
@@ -106,7 +112,9 @@ def test_a_model_with_nothing_in_it(tmp_path: Path) -> None:
         nothing = np.zeros(0, np.int32)
         empty = replace(
             model,
-            frames=replace(model.frames, rig_from_world=Rigid3(np.full((6, 3, 3), np.nan), np.full((6, 3), np.nan))),
+            frames=replace(
+                model.frames, rig_from_world=Rigid3(np.full((6, 3, 3), np.nan), np.full((6, 3), np.nan))
+            ),
             points=replace(
                 model.points,
                 xyz_in_world=np.empty((0, 3)),
@@ -128,7 +136,9 @@ def test_a_camera_that_two_sensors_share_is_written_for_each(tmp_path: Path) -> 
     assert len(read.cameras) == 4
     for image in range(8):
         mine = shared.cameras[int(shared.camera_of_image[image])]
-        np.testing.assert_allclose(read.cameras[int(read.camera_of_image[image])].params, mine.params, atol=1e-12)
+        np.testing.assert_allclose(
+            read.cameras[int(read.camera_of_image[image])].params, mine.params, atol=1e-12
+        )
 
 
 def test_a_sensor_whose_place_on_the_rig_is_not_known(tmp_path: Path) -> None:
@@ -138,7 +148,9 @@ def test_a_sensor_whose_place_on_the_rig_is_not_known(tmp_path: Path) -> None:
     keep = model.images.sensor[model.tracks.image] != 1
     lengths = np.bincount(model.tracks.point_of_observation()[keep], minlength=len(model.points))
     for text in (False, True):
-        write_colmap_model(replace(model, rigs=replace(model.rigs, cam_from_rig=cam_from_rig)), tmp_path, text=text)
+        write_colmap_model(
+            replace(model, rigs=replace(model.rigs, cam_from_rig=cam_from_rig)), tmp_path, text=text
+        )
         read = read_colmap_model(tmp_path)
         assert len(read.images) == 5
         assert np.isnan(read.rigs.cam_from_rig.translation[1]).all()
@@ -164,7 +176,9 @@ def test_a_rig_around_an_imu_is_given_its_first_camera_as_reference(tmp_path: Pa
             frames[row] = " ".join([*words[:2], *map(repr, map(float, pose)), *words[9:]])
     (tmp_path / "frames.txt").write_text("\n".join(frames))
     read = read_colmap_model(tmp_path)
-    np.testing.assert_allclose(read.cams_from_world().as_matrix(), model.cams_from_world().as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        read.cams_from_world().as_matrix(), model.cams_from_world().as_matrix(), atol=1e-12
+    )
     np.testing.assert_allclose(read.rigs.cam_from_rig.as_matrix()[2], np.eye(4), atol=1e-12)
 
 
@@ -177,8 +191,16 @@ def _quat_wxyz(rotation: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("line", "model", "params"),
     [
-        ("SIMPLE_RADIAL_FISHEYE 640 480 500 310.5 245.5 0.1", "OPENCV_FISHEYE", [500, 500, 310, 245, 0.1, 0, 0, 0]),
-        ("RADIAL_FISHEYE 640 480 500 310.5 245.5 .1 .2", "OPENCV_FISHEYE", [500, 500, 310, 245, 0.1, 0.2, 0, 0]),
+        (
+            "SIMPLE_RADIAL_FISHEYE 640 480 500 310.5 245.5 0.1",
+            "OPENCV_FISHEYE",
+            [500, 500, 310, 245, 0.1, 0, 0, 0],
+        ),
+        (
+            "RADIAL_FISHEYE 640 480 500 310.5 245.5 .1 .2",
+            "OPENCV_FISHEYE",
+            [500, 500, 310, 245, 0.1, 0.2, 0, 0],
+        ),
         ("FISHEYE 640 480 500 505 310.5 245.5", "OPENCV_FISHEYE", [500, 505, 310, 245, 0, 0, 0, 0]),
         ("SIMPLE_FISHEYE 640 480 500 310.5 245.5", "OPENCV_FISHEYE", [500, 500, 310, 245, 0, 0, 0, 0]),
         (
@@ -188,7 +210,9 @@ def _quat_wxyz(rotation: np.ndarray) -> np.ndarray:
         ),
     ],
 )
-def test_special_cases_of_known_models_are_read(tmp_path: Path, line: str, model: str, params: list[float]) -> None:
+def test_special_cases_of_known_models_are_read(
+    tmp_path: Path, line: str, model: str, params: list[float]
+) -> None:
     (tmp_path / "cameras.txt").write_text(f"7 {line}\n")
     for name in ("images", "points3D"):
         (tmp_path / f"{name}.txt").write_text("# nothing\n")
@@ -261,9 +285,18 @@ def _replace_line(name: str, old: str, new: str) -> Callable[[Path], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_replace_line("cameras", "1 SIMPLE_RADIAL", "1 LENSLESS"), r"cameras.txt: line 4: unknown camera model LENSLESS"),
-        (_replace_line("cameras", "1 SIMPLE_RADIAL 640", "1 SIMPLE_RADIAL wide"), r"cameras.txt: line 4: not a camera"),
-        (_replace_line("cameras", "640 480 500.0", "640 480 -500.0"), r"camera 1: the focal length must be positive"),
+        (
+            _replace_line("cameras", "1 SIMPLE_RADIAL", "1 LENSLESS"),
+            r"cameras.txt: line 4: unknown camera model LENSLESS",
+        ),
+        (
+            _replace_line("cameras", "1 SIMPLE_RADIAL 640", "1 SIMPLE_RADIAL wide"),
+            r"cameras.txt: line 4: not a camera",
+        ),
+        (
+            _replace_line("cameras", "640 480 500.0", "640 480 -500.0"),
+            r"camera 1: the focal length must be positive",
+        ),
         (_replace_line("cameras", "640 480 500.0", "640 480 nan"), r"camera 1: .*not a finite number"),
         (_replace_line("cameras", "640 480", "0 480"), r"camera 1: impossible picture size"),
         (_replace_line("cameras", "2 OPENCV", "1 OPENCV"), r"cameras.txt: camera 1 is there twice"),
@@ -277,7 +310,9 @@ def _replace_line(name: str, old: str, new: str) -> Callable[[Path], None]:
         (_replace_line("points3D", "\n5 ", "\nfive "), r"points3D.txt: line \d+: not a point"),
     ],
 )
-def test_text_that_contradicts_itself_is_refused(tmp_path: Path, change: Callable[[Path], None], message: str) -> None:
+def test_text_that_contradicts_itself_is_refused(
+    tmp_path: Path, change: Callable[[Path], None], message: str
+) -> None:
     write_colmap_model(small_model(), tmp_path, text=True)
     change(tmp_path)
     with pytest.raises(FileFormatError, match=message):
@@ -297,7 +332,7 @@ def test_missing_models_and_places(tmp_path: Path, folder: Path) -> None:
     with pytest.raises(FileFormatError, match="no COLMAP model here"):
         read_colmap_model(tmp_path / "nowhere")
     (folder / "points3D.bin").unlink()
-    with pytest.raises(FileFormatError, match="points3D.bin: there is no such file"):
+    with pytest.raises(FileFormatError, match=r"points3D\.bin: there is no such file"):
         read_colmap_model(folder)
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError):

@@ -40,7 +40,7 @@ def file_text(path: Path) -> str:
 
 
 class ByteReader:
-    """A cursor over the bytes of one file that never reads past the end, nor believes a count that cannot be."""
+    """A cursor over a file's bytes that never reads past the end, nor believes a count that cannot be."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path

@@ -13,8 +13,8 @@ from epipole.errors import ConfigError
 
 HALF_PIXEL = 0.5
 
-# Models that epipole does not have. The first four are special cases of one that it has; the number is how many
-# parameters a file holds for it.
+# Models that epipole does not have but that are, or may be, special cases of one that it has; the number is
+# how many parameters a file holds.
 _SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE, _FISHEYE, _FULL_OPENCV = 8, 9, 14, 15, 6
 _OTHER_MODELS = {
     _SIMPLE_RADIAL_FISHEYE: ("SIMPLE_RADIAL_FISHEYE", 4),

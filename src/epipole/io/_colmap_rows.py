@@ -188,7 +188,7 @@ def trivial_frames(camera_ids: list[int], camera_rows: dict[int, int]) -> ImageP
 def frames_of(
     records: list[FrameRecord], layout: RigLayout, image_ids: list[int], camera_ids: list[int], path: Path
 ) -> ImagePlaces:
-    """Put images (with their cameras, in the order of the ids) into frames, which get rows in the order of theirs.
+    """Put images into frames; the rows of both are in the order of their ids.
 
     Raises:
         FileFormatError: an image is in no frame or in two, or a frame's rig does not have its camera.
@@ -208,10 +208,11 @@ def frames_of(
                 continue
             sensor = layout.sensor_of_rig_and_camera.get((rig, data.sensor_id), -1)
             fits = sensor >= 0 and camera_ids[image] == data.sensor_id
+            is_new = bool(frame_of_image[image] < 0)
             _require(
                 fits, path, f"{place}: image {data.data_id} is not of camera {data.sensor_id} of its rig"
             )
-            _require(frame_of_image[image] < 0, path, f"{place}: image {data.data_id} is in two frames")
+            _require(is_new, path, f"{place}: image {data.data_id} is in two frames")
             frame_of_image[image], sensor_of_image[image] = row, sensor
     for lost in np.flatnonzero(frame_of_image < 0):
         raise FileFormatError(path, f"image {image_ids[lost]} is in no frame")

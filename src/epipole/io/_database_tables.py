@@ -34,8 +34,8 @@ CONFIG_OF_KIND = {
     PairKind.ROTATION: 5,  # PANORAMIC
     PairKind.NO_MOTION: 5,  # a rotation by nothing: COLMAP has no word for it
 }
-# PLANAR_OR_PANORAMIC (6) still has a homography; UNDEFINED (0), WATERMARK (7) and MULTIPLE (8) have no model at all;
-# CALIBRATED_RIG (9) was verified through the rig's poses.
+# PLANAR_OR_PANORAMIC (6) still has a homography; UNDEFINED (0), WATERMARK (7) and MULTIPLE (8) have no
+# model at all; CALIBRATED_RIG (9) was verified through the rig's poses.
 KIND_OF_CONFIG = {
     **{1: PairKind.DEGENERATE, 2: PairKind.GENERAL, 3: PairKind.UNCALIBRATED},
     **{4: PairKind.PLANAR, 5: PairKind.ROTATION, 6: PairKind.PLANAR},
@@ -52,18 +52,21 @@ SCHEMA = (
         ref_sensor_id INTEGER NOT NULL, ref_sensor_type INTEGER NOT NULL)""",
     "CREATE UNIQUE INDEX rig_ref_sensor_assignment ON rigs(ref_sensor_id, ref_sensor_type)",
     """CREATE TABLE rig_sensors (
-        rig_id INTEGER NOT NULL, sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL, sensor_from_rig BLOB,
+        rig_id INTEGER NOT NULL, sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL,
+        sensor_from_rig BLOB,
         FOREIGN KEY(rig_id) REFERENCES rigs(rig_id) ON DELETE CASCADE)""",
     "CREATE UNIQUE INDEX rig_sensor_assignment ON rig_sensors(sensor_id, sensor_type)",
     """CREATE TABLE frames (
         frame_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, rig_id INTEGER NOT NULL,
         FOREIGN KEY(rig_id) REFERENCES rigs(rig_id) ON DELETE CASCADE)""",
     """CREATE TABLE frame_data (
-        frame_id INTEGER NOT NULL, data_id INTEGER NOT NULL, sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL,
+        frame_id INTEGER NOT NULL, data_id INTEGER NOT NULL,
+        sensor_id INTEGER NOT NULL, sensor_type INTEGER NOT NULL,
         FOREIGN KEY(frame_id) REFERENCES frames(frame_id) ON DELETE CASCADE)""",
     "CREATE UNIQUE INDEX frame_sensor_assignment ON frame_data(data_id, sensor_type)",
     """CREATE TABLE images (
-        image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, name TEXT NOT NULL UNIQUE, camera_id INTEGER NOT NULL,
+        image_id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+        name TEXT NOT NULL UNIQUE, camera_id INTEGER NOT NULL,
         CONSTRAINT image_id_check CHECK(image_id >= 0 and image_id < 2147483647),
         FOREIGN KEY(camera_id) REFERENCES cameras(camera_id))""",
     "CREATE UNIQUE INDEX index_name ON images(name)",
@@ -96,9 +99,9 @@ class DatabaseContents:
     rigs: Rigs
     frames: Frames
     images: Images
-    descriptors: Sequence[UInt8[np.ndarray, "k d"] | None] | None = None
+    descriptors: Sequence[UInt8[np.ndarray, "_ _"] | None] | None = None
     """For each image, a row per keypoint; None where there are none."""
-    matches: Mapping[tuple[int, int], Int32[np.ndarray, "m 2"]] = field(default_factory=dict)
+    matches: Mapping[tuple[int, int], Int32[np.ndarray, "_ 2"]] = field(default_factory=dict)
     """Matches before verification: (image1, image2) -> keypoint in image1, keypoint in image2."""
     view_graph: ViewGraph | None = None
     """Verified pairs."""

@@ -15,8 +15,8 @@ from epipole.errors import EpipoleError, WorkspaceError
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; what is written there replaces `path` when the block ends.
 
-    The temporary name keeps the suffix, since some writers choose the format by it. If the block raises, `path`
-    is as it was. Missing parent folders are made; a link is followed, not replaced.
+    The temporary name keeps the suffix, since some writers choose the format by it. If the block raises,
+    `path` is as it was. Missing parent folders are made; a link is followed, not replaced.
 
     Raises:
         WorkspaceError: the place is not writable, or full.

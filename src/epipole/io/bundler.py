@@ -23,8 +23,8 @@ _BUNDLER_AXES = np.array([1.0, -1.0, -1.0])
 def write_bundler(reconstruction: Reconstruction, path: str | Path) -> None:
     """Write the registered cameras and the points, with `list.txt` beside.
 
-    A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels count from the principal point, which
-    the format takes to be the middle of the picture; that keeps the file consistent where it is not.
+    A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels count from the principal point,
+    which the format takes to be the middle of the picture; that keeps the file consistent where it is not.
 
     Raises:
         ConfigError: a camera has a distortion that the format cannot hold (undistort the pictures first).
@@ -61,7 +61,8 @@ def _bundler_intrinsics(camera: Camera) -> np.ndarray:
     distortion[: len(values)] = values
     if camera.model == CameraModel.OPENCV_FISHEYE or distortion[2:].any():
         raise ConfigError(
-            f"Bundler cannot hold the distortion of {camera.model.name}, only k1 and k2; undistort the pictures first"
+            f"Bundler cannot hold the distortion of {camera.model.name}, only k1 and k2: "
+            "undistort the pictures first"
         )
     return np.array([camera.focal_px, distortion[0], distortion[1]])
 

@@ -1,13 +1,14 @@
 """COLMAP's sparse models, binary and text, with rigs and frames (COLMAP 4) or without (older ones).
 
-The half pixel between COLMAP and epipole is added and taken away here: (0.5, 0.5) in a file is (0, 0) in memory.
+The half pixel between COLMAP and epipole is added and taken away here: (0.5, 0.5) in a file is (0, 0) in
+memory.
 An id in a written file is the row + 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +41,8 @@ from epipole.scene import Reconstruction, Rigs
 def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, text: bool = False) -> None:
     """Write the registered images and the points as a COLMAP model; the same model gives the same bytes.
 
-    A camera that several sensors share is written once for each sensor, as COLMAP wants it. Model files of the
-    other kind (text or binary) that lie in the folder are removed, other files stay.
+    A camera that several sensors share is written once for each sensor, as COLMAP wants it. Model files of
+    the other kind (text or binary) that lie in the folder are removed, other files stay.
 
     Raises:
         ConfigError: an image's name cannot stand in such a file.
@@ -69,14 +70,12 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
 
 def camera_ids_of_sensors(rigs: Rigs, num_cameras: int) -> list[int]:
     """COLMAP's camera id of each sensor: the camera's row + 1, and a new id where a camera is used again."""
-    ids: list[int] = []
-    next_new = num_cameras + 1
+    new_ids = count(num_cameras + 1)
+    used: set[int] = set()
+    ids = []
     for camera in rigs.sensor_camera.tolist():
-        if camera + 1 in ids:
-            ids.append(next_new)
-            next_new += 1
-        else:
-            ids.append(camera + 1)
+        ids.append(next(new_ids) if camera in used else camera + 1)
+        used.add(camera)
     return ids
 
 

@@ -25,14 +25,14 @@ _WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
 _DEFAULT_FILES = {"ply": "scene.ply", "transforms": "transforms.json", "bundler": "bundle.out"}
 
 
-def convert_model(source_folder: str | Path, target: str | Path, format: ModelFormat) -> Path:
+def convert_model(source_folder: str | Path, target: str | Path, format: str) -> Path:
     """Read a COLMAP model (or a transforms.json) and write it in another format.
 
     Args:
         source_folder: folder with the model.
         target: a folder for txt and bin, otherwise a file, or an existing folder in which the file gets its
             usual name.
-        format: of the target.
+        format: of the target, a `ModelFormat`.
 
     Returns:
         What was written.

@@ -105,7 +105,7 @@ def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n
 
 
 def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float:
-    """A length that lets neighbouring cameras be told apart; without neighbours, by the distance to the points."""
+    """A length that keeps neighbouring cameras apart; without neighbours, by the distance to the points."""
     if len(centers) > 1:
         nearest = cKDTree(centers).query(centers, k=2)[0][:, 1]
         depth = CAMERA_SIZE * float(np.median(nearest))
@@ -182,17 +182,13 @@ def _read_header(path: Path, data: bytes) -> _Header:
                 byte_order = "" if words[1] == "ascii" else _BYTE_ORDERS[words[1]]
             elif words[:1] == ["element"]:
                 element, count = words[1], int(words[2])
-                if num_vertices < 0 and element != "vertex" and count > 0:
-                    raise FileFormatError(
-                        path, f"line {number}: the element {element!r} comes before the vertices"
-                    )
+                if count < 0 or (num_vertices < 0 and element != "vertex" and count > 0):
+                    raise ValueError("the vertices must come first")
                 num_vertices = count if element == "vertex" else num_vertices
             elif words[:1] == ["property"] and element == "vertex":
                 types.append(_TYPES[words[1]])
                 names.append(words[2])
         except (KeyError, IndexError, ValueError) as error:
-            if isinstance(error, FileFormatError):
-                raise
             raise FileFormatError(path, f"line {number}: cannot be understood: {line[:60]!r}") from error
     if byte_order is None or num_vertices < 0 or not names or len(set(names)) < len(names):
         raise FileFormatError(path, "the header does not describe vertices")

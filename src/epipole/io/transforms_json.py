@@ -1,7 +1,7 @@
 """Cameras as nerfstudio's transforms.json (also read: instant-ngp's and NeRF-synthetic's).
 
-A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal point
-counts from the corner of the picture, half a pixel before the centre of its first pixel.
+A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal
+point counts from the corner of the picture, half a pixel before the centre of its first pixel.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
 
 
 def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstruction:
-    """Read cameras, and the points if the file names some; there are no keypoints and no tracks in such a file.
+    """Read cameras, and the points if the file names some; such a file has no keypoints and no tracks.
 
     Args:
         path: the JSON file.

@@ -103,7 +103,7 @@ def _strecha(path: Path) -> Rigid3:
 
 
 def _middlebury(path: Path) -> TruthCameras:
-    """Per line: name, K, R and t of P = K [R t], row by row (Seitz et al., CVPR 2006); the first line counts."""
+    """Per line: name, K, R and t of P = K [R t], row by row (Seitz et al., CVPR 2006); line 1 counts."""
     lines = [line.split() for line in file_text(path).splitlines() if line.strip()]
     names, motions = [], []
     for number, words in enumerate(lines[1:], 2):

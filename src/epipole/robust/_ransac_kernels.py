@@ -33,6 +33,8 @@ from epipole.solvers._two_view_kernels import (
     svd3,
 )
 
+# Whole numbers are passed as np.int64: Numba compiles a function anew for every literal one.
+LOCAL_STEPS, FINAL_STEPS = 10, 30
 SAFETY = 2.0  # samples drawn per sample needed: a sample of inliers may still be a poor one
 MODEL_SIZE = 28  # room for the largest model: F (9), U (9), V (9), ratio of singular values
 
@@ -97,10 +99,10 @@ def _specialize(function, **implementations):
 
 _specialize(
     sample_size,
-    EssentialProblem=lambda problem: 5,
-    FundamentalProblem=lambda problem: 7,
-    HomographyProblem=lambda problem: 4,
-    AbsolutePoseProblem=lambda problem: 3,
+    EssentialProblem=lambda problem: np.int64(5),
+    FundamentalProblem=lambda problem: np.int64(7),
+    HomographyProblem=lambda problem: np.int64(4),
+    AbsolutePoseProblem=lambda problem: np.int64(3),
 )
 _specialize(
     num_items,
@@ -111,10 +113,10 @@ _specialize(
 )
 _specialize(
     degrees_of_freedom,
-    EssentialProblem=lambda problem: 5,
-    FundamentalProblem=lambda problem: 7,
-    HomographyProblem=lambda problem: 9,
-    AbsolutePoseProblem=lambda problem: 6,
+    EssentialProblem=lambda problem: np.int64(5),
+    FundamentalProblem=lambda problem: np.int64(7),
+    HomographyProblem=lambda problem: np.int64(9),
+    AbsolutePoseProblem=lambda problem: np.int64(6),
 )
 _specialize(
     workspace,
@@ -126,8 +128,8 @@ _specialize(
 
 
 @kernel
-def _gather(matches, sample, size, x1, x2):
-    for k in range(size):
+def _gather(matches, sample, x1, x2):
+    for k in range(len(x1)):
         x1[k, 0], x1[k, 1], x1[k, 2] = matches[0, sample[k]], matches[1, sample[k]], 1.0
         x2[k, 0], x2[k, 1], x2[k, 2] = matches[2, sample[k]], matches[3, sample[k]], 1.0
 
@@ -135,10 +137,10 @@ def _gather(matches, sample, size, x1, x2):
 @kernel
 def _solve_essential(matches, sample, models, work):
     y1, y2, essentials, motions = np.empty((5, 3)), np.empty((5, 3)), np.empty((10, 9)), np.empty((4, 12))
-    _gather(matches, sample, 5, y1, y2)
+    _gather(matches, sample, y1, y2)
     count = 0
     for k in range(essential_five_point(y1, y2, essentials, work)):
-        for c in range(motions_from_essential(essentials[k], y1, y2, 5, motions)):
+        for c in range(motions_from_essential(essentials[k], y1, y2, motions)):
             if count < len(models):
                 models[count, :12] = motions[c]
                 count += 1
@@ -148,7 +150,7 @@ def _solve_essential(matches, sample, models, work):
 @kernel
 def _solve_fundamental(matches, sample, models, work):
     x1, x2, found = np.empty((7, 3)), np.empty((7, 3)), np.empty((3, 9))
-    _gather(matches, sample, 7, x1, x2)
+    _gather(matches, sample, x1, x2)
     count = fundamental_seven_point(x1, x2, found, work)
     for k in range(count):
         models[k, :9] = found[k]
@@ -159,7 +161,7 @@ def _solve_fundamental(matches, sample, models, work):
 @kernel
 def _solve_homography(matches, sample, models):
     x1, x2 = np.empty((4, 3)), np.empty((4, 3))
-    _gather(matches, sample, 4, x1, x2)
+    _gather(matches, sample, x1, x2)
     return 1 if homography_four_point(x1, x2, models[0]) else 0
 
 
@@ -229,9 +231,9 @@ _specialize(
 
 
 @kernel
-def _project_normal_equations(a9, b9, d, size, a, b):
+def _project_normal_equations(a9, b9, d, a, b):
     """a = D^T A D, b = D^T B for the derivative D (size, 9) of the matrix entries."""
-    for i in range(size):
+    for i in range(len(d)):
         b[i] = 0.0
         for k in range(9):
             b[i] += d[i, k] * b9[k]
@@ -284,7 +286,7 @@ def _linearize_motion(matches, motion, threshold_sq, a, b):
     for c in range(2):
         moved[9:] = basis[c]
         essential_from_motion(moved, d[3 + c])
-    _project_normal_equations(a9, b9, d, 5, a, b)
+    _project_normal_equations(a9, b9, d, a, b)
     return total
 
 
@@ -362,7 +364,7 @@ def _linearize_fundamental(matches, model, threshold_sq, a, b):
             d[4, k] = -u0 * v2
             d[5, k] = u0 * v1 - u1 * ratio * v0
             d[6, k] = u1 * v1
-    _project_normal_equations(a9, b9, d, 7, a, b)
+    _project_normal_equations(a9, b9, d, a, b)
     return total
 
 
@@ -518,7 +520,7 @@ def ransac(problem, confidence, min_iterations, max_iterations, seed, best, resi
         if improved < 0:
             continue
         local[:] = models[improved]
-        this = min(refine(problem, local, 10), best_minimal)
+        this = min(refine(problem, local, np.int64(LOCAL_STEPS)), best_minimal)
         if this < best_score:
             best_score = this
             best[:] = local
@@ -530,6 +532,6 @@ def ransac(problem, confidence, min_iterations, max_iterations, seed, best, resi
                 more = SAFETY * math.log(1.0 - confidence) / math.log(miss)
                 needed = int(min(float(max_iterations), max(float(min_iterations), more)))
     if best_score < math.inf:
-        best_score = refine(problem, best, 30)
+        best_score = refine(problem, best, np.int64(FINAL_STEPS))
         residuals_sq(problem, best, residuals)
     return best_score, iteration

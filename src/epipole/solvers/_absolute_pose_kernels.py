@@ -31,7 +31,7 @@ def p3p(rays, points, motions, w):
     poly[1] = 4.0 * (-q * (1.0 + q) * cb + 2.0 * a_b * cg * cg * cb - (1.0 - sum_ac) * ca * cg)
     poly[0] = (1.0 + q) ** 2 - 4.0 * a_b * cg * cg
     found = 0
-    for k in range(real_roots(poly, 4, root_work, roots)):
+    for k in range(real_roots(poly, root_work, roots)):
         v = roots[k]
         below = 2.0 * (cg - v * ca)
         denominator = 1.0 + v * v - 2.0 * v * cb
@@ -49,7 +49,7 @@ def p3p(rays, points, motions, w):
 @kernel
 def p3p_workspace():
     """Arrays that `p3p` writes into."""
-    return np.empty(12), np.empty(12), np.empty((3, 12, 12))
+    return np.empty(5), np.empty(12), np.empty((3, 12, 12))
 
 
 @kernel

@@ -32,8 +32,9 @@ def solve_spd(a, b, n):
 
 
 @kernel
-def reduce_rows(a, rows, cols):
+def reduce_rows(a):
     """Gauss-Jordan with row pivoting: a -> [I | B], in place; False where a pivot vanishes."""
+    rows, cols = a.shape
     for j in range(rows):
         best = j
         for i in range(j + 1, rows):
@@ -57,11 +58,12 @@ def reduce_rows(a, rows, cols):
 
 
 @kernel
-def null_space(a, rows, cols, basis):
+def null_space(a, basis):
     """Orthonormal basis (cols - rows vectors in basis' rows) of the null space of a (rows x cols).
 
     Householder QR of a^T, in place: the last columns of Q span the complement of a's rows.
     """
+    rows, cols = a.shape
     for j in range(rows):
         norm = 0.0
         for c in range(j, cols):
@@ -98,8 +100,9 @@ def null_space(a, rows, cols, basis):
 
 
 @kernel
-def symmetric_eigen(a, n, vectors):
+def symmetric_eigen(a, vectors):
     """Jacobi's method: a (n x n, symmetric) becomes diagonal, columns of vectors its eigenvectors (unsorted)."""
+    n = len(a)
     for i in range(n):
         for j in range(n):
             vectors[i, j] = 1.0 if i == j else 0.0
@@ -201,11 +204,12 @@ def _horner(poly, degree, x):
 
 
 @kernel
-def real_roots(poly, degree, work, roots):
+def real_roots(poly, work, roots):
     """All real roots of poly (ascending coefficients); returns their number.
 
     Roots beyond 1 in size are the inverses of those of the reversed polynomial inside the interval.
     """
+    degree = len(poly) - 1
     biggest = 0.0
     for k in range(degree + 1):
         biggest = max(biggest, abs(poly[k]))

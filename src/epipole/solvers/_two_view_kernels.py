@@ -73,9 +73,9 @@ def _essential_constraints(e, work, out):
 
 
 @kernel
-def _multiply_add(a, da, b, db, out, sign):
-    for i in range(da + 1):
-        for j in range(db + 1):
+def _multiply_add(a, b, out, sign):
+    for i in range(len(a)):
+        for j in range(len(b)):
             out[i + j] += sign * a[i] * b[j]
 
 
@@ -91,12 +91,12 @@ def essential_five_point(y1, y2, essentials, w):
         for i in range(3):
             for j in range(3):
                 a[k, 3 * i + j] = y2[k, i] * y1[k, j]
-    null_space(a, 5, 9, basis)
+    null_space(a, basis)
     for i in range(9):
         for m in range(4):
             e[i, m] = basis[m, i]
     _essential_constraints(e, quadratics, system)
-    if not reduce_rows(system, 10, 20):
+    if not reduce_rows(system):
         return 0
     # Rows x2z - z x2, y2z - z y2, xyz - z xy leave a 3x3 matrix B(z) with B(z) (x, y, 1)^T = 0.
     b[:, :, :] = 0.0
@@ -117,10 +117,10 @@ def essential_five_point(y1, y2, essentials, w):
     for r in range(3):
         p, q = (r + 1) % 3, (r + 2) % 3
         minor[:] = 0.0
-        _multiply_add(b[p, 0], 3, b[q, 1], 3, minor, 1.0)
-        _multiply_add(b[p, 1], 3, b[q, 0], 3, minor, -1.0)
-        _multiply_add(minor, 6, b[r, 2], 4, poly, 1.0)
-    count = real_roots(poly, 10, root_work, roots)
+        _multiply_add(b[p, 0, :4], b[q, 1, :4], minor, 1.0)
+        _multiply_add(b[p, 1, :4], b[q, 0, :4], minor, -1.0)
+        _multiply_add(minor[:7], b[r, 2], poly, 1.0)
+    count = real_roots(poly, root_work, roots)
     found = 0
     for k in range(count):
         if _essential_at_root(b, roots[k], basis, essentials[found]):
@@ -185,15 +185,15 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
         for i in range(3):
             for j in range(3):
                 a[k, 3 * i + j] = x2[k, i] * x1[k, j]
-    null_space(a, 7, 9, basis)
+    null_space(a, basis)
     f, g = basis[0], basis[1]
     # det(f + s g) = c0 + c1 s + c2 s^2 + c3 s^3, each coefficient a sum over rows taken from f or g.
-    poly = root_work[2, 3]
+    poly = root_work[2, 3, :4]
     poly[0] = _det_rows(f, f, f)
     poly[1] = _det_rows(g, f, f) + _det_rows(f, g, f) + _det_rows(f, f, g)
     poly[2] = _det_rows(f, g, g) + _det_rows(g, f, g) + _det_rows(g, g, f)
     poly[3] = _det_rows(g, g, g)
-    count = real_roots(poly, 3, root_work, roots)
+    count = real_roots(poly, root_work, roots)
     for k in range(count):
         norm = math.sqrt(1.0 + roots[k] * roots[k])
         for i in range(9):
@@ -274,7 +274,7 @@ def svd3(m, u, s, v):
     for i in range(3):
         for j in range(3):
             a[i, j] = m[0, i] * m[0, j] + m[1, i] * m[1, j] + m[2, i] * m[2, j]
-    symmetric_eigen(a, 3, vectors)
+    symmetric_eigen(a, vectors)
     first, last = 0, 0
     for i in range(1, 3):
         if a[i, i] > a[first, first]:
@@ -336,8 +336,8 @@ def is_in_front(motion, a, b):
 
 
 @kernel
-def motions_from_essential(e, y1, y2, count, motions):
-    """Those of the four motions (R, t), |t| = 1, of E that put all `count` matches in front (HZ result 9.19)."""
+def motions_from_essential(e, y1, y2, motions):
+    """Those of the four motions (R, t), |t| = 1, of E that put all matches in front (HZ result 9.19)."""
     m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -354,7 +354,7 @@ def motions_from_essential(e, y1, y2, count, motions):
                     out[3 * i + j] = turn * (u[i, 1] * v[j, 0] - u[i, 0] * v[j, 1]) + u[i, 2] * v[j, 2]
                 out[9 + i] = sign * u[i, 2]
             in_front = True
-            for k in range(count):
+            for k in range(len(y1)):
                 if not is_in_front(out, y1[k], y2[k]):
                     in_front = False
                     break
