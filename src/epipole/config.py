@@ -39,19 +39,20 @@ class FeatureConfig:
 class MatchConfig:
     """Options of matching."""
 
-    max_ratio: float = 0.8
+    max_ratio: float = 0.75
     """Lowe's ratio: the nearest descriptor must be nearer than this times the second nearest."""
     max_distance: float = 0.7
     """SIFT: largest angle between matching descriptors, in radians."""
     max_bits: int = 64
     """ORB: largest Hamming distance of a match."""
     scout_features: int = 2048
-    """SIFT: the largest features of both pictures are compared first; their geometry guides the rest. 0: never."""
+    """SIFT: of both pictures so many features at most, the largest third, are compared first; their geometry
+    guides the rest. 0: never."""
     scout_min_matches: int = 12
     """Fewer matches of the scouts mean that the pictures do not overlap."""
     scout_min_inliers: int = 30
     """Fewer consistent scouts guide nobody: all features are compared with all."""
-    band_px: float = 8.0
+    band_px: float = 3.0
     """Guided matches lie within so many pixels of their epipolar line."""
 
     def __post_init__(self) -> None:
@@ -92,6 +93,8 @@ class RansacConfig:
     max_iterations: int = 10_000
     min_inliers: int = 15
     """Fewer inliers count as failure."""
+    min_inlier_ratio: float = 0.3
+    """A smaller share of inliers is not searched for, though taken when met."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -116,6 +119,12 @@ class MapperConfig:
     """Median triangulation angle from which on a wider one does not make a better first pair."""
     start_trials: int = 30
     """First pairs tried at most."""
+    probe_images: int = 5
+    """A start is judged when its model has so many images."""
+    sound_share: float = 0.75
+    """Share of the matches between registered images that a sound model sees as common points."""
+    image_share: float = 0.3
+    """An image whose matches agree less with the model is taken out again."""
     max_error_px: float = 4.0
     """Observations with a larger reprojection error are dropped."""
     min_angle_deg: float = 1.5
@@ -134,8 +143,8 @@ class MapperConfig:
     """Adjust, filter and triangulate again at most so often in the end."""
     settled_share: float = 5e-4
     """Share of changed observations below which the model counts as settled."""
-    loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "soft_l1"
-    """Robust loss of the global adjustment."""
+    final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "cauchy"
+    """Robust loss of the last adjustment; soft L1 before it."""
     loss_scale_px: float = 1.0
     refine_focal: bool = True
     """Refine focal lengths that are not given as known."""

@@ -4,6 +4,7 @@ from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
+from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.model_builder import MatchComponents as MatchComponents
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import connect_matches as connect_matches

@@ -1,7 +1,7 @@
 """Tracks: merging of matches, triangulation, extension and filtering, one component of matches at a time.
 
-A component is a set of keypoints connected by verified matches; its rows are consecutive. A component may give
-several points (a false match joins two) and a point takes at most one row of each image.
+A component is a set of keypoints connected by verified matches, one of an image; its rows are consecutive. It may
+give several points, for a false match can join two.
 """
 
 import math
@@ -23,13 +23,37 @@ def _root(parent, i):
 
 
 @kernel
-def connected_components(row1, row2, parent):
-    """Union-find: parent[i] becomes the smallest keypoint row of i's component."""
+def connect_without_conflict(row1, row2, image, parent, following, stamp):
+    """Union-find over matches in the given order; parent[i] becomes the smallest keypoint row of i's component.
+
+    A match that would put two keypoints of one image into a component is refused: one of the matches behind it
+    is wrong, and the earlier ones are the stronger. following links each component's members in a ring; stamp
+    (one per image, zero) tells which images a component has.
+    """
     for k in range(len(row1)):
         a, b = _root(parent, row1[k]), _root(parent, row2[k])
+        if a == b:
+            continue
+        member = a
+        while True:
+            stamp[image[member]] = k + 1
+            member = following[member]
+            if member == a:
+                break
+        conflict, member = False, b
+        while True:
+            if stamp[image[member]] == k + 1:
+                conflict = True
+                break
+            member = following[member]
+            if member == b:
+                break
+        if conflict:
+            continue
+        following[a], following[b] = following[b], following[a]
         if a < b:
             parent[b] = a
-        elif b < a:
+        else:
             parent[a] = b
     for i in range(len(parent)):
         parent[i] = _root(parent, i)

@@ -49,12 +49,17 @@ class MatchComponents:
 
 
 def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
-    """Merge the verified matches of all pairs into components of two or more keypoints (union-find)."""
+    """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+    strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
     row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
     row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    kernels.connected_components(row1.astype(np.int64), row2.astype(np.int64), parent)
+    image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
+    kernels.connect_without_conflict(
+        *(row1[strongest_first].astype(np.int64), row2[strongest_first].astype(np.int64), image_of_row),
+        *(parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64)),
+    )
     sizes = np.bincount(parent, minlength=len(parent))
     rows = np.flatnonzero(sizes[parent] >= 2)
     rows = rows[np.argsort(parent[rows], kind="stable")]

@@ -498,7 +498,19 @@ def _count_within(problem, model, residuals):
 
 
 @kernel
-def ransac(problem, confidence, min_iterations, max_iterations, seed, best, residuals):
+def _iterations_needed(ratio, size, confidence, safety, least, most):
+    """log(1 - confidence) / log(1 - ratio^size) samples hold one of inliers alone (Fischler and Bolles 1981)."""
+    miss = 1.0 - ratio**size
+    if miss <= 0.0:
+        return least
+    if miss >= 1.0:
+        return most
+    count = safety * math.log(1.0 - confidence) / math.log(miss)
+    return int(min(float(most), max(float(least), count)))
+
+
+@kernel
+def ransac(problem, confidence, min_iterations, max_iterations, min_ratio, seed, best, residuals):
     """Write the best model into `best` (MODEL_SIZE) and its squared residuals into `residuals` (n).
 
     Returns (score, iterations); the score is infinite if no model was found.
@@ -508,7 +520,9 @@ def ransac(problem, confidence, min_iterations, max_iterations, seed, best, resi
     state[0] = np.uint64(seed)
     work, models, local = workspace(problem), np.empty((40, MODEL_SIZE)), np.empty(MODEL_SIZE)
     sample = np.empty(8, np.int64)
-    best_score, best_minimal, needed, iteration = math.inf, math.inf, max_iterations, 0
+    best_score, best_minimal, iteration = math.inf, math.inf, 0
+    # A smaller share of inliers than this would count as failure: no need to search for it.
+    needed = _iterations_needed(min_ratio, size, confidence, 1.0, min_iterations, max_iterations)
     while iteration < needed:
         iteration += 1
         _draw(state, n, size, sample)
@@ -525,12 +539,8 @@ def ransac(problem, confidence, min_iterations, max_iterations, seed, best, resi
             best_score = this
             best[:] = local
             ratio = _count_within(problem, local, residuals) / n
-            miss = 1.0 - ratio**size
-            if miss <= 0.0:
-                needed = min_iterations
-            elif miss < 1.0:
-                more = SAFETY * math.log(1.0 - confidence) / math.log(miss)
-                needed = int(min(float(max_iterations), max(float(min_iterations), more)))
+            enough = _iterations_needed(ratio, size, confidence, SAFETY, min_iterations, max_iterations)
+            needed = min(needed, enough)
     if best_score < math.inf:
         best_score = refine(problem, best, np.int64(FINAL_STEPS))
         residuals_sq(problem, best, residuals)

@@ -64,6 +64,8 @@ def verify_pair(
     nothing = Rigid3(np.full((3, 3), np.nan), np.full(3, np.nan))
     blank = np.full((3, 3), np.nan)
     failed = PairGeometry(PairKind.DEGENERATE, np.zeros(n, bool), nothing, blank, blank, blank, float("nan"))
+    if n < config.min_inliers:
+        return failed
     if is_calibrated:
         epipolar = estimate_essential_matrix(pixels1, pixels2, camera1, camera2, config)
     else:

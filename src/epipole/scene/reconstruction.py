@@ -64,7 +64,7 @@ class Reconstruction:
         for image in np.unique(self.tracks.image):
             rows = np.flatnonzero(self.tracks.image == image)
             in_cam = cams_from_world[image].apply(points[rows])
-            projected = self.cameras[camera_of_image[image]].project(in_cam)
+            projected = self.cameras[int(camera_of_image[image])].project(in_cam)
             out[rows] = np.linalg.norm(projected - pixels[rows], axis=1)
         return out
 

@@ -10,6 +10,7 @@ import numpy as np
 from epipole.geometry import Rigid3
 from epipole.mapping import (
     Freedom,
+    MatchConsistency,
     ModelBuilder,
     PositionPriors,
     adjust_all,
@@ -21,6 +22,9 @@ from epipole.optim import BundleConfig, Loss
 from epipole.config import MapperConfig, RansacConfig
 from epipole.robust import PairKind
 from epipole.scene import ViewGraph
+
+MAX_PROBES = 8
+"""Starts grown and judged at most."""
 
 Progress = Callable[[int, int], None]
 
@@ -39,6 +43,7 @@ class IncrementalMapper:
 
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig) -> None:
         self.model, self.view_graph, self.config = model, view_graph, config
+        self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
         self.priors: PositionPriors | None = None
         self._ransac = RansacConfig(
@@ -52,43 +57,90 @@ class IncrementalMapper:
 
     def run(self, usable: np.ndarray, progress: Progress | None = None) -> bool:
         """Map the usable images (mask); False if no pair of them can start a model."""
-        total = int(usable.sum())
         if not self.start(usable):
             return False
-        size_at_global = 2
-        while (image := self.register_next(usable)) is not None:
+        self.grow(usable, int(usable.sum()), progress)
+        self.adjust_globally(rounds=self.config.final_rounds)
+        self.finish()
+        return True
+
+    def finish(self) -> None:
+        """Adjust once more with a loss that ignores what is left of wrong matches.
+
+        Not earlier: a loss that falls back cannot pull a bent chain of images together when a loop closes.
+        """
+        last = replace(self._global_bundle(), loss=Loss[self.config.final_loss.upper()], function_tolerance=1e-6)
+        adjust_all(self.model, last, self._freedom(), self.priors)
+        self.model.filter(self.config.max_error_px, self._angle)
+
+    def grow(self, usable: np.ndarray, limit: int, progress: Progress | None = None) -> None:
+        """Place images one by one until `limit` are registered or none fits any more."""
+        size_at_global = int(self.model.registered.sum())
+        while self.model.registered.sum() < limit and (image := self.register_next(usable)) is not None:
             self.triangulate_around(image)
             count = int(self.model.registered.sum())
-            if count >= self.config.global_growth * size_at_global or count == total:
-                self.adjust_globally(rounds=1 if count < total else 0)
+            if count >= self.config.global_growth * size_at_global:
+                self.adjust_globally(rounds=1)
                 size_at_global = count
             else:
                 adjust_around(self.model, image, self.config.local_images, self._local_bundle(), self._freedom())
                 self.model.filter(self.config.max_error_px, self._angle)
+            self._take_out_if_wrong(image)
             if progress is not None:
-                progress(int(self.model.registered.sum()), total)
-        self.adjust_globally(rounds=self.config.final_rounds)
-        return True
+                progress(int(self.model.registered.sum()), int(usable.sum()))
 
     def start(self, usable: np.ndarray) -> bool:
-        """Find a pair that gives a sound model: many inliers under a wide angle, tried in falling order of both."""
-        g = self.view_graph
-        tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
-        candidates = np.flatnonzero(
-            tells_depth
-            & usable[g.image1]
-            & usable[g.image2]
-            & (g.num_inliers() >= self.config.start_min_inliers)
-            & np.isfinite(g.median_angle_rad)
-        )
-        wanted = np.deg2rad(self.config.start_angle_deg)
-        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(g.median_angle_rad / wanted, 1.0)
-        order = np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")
-        for edge in candidates[order[: self.config.start_trials]]:
-            if self._start_from(int(edge)):
+        """Start from the pair whose model, grown to a few images, agrees with the matches.
+
+        Pairs are tried in falling order of inliers and angle. The first sound model is kept; if none is sound,
+        the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
+        """
+        best_share, best_edge, probes = 0.0, -1, 0
+        for edge in self._ranked_starts(usable)[: self.config.start_trials]:
+            if probes == MAX_PROBES or not self._probe(int(edge), usable):
+                if probes == MAX_PROBES:
+                    break
+                continue
+            probes += 1
+            share = self.consistency.overall(self.model)
+            if share >= self.config.sound_share:
                 return True
+            if share > best_share:
+                best_share, best_edge = share, int(edge)
+        if best_edge >= 0 and self._probe(best_edge, usable):
+            return True
         self.model.clear()
         return False
+
+    def _probe(self, edge: int, usable: np.ndarray) -> bool:
+        self.rejections.clear()
+        if not self._start_from(edge):
+            return False
+        self.grow(usable, min(self.config.probe_images, int(usable.sum())))
+        return True
+
+    def _ranked_starts(self, usable: np.ndarray) -> np.ndarray:
+        g = self.view_graph
+        tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
+        fits = tells_depth & usable[g.image1] & usable[g.image2] & np.isfinite(g.median_angle_rad)
+        wanted = np.deg2rad(self.config.start_angle_deg)
+        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(g.median_angle_rad / wanted, 1.0)
+        for least in (self.config.start_min_inliers, self.config.start_min_inliers // 2, self._ransac.min_inliers):
+            candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
+            if len(candidates):
+                break
+        return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
+
+    def _take_out_if_wrong(self, image: int) -> None:
+        """Take out an image that sees its own matches as different points: it stands in the wrong place."""
+        if self.model.registered[image] and self.model.registered.sum() > 3:
+            if self.consistency.of_image(self.model, image) < self.config.image_share:
+                in_sight = self._num_rows_in_sight(image)
+                self.model.deregister(image)
+                self.rejections[image] = Rejection(image, in_sight, 0)
+
+    def _num_rows_in_sight(self, image: int) -> int:
+        return int(self.model.has_point()[self.model.row_component[self.model.rows_of_image[image]]].sum())
 
     def _start_from(self, edge: int) -> bool:
         g, model = self.view_graph, self.model
@@ -144,8 +196,7 @@ class IncrementalMapper:
             model, image, replace(self._ransac, seed=self._ransac.seed + image), search_focal=search_focal
         )
         if not estimate.success or estimate.num_inliers < self.config.resection_min_ratio * len(np.unique(rows)):
-            in_sight = int(model.has_point()[model.row_component[model.rows_of_image[image]]].sum())
-            self.rejections[image] = Rejection(image, in_sight, estimate.num_inliers)
+            self.rejections[image] = Rejection(image, self._num_rows_in_sight(image), estimate.num_inliers)
             return False
         if search_focal:
             model.params[camera_index, : len(camera.params)] = camera.params
@@ -193,9 +244,7 @@ class IncrementalMapper:
         return BundleConfig(loss=Loss.SOFT_L1, max_iterations=10, function_tolerance=1e-4)
 
     def _global_bundle(self) -> BundleConfig:
-        return BundleConfig(
-            loss=Loss[self.config.loss.upper()], loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5
-        )
+        return BundleConfig(loss=Loss.SOFT_L1, loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5)
 
 
 def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:

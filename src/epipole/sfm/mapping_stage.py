@@ -74,6 +74,7 @@ def _put_in_place(mapper: IncrementalMapper, positions_enu: np.ndarray, config: 
     model.move(aligned.enu_from_world)
     mapper.priors = PositionPriors(np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m)
     mapper.adjust_globally(rounds=2)
+    mapper.finish()
     return np.linalg.norm(model.center - positions_enu, axis=1)
 
 

@@ -20,6 +20,7 @@ from epipole.workflow import Unit, digest, load
 
 FORMAT = 1
 BLOCK_PAIRS = 8
+MIN_SCOUTS = 768
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +105,7 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
     are the preemptive features of Wu, 3DV 2013).
     """
     config = payload.matching
-    scouts = config.scout_features
+    scouts = min(config.scout_features, max(MIN_SCOUTS, max(len(first), len(second)) // 3))
     if first.descriptors.shape[1] != 128 or scouts == 0 or max(len(first), len(second)) <= scouts:
         return match_descriptors(first.descriptors, second.descriptors, config)
     matches = match_descriptors(first.descriptors[:scouts], second.descriptors[:scouts], config)

@@ -1,0 +1,47 @@
+"""How far a model agrees with the matches it was made from."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole.mapping.model_builder import ModelBuilder
+from epipole.scene import ViewGraph
+
+
+class MatchConsistency:
+    """Measures, for each pair, the share of its verified matches that are seen as one point by both images.
+
+    In a sound model it is high for every pair (0.9 is usual). A mirrored start, a wrong place or two sides of a
+    symmetric thing folded onto each other leave pairs with hardly any.
+    """
+
+    def __init__(self, model: ModelBuilder, view_graph: ViewGraph) -> None:
+        starts = np.concatenate([[0], np.cumsum([len(k) for k in model.keypoints])]).astype(np.int64)
+        row_of_keypoint = np.full(starts[-1], -1, np.int64)
+        components = model.components
+        row_of_keypoint[starts[components.image] + components.keypoint] = np.arange(len(components.image))
+        self._pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+        self._row1 = row_of_keypoint[starts[view_graph.image1[self._pair]] + view_graph.keypoint1]
+        self._row2 = row_of_keypoint[starts[view_graph.image2[self._pair]] + view_graph.keypoint2]
+        self._view_graph = view_graph
+
+    def shares(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
+        """Per pair the share of its matches that became one point, NaN unless both are registered; and matches."""
+        point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
+        count = np.bincount(self._pair, minlength=len(self._view_graph))
+        same = np.bincount(self._pair, (point1 == point2) & (point1 >= 0), len(self._view_graph))
+        both = model.registered[self._view_graph.image1] & model.registered[self._view_graph.image2]
+        return np.where(both, same / np.maximum(count, 1), np.nan), count
+
+    def overall(self, model: ModelBuilder) -> float:
+        """The share over all matches between registered images; 0 for an empty model."""
+        shares, count = self.shares(model)
+        known = np.isfinite(shares)
+        return float((shares[known] * count[known]).sum() / max(count[known].sum(), 1))
+
+    def of_image(self, model: ModelBuilder, image: int) -> float:
+        """The share over the matches of one image with the other registered ones; 1 where there are none."""
+        shares, count = self.shares(model)
+        own = ((self._view_graph.image1 == image) | (self._view_graph.image2 == image)) & np.isfinite(shares)
+        return float((shares[own] * count[own]).sum() / count[own].sum()) if count[own].sum() else 1.0
