@@ -17,9 +17,10 @@ from time import perf_counter
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import config as numba_config
+from numba.core import config
 from numba.core import event as numba_event
 
+_numba_config: Any = config
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # No nnan or ninf: `fastmath=True` makes isfinite() and isnan() lie. No contract or arcp either: they round
@@ -37,8 +38,13 @@ def cache_folder() -> Path:
         digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
     asked = os.environ.get("EPIPOLE_CACHE_DIR")
-    base = Path(asked) if asked else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "epipole"
-    for candidate in (base, Path(tempfile.gettempdir()) / f"epipole-{os.getuid() if hasattr(os, 'getuid') else 0}"):
+    base = (
+        Path(asked) if asked else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "epipole"
+    )
+    for candidate in (
+        base,
+        Path(tempfile.gettempdir()) / f"epipole-{os.getuid() if hasattr(os, 'getuid') else 0}",
+    ):
         folder = candidate / "kernels" / name
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +55,9 @@ def cache_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="epipole-kernels-"))
 
 
-def kernel(function: Function | None = None, *, inline: bool = False, extra_fastmath: frozenset[str] = frozenset()) -> Any:
+def kernel(
+    function: Function | None = None, *, inline: bool = False, extra_fastmath: frozenset[str] = frozenset()
+) -> Any:
     """Compile a function lazily as a serial, GIL-free, disk-cached kernel.
 
     Args:
@@ -59,8 +67,8 @@ def kernel(function: Function | None = None, *, inline: bool = False, extra_fast
     """
     if function is None:
         return lambda f: kernel(f, inline=inline, extra_fastmath=extra_fastmath)
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder())
+    previous = _numba_config.CACHE_DIR
+    _numba_config.CACHE_DIR = str(cache_folder())
     try:
         compiled = numba.njit(
             unwrap(function),
@@ -71,7 +79,7 @@ def kernel(function: Function | None = None, *, inline: bool = False, extra_fast
             inline="always" if inline else "never",
         )
     finally:
-        numba_config.CACHE_DIR = previous
+        _numba_config.CACHE_DIR = previous
     return cast(Function, compiled)
 
 
@@ -97,7 +105,7 @@ class _CompileClock(numba_event.Listener):
 
 
 _clock = _CompileClock()
-numba_event.register("numba:compile", _clock)
+cast(Any, numba_event).register("numba:compile", _clock)
 
 
 def compile_seconds() -> float:

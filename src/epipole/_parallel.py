@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -51,7 +52,7 @@ def _shared_pool() -> ThreadPoolExecutor:
 
 
 def _forget_pool_after_fork() -> None:
-    global _pool, _lock  # noqa: PLW0603 - threads do not survive a fork
+    global _pool, _lock
     _pool, _lock = None, threading.Lock()
 
 
@@ -63,7 +64,7 @@ def chunk_bounds(num_items: int, num_chunks: int) -> list[tuple[int, int]]:
     """Cut range(num_items) into at most num_chunks (start, stop) pieces of nearly equal length."""
     num_chunks = max(1, min(num_chunks, num_items))
     edges = [num_items * c // num_chunks for c in range(num_chunks + 1)]
-    return [(a, b) for a, b in zip(edges[:-1], edges[1:]) if b > a]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
 
 
 def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chunks: int = 16) -> list[Result]:

@@ -146,6 +146,9 @@ class MapperConfig:
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "cauchy"
     """Robust loss of the last adjustment; soft L1 before it."""
     loss_scale_px: float = 1.0
+    """Residuals beyond this count less while the model grows."""
+    final_scale_px: float = 0.5
+    """The same in the last adjustment."""
     refine_focal: bool = True
     """Refine focal lengths that are not given as known."""
     refine_distortion: bool = True
@@ -221,4 +224,6 @@ class ReconstructConfig:
         try:
             return tuple(float(p) for p in self.camera_params.replace(",", " ").split())
         except ValueError:
-            raise ConfigError(f"camera_params must be numbers separated by commas, got {self.camera_params!r}") from None
+            raise ConfigError(
+                f"camera_params must be numbers separated by commas, got {self.camera_params!r}"
+            ) from None

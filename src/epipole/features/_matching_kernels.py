@@ -68,7 +68,9 @@ def hamming_top_two(a, b, best_column, best, second, column_best):
             for c in range(a.shape[1]):
                 x = a[i, c] ^ b[j, c]
                 x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
-                x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+                x = (x & np.uint64(0x3333333333333333)) + (
+                    (x >> np.uint64(2)) & np.uint64(0x3333333333333333)
+                )
                 x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
                 distance += np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))
             if distance < best[i]:
@@ -99,7 +101,19 @@ def _first_at_least(values, order, low, high, bound):
 
 @kernel
 def guided_top_two(
-    pixels1, descriptors1, pixels2, descriptors2, f, band, cell, orders, bounds, best_column, best, second, column_best
+    pixels1,
+    descriptors1,
+    pixels2,
+    descriptors2,
+    f,
+    band,
+    cell,
+    orders,
+    bounds,
+    best_column,
+    best,
+    second,
+    column_best,
 ):
     """Nearest and second nearest feature of image 2 within `band` pixels of each feature's epipolar line F x.
 

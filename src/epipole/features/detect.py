@@ -30,7 +30,9 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     # Pixel edges, not centres, stay put under resampling.
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     pixels = ((found.pixels + 0.5) * stretch - 0.5).astype(np.float32)
-    return Features(pixels, (found.scale_px * stretch.mean()).astype(np.float32), found.angle_rad, found.descriptors)
+    return Features(
+        pixels, (found.scale_px * stretch.mean()).astype(np.float32), found.angle_rad, found.descriptors
+    )
 
 
 def _sift(grey: np.ndarray, config: FeatureConfig) -> Features:

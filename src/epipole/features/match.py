@@ -18,7 +18,9 @@ _UNIT = 512.0
 
 
 def match_descriptors(
-    descriptors1: UInt8[np.ndarray, "n d"], descriptors2: UInt8[np.ndarray, "m d"], config: MatchConfig | None = None
+    descriptors1: UInt8[np.ndarray, "n d"],
+    descriptors2: UInt8[np.ndarray, "m d"],
+    config: MatchConfig | None = None,
 ) -> Int32[np.ndarray, "k 2"]:
     """Index pairs of mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section 7.1).
 

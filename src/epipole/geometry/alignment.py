@@ -30,7 +30,9 @@ def align_points(source: Any, target: Any, *, with_scale: bool = True) -> Simila
     a, b = source - mean_source, target - mean_target
     u, singular, vt = np.linalg.svd(b.T @ a / len(a))
     if singular[1] <= 1e-12 * max(singular[0], 1e-300):
-        raise DegenerateGeometryError("the points lie on a line (or coincide): the rotation is not determined")
+        raise DegenerateGeometryError(
+            "the points lie on a line (or coincide): the rotation is not determined"
+        )
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
     scale = float((singular * sign).sum() / (a**2).sum(axis=1).mean()) if with_scale else 1.0

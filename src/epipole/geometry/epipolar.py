@@ -41,7 +41,7 @@ def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]
     return normalize_lines(points @ as_float_array(fundamental, "fundamental", 3, 3).T)
 
 
-def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
+def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, 3], Float64[np.ndarray, 3]]:
     """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's centre."""
     u, _, vt = np.linalg.svd(as_float_array(fundamental, "fundamental", 3, 3))
     return vt[2], u[:, 2]

@@ -39,7 +39,9 @@ def normalize_lines(lines: Any) -> Float64[np.ndarray, "*batch 3"]:
 
 def intersection_of(lines_a: Any, lines_b: Any) -> Float64[np.ndarray, "*batch 2"]:
     """The common point of two lines; parallel lines give non-finite coordinates."""
-    return from_homogeneous(np.cross(as_float_array(lines_a, "lines_a", 3), as_float_array(lines_b, "lines_b", 3)))
+    return from_homogeneous(
+        np.cross(as_float_array(lines_a, "lines_a", 3), as_float_array(lines_b, "lines_b", 3))
+    )
 
 
 def point_line_distance(points: Any, lines: Any) -> Float64[np.ndarray, "*batch"]:

@@ -49,7 +49,7 @@ class Rigid3:
 
     @staticmethod
     def exp(xi: Any) -> Rigid3:
-        """The motion of twist xi = (rho, phi): R = exp(phi), t = V(phi) rho (Murray, Li, Sastry 1994)."""
+        """From the twist (rho, phi), with R = e^phi and t = V(phi) rho (Murray, Li and Sastry 1994, prop. 2.9)."""
         xi = as_float_array(xi, "xi", 6)
         rho, phi = xi[..., :3], np.ascontiguousarray(xi[..., 3:])
         translation = (left_jacobian(phi) @ rho[..., None])[..., 0]

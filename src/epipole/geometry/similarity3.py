@@ -34,7 +34,7 @@ class Similarity3:
 
     @staticmethod
     def exp(xi: Any) -> Similarity3:
-        """From the tangent (rho, phi, sigma): s = e^sigma, R = exp(phi), t = W(phi, sigma) rho (Strasdat 2012)."""
+        """From the tangent (rho, phi, sigma), with s = e^sigma, R = e^phi, t = W(phi, sigma) rho (Strasdat 2012)."""
         xi = as_float_array(xi, "xi", 7)
         phi, sigma = np.ascontiguousarray(xi[..., 3:6]), xi[..., 6]
         translation = (_translation_jacobian(phi, sigma) @ xi[..., :3, None])[..., 0]

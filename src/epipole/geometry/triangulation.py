@@ -11,7 +11,7 @@ from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.geometry.rigid3 import Rigid3
 
 
-def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray, "3"]:
+def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray, 3]:
     """The point nearest to n >= 2 rays in the DLT sense (HZ section 12.2, on unit rays).
 
     Each view contributes [d]x (R X + t) = 0; the homogeneous system is solved by SVD, so that a point at
@@ -27,7 +27,9 @@ def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray
     # The component of R X + t orthogonal to d vanishes: (I - d d^T) [R t] X = 0.
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     scale = np.abs(cams_from_world.translation).max() or 1.0
-    system = across @ np.concatenate([cams_from_world.rotation, cams_from_world.translation[:, :, None] / scale], axis=2)
+    system = across @ np.concatenate(
+        [cams_from_world.rotation, cams_from_world.translation[:, :, None] / scale], axis=2
+    )
     _, _, vt = np.linalg.svd(system.reshape(-1, 4))
     with np.errstate(divide="ignore", invalid="ignore"):
         return scale * vt[3, :3] / vt[3, 3]
@@ -65,5 +67,8 @@ def triangulate_two_view(
 def ray_angles_rad(points: Any, centers_a: Any, centers_b: Any) -> Float64[np.ndarray, "*batch"]:
     """Angle at each point between the rays to two camera centres: the triangulation (parallax) angle."""
     points = as_float_array(points, "points", 3)
-    a, b = as_float_array(centers_a, "centers_a", 3) - points, as_float_array(centers_b, "centers_b", 3) - points
+    a, b = (
+        as_float_array(centers_a, "centers_a", 3) - points,
+        as_float_array(centers_b, "centers_b", 3) - points,
+    )
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))

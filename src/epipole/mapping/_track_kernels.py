@@ -229,7 +229,17 @@ def _best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, be
 
 @kernel
 def triangulate_components(
-    rows, cams, offsets, components, start, stop, max_error_sq, max_cosine, longest, new_points, new_point_of_row
+    rows,
+    cams,
+    offsets,
+    components,
+    start,
+    stop,
+    max_error_sq,
+    max_cosine,
+    longest,
+    new_points,
+    new_point_of_row,
 ):
     """Make points from the rows without a point of components[start:stop].
 
@@ -281,7 +291,9 @@ def extend_components(rows, cams, offsets, components, start, stop, points, max_
                 if e < best_error:
                     taken = False
                     for m in range(offsets[t], offsets[t + 1]):
-                        if rows.image[m] == rows.image[k] and (rows.point[m] == j or new_point_of_row[m] == j):
+                        if rows.image[m] == rows.image[k] and (
+                            rows.point[m] == j or new_point_of_row[m] == j
+                        ):
                             taken = True
                     if not taken:
                         best, best_error = j, e
@@ -292,7 +304,9 @@ def extend_components(rows, cams, offsets, components, start, stop, points, max_
 
 
 @kernel
-def filter_points(rows, cams, row_offsets, row_order, start, stop, points, max_error_sq, max_cosine, keep_row, errors):
+def filter_points(
+    rows, cams, row_offsets, row_order, start, stop, points, max_error_sq, max_cosine, keep_row, errors
+):
     """Mark rows of the points start..stop that stay; a point left with one row or a narrow angle loses all.
 
     row_order lists rows grouped by point. errors receives the mean error of what stays, NaN for a lost point.

@@ -8,7 +8,14 @@ import numpy as np
 
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
-from epipole.optim import BundleConfig, BundleProblem, BundleResult, adjust_bundle, free_params_mask, with_fixed_gauge
+from epipole.optim import (
+    BundleConfig,
+    BundleProblem,
+    BundleResult,
+    adjust_bundle,
+    free_params_mask,
+    with_fixed_gauge,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +85,10 @@ def _adjust(
     frame_free[free_images] = 1.0
     camera = model.camera_of_image[model.row_image[rows]]
     params_free = free_params_mask(
-        model.cameras.model, focal=freedom.focal, principal_point=freedom.principal_point, distortion=freedom.distortion
+        model.cameras.model,
+        focal=freedom.focal,
+        principal_point=freedom.principal_point,
+        distortion=freedom.distortion,
     )
     params_free[model.cameras.is_constant] = 0.0
     serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
@@ -113,5 +123,7 @@ def _adjust(
 
 def _ranges(offsets: np.ndarray, items: np.ndarray) -> np.ndarray:
     counts = offsets[items + 1] - offsets[items]
-    starts = np.repeat(offsets[items] - np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64), counts)
+    starts = np.repeat(
+        offsets[items] - np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64), counts
+    )
     return starts + np.arange(counts.sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,17 @@ from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
-from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks, ViewGraph, unregistered
+from epipole.scene import (
+    Cameras,
+    Frames,
+    Images,
+    Points,
+    Reconstruction,
+    Rigs,
+    Tracks,
+    ViewGraph,
+    unregistered,
+)
 
 
 class _Rows(NamedTuple):
@@ -76,7 +87,10 @@ class ModelBuilder:
     """Images, points and rows under construction. One image is one frame of its own rig."""
 
     def __init__(
-        self, cameras: Cameras, camera_of_image: Int32[np.ndarray, " n"], keypoints: Sequence[np.ndarray],
+        self,
+        cameras: Cameras,
+        camera_of_image: Int32[np.ndarray, " n"],
+        keypoints: Sequence[np.ndarray],
         components: MatchComponents,
     ) -> None:
         self.cameras = cameras
@@ -87,12 +101,14 @@ class ModelBuilder:
         starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
         stacked = np.concatenate(list(keypoints)) if len(keypoints) else np.zeros((0, 2))
         self.row_image = components.image
-        self.row_pixel = np.ascontiguousarray(stacked[starts[components.image] + components.keypoint], np.float64)
+        self.row_pixel = np.ascontiguousarray(
+            stacked[starts[components.image] + components.keypoint], np.float64
+        )
         self.row_component = np.repeat(np.arange(len(components)), np.diff(components.offsets))
         self.longest = int(np.diff(components.offsets).max(initial=1))
         order = np.argsort(self.row_image, kind="stable")
         bounds = np.searchsorted(self.row_image[order], np.arange(len(keypoints) + 1))
-        self.rows_of_image = [order[a:b] for a, b in zip(bounds[:-1], bounds[1:])]
+        self.rows_of_image = [order[a:b] for a, b in pairwise(bounds)]
         self.row_ray = np.zeros((len(self.row_image), 3))
         for camera in range(len(cameras)):
             self.update_rays(camera)
@@ -131,7 +147,9 @@ class ModelBuilder:
 
     def register(self, image: int, cam_from_world: Rigid3) -> None:
         """Give an image its place."""
-        self.set_places(np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None]))
+        self.set_places(
+            np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None])
+        )
         self.registered[image] = True
 
     def set_places(self, images: np.ndarray, cams_from_world: Rigid3) -> None:
@@ -178,7 +196,10 @@ class ModelBuilder:
         limit = np.cos(min_angle_rad)
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            sizes = self.components.offsets[components[start:stop] + 1] - self.components.offsets[components[start:stop]]
+            sizes = (
+                self.components.offsets[components[start:stop] + 1]
+                - self.components.offsets[components[start:stop]]
+            )
             made = np.empty((int((sizes // 2).clip(max=3).sum()), 3))
             count = kernels.triangulate_components(
                 *(self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop),
@@ -260,7 +281,10 @@ class ModelBuilder:
             self._points = bigger
 
     def freeze(
-        self, names: Sequence[str], colors: Sequence[np.ndarray] | None = None, timestamps_s: np.ndarray | None = None
+        self,
+        names: Sequence[str],
+        colors: Sequence[np.ndarray] | None = None,
+        timestamps_s: np.ndarray | None = None,
     ) -> Reconstruction:
         """The model as frozen columns: living points only, in order of their index.
 
@@ -282,7 +306,9 @@ class ModelBuilder:
         rgb = np.full((int(alive.sum()), 3), 128, np.uint8)
         if colors is not None and len(rgb):
             seen = np.concatenate(list(colors))[starts[image] + keypoint].astype(np.float64)
-            rgb = np.rint(np.add.reduceat(seen, offsets[:-1], axis=0) / np.diff(offsets)[:, None]).astype(np.uint8)
+            rgb = np.rint(np.add.reduceat(seen, offsets[:-1], axis=0) / np.diff(offsets)[:, None]).astype(
+                np.uint8
+            )
         model = Reconstruction(
             replace(self.cameras, params=self.params.copy()),
             Rigs.of_single_cameras(len(self.cameras)),
@@ -292,7 +318,10 @@ class ModelBuilder:
                 np.full(n, np.nan) if timestamps_s is None else np.asarray(timestamps_s, np.float64),
             ),
             Images(
-                tuple(names), np.arange(n, dtype=np.int32), self.camera_of_image.copy(), starts,
+                tuple(names),
+                np.arange(n, dtype=np.int32),
+                self.camera_of_image.copy(),
+                starts,
                 np.ascontiguousarray(np.concatenate(list(self.keypoints)), np.float64).reshape(-1, 2),
             ),
             Points(self.points[alive].copy(), rgb, np.zeros(len(rgb))),

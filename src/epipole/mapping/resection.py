@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from epipole.cameras import Camera
+from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
-from epipole.config import RansacConfig
 from epipole.robust import Estimate, estimate_absolute_pose
 
 FOCAL_FACTORS = np.geomspace(0.4, 2.5, 15)

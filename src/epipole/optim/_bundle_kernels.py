@@ -65,7 +65,9 @@ def total_cost(obs, start, stop, frames, sensors, models, params, points, loss, 
     total = 0.0
     for j in range(start, stop):
         for k in range(obs.offsets[j], obs.offsets[j + 1]):
-            ru, rv = _residual(obs, k, frames, sensors, models, params, points[j, 0], points[j, 1], points[j, 2])
+            ru, rv = _residual(
+                obs, k, frames, sensors, models, params, points[j, 0], points[j, 1], points[j, 2]
+            )
             rho, _ = robust_loss(loss, ru * ru + rv * rv, scale_sq)
             total += rho
     return 0.5 * total if total < math.inf else math.inf
@@ -135,8 +137,30 @@ def _block_of(columns, sizes, count, column, size):
 
 @kernel
 def _point_terms(
-    obs, j, frames, sensors, models, params, points, point_free, frame_free, frame_column, camera_column, free_params,
-    num_free, loss, scale_sq, jac, work, w, columns, sizes, v, gp, s, g
+    obs,
+    j,
+    frames,
+    sensors,
+    models,
+    params,
+    points,
+    point_free,
+    frame_free,
+    frame_column,
+    camera_column,
+    free_params,
+    num_free,
+    loss,
+    scale_sq,
+    jac,
+    work,
+    w,
+    columns,
+    sizes,
+    v,
+    gp,
+    s,
+    g,
 ):
     """Accumulate V, g_p and the W blocks of point j; its blocks' own terms go straight into S (lower) and g.
 
@@ -177,7 +201,9 @@ def _point_terms(
                 w[block, :, :] = 0.0
             for a in range(nc):
                 for b in range(3):
-                    w[block, a, b] += weight * (j_params[0, a] * j_point[0, b] + j_params[1, a] * j_point[1, b])
+                    w[block, a, b] += weight * (
+                        j_params[0, a] * j_point[0, b] + j_params[1, a] * j_point[1, b]
+                    )
         if first_f >= 0:
             for a in range(6):
                 g[first_f + a] += weight * (j_frame[0, a] * ru + j_frame[1, a] * rv)
@@ -202,8 +228,27 @@ def _point_terms(
 
 @kernel
 def build_reduced_system(
-    obs, start, stop, frames, sensors, models, params, points, point_free, frame_free, frame_column, camera_column,
-    free_params, num_free, loss, scale_sq, damping, max_blocks, s, g, rhs
+    obs,
+    start,
+    stop,
+    frames,
+    sensors,
+    models,
+    params,
+    points,
+    point_free,
+    frame_free,
+    frame_column,
+    camera_column,
+    free_params,
+    num_free,
+    loss,
+    scale_sq,
+    damping,
+    max_blocks,
+    s,
+    g,
+    rhs,
 ):
     """S (lower triangle), gradient g and the points' part of the right-hand side, over the points start..stop.
 
@@ -216,8 +261,30 @@ def build_reduced_system(
     cost = 0.0
     for j in range(start, stop):
         count, this = _point_terms(
-            obs, j, frames, sensors, models, params, points, point_free, frame_free, frame_column, camera_column,
-            free_params, num_free, loss, scale_sq, jac, work, w, columns, sizes, v, gp, s, g
+            obs,
+            j,
+            frames,
+            sensors,
+            models,
+            params,
+            points,
+            point_free,
+            frame_free,
+            frame_column,
+            camera_column,
+            free_params,
+            num_free,
+            loss,
+            scale_sq,
+            jac,
+            work,
+            w,
+            columns,
+            sizes,
+            v,
+            gp,
+            s,
+            g,
         )
         cost += this
         if point_free[j] == 0.0:
@@ -244,14 +311,33 @@ def build_reduced_system(
                 elif cb == ca:
                     for p in range(sizes[a]):
                         for q in range(p + 1):
-                            s[ca + p, cb + q] -= y[p, 0] * w[b, q, 0] + y[p, 1] * w[b, q, 1] + y[p, 2] * w[b, q, 2]
+                            s[ca + p, cb + q] -= (
+                                y[p, 0] * w[b, q, 0] + y[p, 1] * w[b, q, 1] + y[p, 2] * w[b, q, 2]
+                            )
     return cost
 
 
 @kernel
 def substitute_back(
-    obs, start, stop, frames, sensors, models, params, points, point_free, frame_free, frame_column, camera_column,
-    free_params, num_free, loss, scale_sq, damping, step, moved
+    obs,
+    start,
+    stop,
+    frames,
+    sensors,
+    models,
+    params,
+    points,
+    point_free,
+    frame_free,
+    frame_column,
+    camera_column,
+    free_params,
+    num_free,
+    loss,
+    scale_sq,
+    damping,
+    step,
+    moved,
 ):
     """Steps of the points start..stop for the step of frames and cameras; moved = points + steps.
 

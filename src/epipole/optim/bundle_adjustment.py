@@ -153,7 +153,11 @@ def adjust_bundle(problem: BundleProblem, config: BundleConfig | None = None) ->
 
 
 def free_params_mask(
-    models: Int32[np.ndarray, " c"], *, focal: bool = True, principal_point: bool = False, distortion: bool = True
+    models: Int32[np.ndarray, " c"],
+    *,
+    focal: bool = True,
+    principal_point: bool = False,
+    distortion: bool = True,
 ) -> Float64[np.ndarray, "c 8"]:
     """Mask of intrinsics that may change, by their meaning."""
     mask = np.zeros((len(models), kernels.BLOCK))
@@ -175,7 +179,7 @@ def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
     free = problem.frame_free.copy()
     counts = np.bincount(problem.frame, minlength=len(free))
     movable = np.flatnonzero(free.any(axis=1) & (counts > 0))
-    if len(movable) < 2 or not free.all(axis=1)[movable].all() or np.isfinite(problem.prior_position).any():
+    if len(movable) < 2 or not free[movable].all() or np.isfinite(problem.prior_position).any():
         return problem
     if (counts[~free.any(axis=1)] > 0).sum() >= 2:
         return problem
@@ -193,12 +197,22 @@ class _Solver:
     """The linear algebra of one problem; keeps the constant arrays."""
 
     def __init__(self, problem: BundleProblem, config: BundleConfig) -> None:
-        require_same_length(frame=problem.frame, sensor=problem.sensor, camera=problem.camera, pixels=problem.pixels)
-        if len(problem.offsets) != len(problem.points_in_world) + 1 or problem.offsets[-1] != len(problem.frame):
-            raise ShapeError("offsets must have one entry more than points and end at the number of observations")
+        require_same_length(
+            frame=problem.frame, sensor=problem.sensor, camera=problem.camera, pixels=problem.pixels
+        )
+        if len(problem.offsets) != len(problem.points_in_world) + 1 or problem.offsets[-1] != len(
+            problem.frame
+        ):
+            raise ShapeError(
+                "offsets must have one entry more than points and end at the number of observations"
+            )
         self.problem, self.config = problem, config
         self.observations = _Observations(
-            problem.offsets, problem.frame, problem.sensor, problem.camera, np.ascontiguousarray(problem.pixels)
+            problem.offsets,
+            problem.frame,
+            problem.sensor,
+            problem.camera,
+            np.ascontiguousarray(problem.pixels),
         )
         self.sensors = _rows(problem.cam_from_rig)
         self.layout = _lay_out(problem)
@@ -210,7 +224,11 @@ class _Solver:
         self.has_prior = np.isfinite(problem.prior_position).all(axis=1)
 
     def initial_state(self) -> _State:
-        return _State(_rows(self.problem.rig_from_world), self.problem.camera_params.copy(), self.problem.points_in_world.copy())
+        return _State(
+            _rows(self.problem.rig_from_world),
+            self.problem.camera_params.copy(),
+            self.problem.points_in_world.copy(),
+        )
 
     def _arguments(self, state: _State) -> tuple:
         return state.frames, self.sensors, self.problem.camera_model, state.params, state.points
@@ -221,7 +239,9 @@ class _Solver:
     def cost(self, state: _State) -> float:
         """Half the robust sum of squares, priors included."""
         parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.total_cost(self.observations, a, b, *self._arguments(state), *self._loss()),
+            lambda a, b, _: kernels.total_cost(
+                self.observations, a, b, *self._arguments(state), *self._loss()
+            ),
             len(state.points),
         )
         return float(sum(parts)) + self._prior_terms(state)[0]
@@ -251,10 +271,20 @@ class _Solver:
             step[layout.held] = 0.0
             if not np.isfinite(step).all():
                 return None, -1.0
-        moved = _State(self._moved_frames(state, step), self._moved_params(state, step), np.empty_like(state.points))
+        moved = _State(
+            self._moved_frames(state, step), self._moved_params(state, step), np.empty_like(state.points)
+        )
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.substitute_back(
-                self.observations, a, b, *self._arguments(state), *self._masks(), *self._loss(), damping, step, moved.points
+                self.observations,
+                a,
+                b,
+                *self._arguments(state),
+                *self._masks(),
+                *self._loss(),
+                damping,
+                step,
+                moved.points,
             ),
             len(state.points),
         )

@@ -1,7 +1,7 @@
 """Robust estimation: the LO-RANSAC loop, its estimators, and the verification of pairs."""
 
-from epipole.robust.estimate import Estimate as Estimate
 from epipole.config import RansacConfig as RansacConfig
+from epipole.robust.estimate import Estimate as Estimate
 from epipole.robust.estimate import Reason as Reason
 from epipole.robust.estimate import estimate_absolute_pose as estimate_absolute_pose
 from epipole.robust.estimate import estimate_essential_matrix as estimate_essential_matrix

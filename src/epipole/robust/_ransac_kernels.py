@@ -93,7 +93,7 @@ def _specialize(function, **implementations):
     # Numba wants the chooser's parameters to be named as the function's.
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     scope = {"choose": choose}
-    exec(f"def chooser({', '.join(names)}): return choose({', '.join(names)})", scope)  # noqa: S102 - own names
+    exec(f"def chooser({', '.join(names)}): return choose({', '.join(names)})", scope)
     overload(function, jit_options={"error_model": "numpy", "fastmath": SAFE_FASTMATH})(scope["chooser"])
 
 
@@ -179,9 +179,15 @@ def _solve_absolute_pose(points, rays, sample, models, work):
 
 _specialize(
     solve_sample,
-    EssentialProblem=lambda problem, sample, models, work: _solve_essential(problem.matches, sample, models, work),
-    FundamentalProblem=lambda problem, sample, models, work: _solve_fundamental(problem.matches, sample, models, work),
-    HomographyProblem=lambda problem, sample, models, work: _solve_homography(problem.matches, sample, models),
+    EssentialProblem=lambda problem, sample, models, work: _solve_essential(
+        problem.matches, sample, models, work
+    ),
+    FundamentalProblem=lambda problem, sample, models, work: _solve_fundamental(
+        problem.matches, sample, models, work
+    ),
+    HomographyProblem=lambda problem, sample, models, work: _solve_homography(
+        problem.matches, sample, models
+    ),
     AbsolutePoseProblem=lambda problem, sample, models, work: _solve_absolute_pose(
         problem.points, problem.rays, sample, models, work
     ),
@@ -207,7 +213,13 @@ _specialize(
         model, problem.matches, problem.threshold_sq, bail_out
     ),
     AbsolutePoseProblem=lambda problem, model, bail_out: s.reprojection_score(
-        model, problem.camera_model, problem.camera_params, problem.points, problem.pixels, problem.threshold_sq, bail_out
+        model,
+        problem.camera_model,
+        problem.camera_params,
+        problem.points,
+        problem.pixels,
+        problem.threshold_sq,
+        bail_out,
     ),
 )
 
@@ -232,7 +244,7 @@ _specialize(
 
 @kernel
 def _project_normal_equations(a9, b9, d, a, b):
-    """a = D^T A D, b = D^T B for the derivative D (size, 9) of the matrix entries."""
+    """A = D^T A D, b = D^T B for the derivative D (size, 9) of the matrix entries."""
     for i in range(len(d)):
         b[i] = 0.0
         for k in range(9):
@@ -292,7 +304,7 @@ def _linearize_motion(matches, motion, threshold_sq, a, b):
 
 @kernel
 def rotate_left(phi, r, out):
-    """out = exp(phi) r for rotations row by row, renormalised to first order by the exact formula."""
+    """Out = exp(phi) r for rotations row by row, renormalised to first order by the exact formula."""
     angle = math.sqrt(phi[0] ** 2 + phi[1] ** 2 + phi[2] ** 2)
     first = 1.0 - angle * angle / 6.0 if angle < 1e-4 else math.sin(angle) / angle
     second = 0.5 - angle * angle / 24.0 if angle < 1e-4 else (1.0 - math.cos(angle)) / (angle * angle)
@@ -417,7 +429,14 @@ _specialize(
         model, problem.matches, problem.threshold_sq, a, b
     ),
     AbsolutePoseProblem=lambda problem, model, a, b: s.reprojection_normal_equations(
-        model, problem.camera_model, problem.camera_params, problem.points, problem.pixels, problem.threshold_sq, a, b
+        model,
+        problem.camera_model,
+        problem.camera_params,
+        problem.points,
+        problem.pixels,
+        problem.threshold_sq,
+        a,
+        b,
     ),
 )
 _specialize(

@@ -83,7 +83,13 @@ def verify_pair(
         kind, fundamental = PairKind.UNCALIBRATED, epipolar.matrix
         essential, motion = _motion_of_guessed_focal(p1, p2, camera1, camera2, fundamental, config)
     pair = PairGeometry(
-        kind, epipolar.inlier_mask, motion, essential, fundamental, plane.matrix, _median_angle(p1, p2, camera1, camera2, motion)
+        kind,
+        epipolar.inlier_mask,
+        motion,
+        essential,
+        fundamental,
+        plane.matrix,
+        _median_angle(p1, p2, camera1, camera2, motion),
     )
     if np.median(np.linalg.norm(p2 - p1, axis=1)) < SAME_PICTURE_PX:
         return replace(pair, kind=PairKind.NO_MOTION, median_angle_rad=float("nan"))
@@ -97,7 +103,12 @@ def verify_pair(
 
 
 def _motion_of_guessed_focal(
-    p1: np.ndarray, p2: np.ndarray, camera1: Camera, camera2: Camera, fundamental: np.ndarray, config: RansacConfig
+    p1: np.ndarray,
+    p2: np.ndarray,
+    camera1: Camera,
+    camera2: Camera,
+    fundamental: np.ndarray,
+    config: RansacConfig,
 ) -> tuple[np.ndarray, Rigid3]:
     """E of the inliers of F under the guessed focal lengths, with a threshold that forgives the guess."""
     loose = replace(config, max_error_px=3.0 * config.max_error_px, max_iterations=200)

@@ -37,7 +37,9 @@ def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: 
         mask = _mask_fingerprint(masks, name)
         key = digest("features", FORMAT, name, fingerprint, mask, asdict(config))
         path = folder / f"{digest(name)}.npz"
-        units.append(Unit(path, key, detect_in_file, FeaturePayload(images.folder / name, name, masks, config)))
+        units.append(
+            Unit(path, key, detect_in_file, FeaturePayload(images.folder / name, name, masks, config))
+        )
     return units
 
 
@@ -60,7 +62,9 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
         return {"failure": np.array(str(error).removeprefix(f"{payload.path}: "))}
     cv2.setNumThreads(1)  # pictures are the unit of parallel work
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
-    rows, columns = (np.clip(np.rint(small.pixels[:, i]).astype(int), 0, rgb.shape[1 - i] - 1) for i in (1, 0))
+    rows, columns = (
+        np.clip(np.rint(small.pixels[:, i]).astype(int), 0, rgb.shape[1 - i] - 1) for i in (1, 0)
+    )
     colors = rgb[rows, columns]
     stretch = np.array([header.width / rgb.shape[1], header.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
@@ -70,7 +74,9 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
         keep = mask[at[:, 1], at[:, 0]]
     factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
-    _, jpeg = cv2.imencode(".jpg", cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    _, jpeg = cv2.imencode(
+        ".jpg", cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80]
+    )
     return {
         "pixels": pixels[keep],
         "scale_px": (small.scale_px * stretch.mean()).astype(np.float32)[keep],

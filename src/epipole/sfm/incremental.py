@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from epipole.config import MapperConfig, RansacConfig
 from epipole.geometry import Rigid3
 from epipole.mapping import (
     Freedom,
@@ -19,7 +20,6 @@ from epipole.mapping import (
     resect_image,
 )
 from epipole.optim import BundleConfig, Loss
-from epipole.config import MapperConfig, RansacConfig
 from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
@@ -69,7 +69,12 @@ class IncrementalMapper:
 
         Not earlier: a loss that falls back cannot pull a bent chain of images together when a loop closes.
         """
-        last = replace(self._global_bundle(), loss=Loss[self.config.final_loss.upper()], function_tolerance=1e-6)
+        last = BundleConfig(
+            loss=Loss[self.config.final_loss.upper()],
+            loss_scale_px=self.config.final_scale_px,
+            max_iterations=50,
+            function_tolerance=1e-6,
+        )
         adjust_all(self.model, last, self._freedom(), self.priors)
         self.model.filter(self.config.max_error_px, self._angle)
 
@@ -83,7 +88,9 @@ class IncrementalMapper:
                 self.adjust_globally(rounds=1)
                 size_at_global = count
             else:
-                adjust_around(self.model, image, self.config.local_images, self._local_bundle(), self._freedom())
+                adjust_around(
+                    self.model, image, self.config.local_images, self._local_bundle(), self._freedom()
+                )
                 self.model.filter(self.config.max_error_px, self._angle)
             self._take_out_if_wrong(image)
             if progress is not None:
@@ -124,8 +131,14 @@ class IncrementalMapper:
         tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
         fits = tells_depth & usable[g.image1] & usable[g.image2] & np.isfinite(g.median_angle_rad)
         wanted = np.deg2rad(self.config.start_angle_deg)
-        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(g.median_angle_rad / wanted, 1.0)
-        for least in (self.config.start_min_inliers, self.config.start_min_inliers // 2, self._ransac.min_inliers):
+        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(
+            g.median_angle_rad / wanted, 1.0
+        )
+        for least in (
+            self.config.start_min_inliers,
+            self.config.start_min_inliers // 2,
+            self._ransac.min_inliers,
+        ):
             candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
             if len(candidates):
                 break
@@ -133,11 +146,12 @@ class IncrementalMapper:
 
     def _take_out_if_wrong(self, image: int) -> None:
         """Take out an image that sees its own matches as different points: it stands in the wrong place."""
-        if self.model.registered[image] and self.model.registered.sum() > 3:
-            if self.consistency.of_image(self.model, image) < self.config.image_share:
-                in_sight = self._num_rows_in_sight(image)
-                self.model.deregister(image)
-                self.rejections[image] = Rejection(image, in_sight, 0)
+        if not self.model.registered[image] or self.model.registered.sum() <= 3:
+            return
+        if self.consistency.of_image(self.model, image) < self.config.image_share:
+            in_sight = self._num_rows_in_sight(image)
+            self.model.deregister(image)
+            self.rejections[image] = Rejection(image, in_sight, 0)
 
     def _num_rows_in_sight(self, image: int) -> int:
         return int(self.model.has_point()[self.model.row_component[self.model.rows_of_image[image]]].sum())
@@ -189,13 +203,17 @@ class IncrementalMapper:
 
     def _register(self, image: int) -> bool:
         model, camera_index = self.model, int(self.model.camera_of_image[image])
-        guessed = not (model.cameras.is_focal_trusted[camera_index] or model.cameras.is_constant[camera_index])
+        guessed = not (
+            model.cameras.is_focal_trusted[camera_index] or model.cameras.is_constant[camera_index]
+        )
         used = model.camera_of_image[model.registered]
         search_focal = guessed and camera_index not in used
         estimate, camera, rows = resect_image(
             model, image, replace(self._ransac, seed=self._ransac.seed + image), search_focal=search_focal
         )
-        if not estimate.success or estimate.num_inliers < self.config.resection_min_ratio * len(np.unique(rows)):
+        if not estimate.success or estimate.num_inliers < self.config.resection_min_ratio * len(
+            np.unique(rows)
+        ):
             self.rejections[image] = Rejection(image, self._num_rows_in_sight(image), estimate.num_inliers)
             return False
         if search_focal:
@@ -228,7 +246,9 @@ class IncrementalMapper:
                 break
 
     def _drop_lost_images(self) -> None:
-        counts = np.bincount(self.model.row_image[self.model.row_point >= 0], minlength=len(self.model.registered))
+        counts = np.bincount(
+            self.model.row_image[self.model.row_point >= 0], minlength=len(self.model.registered)
+        )
         for image in np.flatnonzero(self.model.registered & (counts < self.config.min_observations)):
             self.rejections[int(image)] = Rejection(int(image), int(counts[image]), int(counts[image]))
             self.model.deregister(int(image))
@@ -244,7 +264,12 @@ class IncrementalMapper:
         return BundleConfig(loss=Loss.SOFT_L1, max_iterations=10, function_tolerance=1e-4)
 
     def _global_bundle(self) -> BundleConfig:
-        return BundleConfig(loss=Loss.SOFT_L1, loss_scale_px=self.config.loss_scale_px, max_iterations=30, function_tolerance=1e-5)
+        return BundleConfig(
+            loss=Loss.SOFT_L1,
+            loss_scale_px=self.config.loss_scale_px,
+            max_iterations=30,
+            function_tolerance=1e-5,
+        )
 
 
 def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:

@@ -62,7 +62,9 @@ def map_images(
     return Mapped(tuple(m for m, _ in found), rejections, tuple(r for _, r in found))
 
 
-def _put_in_place(mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig) -> np.ndarray | None:
+def _put_in_place(
+    mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig
+) -> np.ndarray | None:
     """Upright; in metres, east-north-up, when GPS agrees: then the fixes join a last adjustment."""
     model = mapper.model
     upright = upright_from_world(model.registered_places(), model.living_points())
@@ -72,7 +74,9 @@ def _put_in_place(mapper: IncrementalMapper, positions_enu: np.ndarray, config: 
         model.move(upright)
         return None
     model.move(aligned.enu_from_world)
-    mapper.priors = PositionPriors(np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m)
+    mapper.priors = PositionPriors(
+        np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m
+    )
     mapper.adjust_globally(rounds=2)
     mapper.finish()
     return np.linalg.norm(model.center - positions_enu, axis=1)
@@ -87,7 +91,9 @@ def reasons_in_words(
         placed |= model.is_registered()
     out = dict(images.left_out)
     for image in np.flatnonzero(~placed):
-        out[images.names[image]] = _reason(int(image), mapped, view_graph, len(keypoints[image]), min_inliers)
+        out[images.names[image]] = _reason(
+            int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers
+        )
     return out
 
 
@@ -111,9 +117,7 @@ def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int
         return "its matches lead to no point of the model"
     if rejection.num_inliers == 0:
         return f"sees only {rejection.num_points_in_sight} points of the model; at least {min_inliers} are needed"
-    return (
-        f"of {rejection.num_points_in_sight} points of the model in sight only {rejection.num_inliers} agree on a place"
-    )
+    return f"of {rejection.num_points_in_sight} points of the model in sight only {rejection.num_inliers} agree on a place"
 
 
 def no_model_reason(view_graph: ViewGraph, num_images: int) -> str:

@@ -75,19 +75,34 @@ def _units(
 
 
 def match_units(
-    pairs: np.ndarray, features: Sequence[Unit], cameras: Cameras, camera_of_image: np.ndarray, folder: Path,
-    matching: MatchConfig, verification: RansacConfig,
+    pairs: np.ndarray,
+    features: Sequence[Unit],
+    cameras: Cameras,
+    camera_of_image: np.ndarray,
+    folder: Path,
+    matching: MatchConfig,
+    verification: RansacConfig,
 ) -> list[Unit]:
     """Units that match blocks of pairs."""
-    return _units(pairs, features, cameras, camera_of_image, folder, match_block, (matching, verification), None)
+    return _units(
+        pairs, features, cameras, camera_of_image, folder, match_block, (matching, verification), None
+    )
 
 
 def verification_units(
-    pairs: np.ndarray, features: Sequence[Unit], cameras: Cameras, camera_of_image: np.ndarray, folder: Path,
-    matching: MatchConfig, verification: RansacConfig, matches: Sequence[Unit],
+    pairs: np.ndarray,
+    features: Sequence[Unit],
+    cameras: Cameras,
+    camera_of_image: np.ndarray,
+    folder: Path,
+    matching: MatchConfig,
+    verification: RansacConfig,
+    matches: Sequence[Unit],
 ) -> list[Unit]:
     """Units that verify blocks of matched pairs."""
-    return _units(pairs, features, cameras, camera_of_image, folder, verify_block, (matching, verification), matches)
+    return _units(
+        pairs, features, cameras, camera_of_image, folder, verify_block, (matching, verification), matches
+    )
 
 
 def match_block(payload: MatchPayload) -> dict[str, np.ndarray]:

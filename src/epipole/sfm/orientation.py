@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,9 @@ def upright_from_world(cams_from_world: Rigid3, points_in_world: np.ndarray) -> 
     rotation = rotation_between(up, np.array([0.0, 0.0, 1.0]))
     centers = cams_from_world.centers()
     middle = np.median(points_in_world, axis=0) if len(points_in_world) else centers.mean(axis=0)
-    reach = float(np.median(np.linalg.norm(points_in_world - middle, axis=1))) if len(points_in_world) else 1.0
+    reach = (
+        float(np.median(np.linalg.norm(points_in_world - middle, axis=1))) if len(points_in_world) else 1.0
+    )
     scale = 1.0 / reach if reach > 0 else 1.0
     return Similarity3(np.asarray(scale), rotation, -scale * rotation @ middle)
 
@@ -58,7 +60,11 @@ def rotation_between(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def align_to_gps(
-    centers_in_world: np.ndarray, upright: Similarity3, positions_enu: np.ndarray, max_error_m: float, seed: int = 0
+    centers_in_world: np.ndarray,
+    upright: Similarity3,
+    positions_enu: np.ndarray,
+    max_error_m: float,
+    seed: int = 0,
 ) -> GpsAlignment | None:
     """The similarity that brings camera centres onto their GPS fixes; None where the fixes do not tell.
 
@@ -72,7 +78,9 @@ def align_to_gps(
         max_error_m: fixes farther off are outliers.
         seed: of the sampling.
     """
-    usable = np.flatnonzero(np.isfinite(positions_enu).all(axis=1) & np.isfinite(centers_in_world).all(axis=1))
+    usable = np.flatnonzero(
+        np.isfinite(positions_enu).all(axis=1) & np.isfinite(centers_in_world).all(axis=1)
+    )
     if len(usable) < 3:
         return None
     source, target = upright.apply(centers_in_world[usable]), positions_enu[usable]
@@ -128,4 +136,6 @@ def _upright_similarity(source: np.ndarray, target: np.ndarray) -> Similarity3 |
     if scale <= 1e-12:
         return None
     rotation = Rotation3.exp(np.array([0.0, 0.0, float(np.angle(turn))])).matrix
-    return Similarity3(np.asarray(scale), rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
+    return Similarity3(
+        np.asarray(scale), rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
+    )

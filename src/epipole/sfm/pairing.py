@@ -16,7 +16,11 @@ from epipole.io.exif import gps_to_enu
 
 
 def choose_pairs(
-    descriptors: Sequence[np.ndarray], lat_lon_alt: Float64[np.ndarray, "n 3"], config: PairingConfig, *, is_video: bool
+    descriptors: Sequence[np.ndarray],
+    lat_lon_alt: Float64[np.ndarray, "n 3"],
+    config: PairingConfig,
+    *,
+    is_video: bool,
 ) -> Int32[np.ndarray, "p 2"]:
     """Pairs (i, j), i < j, sorted.
 
@@ -38,7 +42,9 @@ def choose_pairs(
     if method == "spatial":
         if has_gps.sum() < 2:
             raise ConfigError("spatial pairs need GPS in the pictures' EXIF")
-        return sorted_pairs([*_spatial(lat_lon_alt, has_gps, config.neighbours), *_look_alikes(descriptors, 5)])
+        return sorted_pairs(
+            [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_look_alikes(descriptors, 5)]
+        )
     pairs = []
     if method == "sequential":
         pairs += [(i, i + step) for i in range(n) for step in range(1, config.overlap + 1) if i + step < n]

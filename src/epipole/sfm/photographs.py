@@ -70,7 +70,7 @@ def read_image_set(
     """Read the headers of all pictures of a folder and group them by camera.
 
     Pictures of the same make, model, size and focal length share a camera; so do all of one size where none of
-    this is recorded and the pictures are frames of a video.
+    this is recorded.
 
     Raises:
         NoModelError: there are no pictures that can be read.
@@ -96,7 +96,7 @@ def read_image_set(
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:3])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
-    cameras, camera_of_image, sources = _group_cameras(headers, config, is_video=bool(times))
+    cameras, camera_of_image, sources = _group_cameras(headers, config)
     return ImageSet(
         folder,
         tuple(headers),
@@ -123,7 +123,7 @@ def _fingerprint(path: Path) -> str:
 
 
 def _group_cameras(
-    headers: dict[str, PhotographHeader], config: ReconstructConfig, *, is_video: bool
+    headers: dict[str, PhotographHeader], config: ReconstructConfig
 ) -> tuple[Cameras, Int32[np.ndarray, " n"], tuple[str, ...]]:
     known = config.known_params()
     model = camera_model_named(config.camera_model or ("PINHOLE" if known else "SIMPLE_RADIAL"))
@@ -142,7 +142,9 @@ def _group_cameras(
         camera, source = _camera_of(found[0] if found else next(iter(headers.values())), model)
         return Cameras.from_list([camera], is_focal_trusted=[bool(found)]), one, (source,)
     groups: dict[tuple, int] = {}
-    cameras, sources, rows = [], [], []
+    cameras: list[Camera] = []
+    sources: list[str] = []
+    rows: list[int] = []
     for header in headers.values():
         # A picture that names neither camera nor focal length may come from any: sizes decide.
         key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
@@ -168,4 +170,6 @@ def _known_params(model: CameraModel, known: tuple[float, ...]) -> np.ndarray:
 def _camera_of(header: PhotographHeader, model: CameraModel) -> tuple[Camera, str]:
     focal = header.focal_px or PRIOR_FOCAL * max(header.width, header.height)
     source = f"EXIF, {header.focal_source}" if header.focal_px else f"assumed {PRIOR_FOCAL} x the longer side"
-    return Camera(model, header.width, header.height, model.initial_params(focal, header.width, header.height)), source
+    return Camera(
+        model, header.width, header.height, model.initial_params(focal, header.width, header.height)
+    ), source

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from epipole.io.colmap_database import DatabaseContents, write_database
 from epipole.io.photographs import copy_or_rotate
 from epipole.io.ply import write_scene_ply
 from epipole.io.video import extract_frames, is_video
-from epipole.robust import PairKind
 from epipole.scene import Cameras, Frames, Images, Reconstruction, Rigs, ViewGraph, unregistered
 from epipole.sfm.feature_stage import feature_units
 from epipole.sfm.focal import estimate_focals
@@ -82,14 +81,18 @@ def run_pipeline(
             matches = match_units(pairs, features, images.cameras, images.camera_of_image, *matching)
             run_units(matches, stage="match", executor=config.executor, progress=progress)
         with timed(timings_s, "verify"):
-            cameras, view_graph, notes = _verify(pairs, images, features, matches, workspace, config, progress)
+            cameras, view_graph, notes = _verify(
+                pairs, images, features, matches, workspace, config, progress
+            )
         with timed(timings_s, "map"):
             keypoints, colors = _keypoints(features)
             compiling.join()
             mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
         reasons = reasons_in_words(images, mapped, view_graph, keypoints, config.mapper.resection_min_inliers)
         with timed(timings_s, "write"):
-            _write_database(workspace, images, cameras, keypoints, features, load_putative(matches), view_graph)
+            _write_database(
+                workspace, images, cameras, keypoints, features, load_putative(matches), view_graph
+            )
             if not mapped.models:
                 raise NoModelError(no_model_reason(view_graph, len(images)))
             _write_models(workspace, images, mapped)
@@ -106,7 +109,9 @@ def run_pipeline(
     )
 
 
-def _read(source: Path, workspace: Workspace, config: ReconstructConfig, progress: ProgressCallback) -> ImageSet:
+def _read(
+    source: Path, workspace: Workspace, config: ReconstructConfig, progress: ProgressCallback
+) -> ImageSet:
     if is_video(source):
         frames = extract_frames(
             source,
@@ -160,7 +165,7 @@ class _Lazy(Sequence[np.ndarray]):
     def __len__(self) -> int:
         return len(self._paths)
 
-    def __getitem__(self, index):  # type: ignore[no-untyped-def,override]
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
         return load(self._paths[index])["descriptors"]
 
 
@@ -188,7 +193,8 @@ def _verify(
     if not found:
         return cameras, view_graph, ()
     notes = tuple(
-        f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves" for c in found
+        f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves"
+        for c in found
     )
     return cameras, verify(cameras, "geometry-calibrated"), notes
 
@@ -257,24 +263,7 @@ def _warnings(images: ImageSet, mapped: Mapped, reasons: dict[str, str]) -> tupl
         out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
     if len(mapped.models) > 1:
         counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
-        out.append(f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)")
+        out.append(
+            f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)"
+        )
     return tuple(out)
-
-
-def with_threads(config: ReconstructConfig) -> ReconstructConfig:
-    """Apply the number of threads of a config to this process."""
-    _parallel.set_num_threads(config.threads)
-    return replace(config)
-
-
-def pair_kind_words() -> dict[int, str]:
-    """`ViewGraph.kind` in words."""
-    words = {
-        PairKind.DEGENERATE: "degenerate",
-        PairKind.GENERAL: "general",
-        PairKind.UNCALIBRATED: "uncalibrated",
-        PairKind.PLANAR: "planar",
-        PairKind.ROTATION: "rotation only",
-        PairKind.NO_MOTION: "no motion",
-    }
-    return {int(k): v for k, v in words.items()}

@@ -31,7 +31,9 @@ def warm_up() -> None:
     pairs, found = [(0, 1), (0, 2), (1, 2)], []
     for i, j in pairs:
         verify_pair(keypoints[i], keypoints[j], camera, camera, is_calibrated=False, config=config)
-        found.append(verify_pair(keypoints[i], keypoints[j], camera, camera, is_calibrated=True, config=config))
+        found.append(
+            verify_pair(keypoints[i], keypoints[j], camera, camera, is_calibrated=True, config=config)
+        )
     match_along_epipolar_lines(features[0], features[1], found[0].fundamental, 8.0)
     components = connect_matches(_view_graph(pairs, found), np.arange(4, dtype=np.int64) * NUM_POINTS)
     model = ModelBuilder(Cameras.from_list([camera]), np.zeros(3, np.int32), keypoints, components)

@@ -60,7 +60,9 @@ def open_workspace(root: Path, source: str) -> Workspace:
         if mark.is_file():
             _check_mark(root, mark, source)
         elif root.is_dir() and any(p for p in root.iterdir() if not p.name.startswith(".")):
-            raise WorkspaceError(f"{root} is not empty and was not made by epipole; choose another output folder")
+            raise WorkspaceError(
+                f"{root} is not empty and was not made by epipole; choose another output folder"
+            )
         root.mkdir(parents=True, exist_ok=True)
         if not os.access(root, os.W_OK):
             raise WorkspaceError(f"{root} is not writable")

@@ -25,8 +25,12 @@ def p3p(rays, points, motions, w):
     poly[4] = (q - 1.0) ** 2 - 4.0 * c_b * ca * ca
     poly[3] = 4.0 * (q * (1.0 - q) * cb - (1.0 - sum_ac) * ca * cg + 2.0 * c_b * ca * ca * cb)
     poly[2] = 2.0 * (
-        q * q - 1.0 + 2.0 * q * q * cb * cb + 2.0 * (1.0 - c_b) * ca * ca
-        - 4.0 * sum_ac * ca * cb * cg + 2.0 * (1.0 - a_b) * cg * cg
+        q * q
+        - 1.0
+        + 2.0 * q * q * cb * cb
+        + 2.0 * (1.0 - c_b) * ca * ca
+        - 4.0 * sum_ac * ca * cb * cg
+        + 2.0 * (1.0 - a_b) * cg * cg
     )
     poly[1] = 4.0 * (-q * (1.0 + q) * cb + 2.0 * a_b * cg * cg * cb - (1.0 - sum_ac) * ca * cg)
     poly[0] = (1.0 + q) ** 2 - 4.0 * a_b * cg * cg

@@ -9,8 +9,30 @@ from epipole.solvers._linear_kernels import null_space, real_roots, reduce_rows,
 
 # Monomials of degree <= 3 in x, y, z in Nister's order: x3 y3 x2y xy2 x2z x2 y2z y2 xyz xy | xz2 xz x yz2 yz y z3 z2 z 1.
 _CUBICS = [
-    *((3, 0, 0), (0, 3, 0), (2, 1, 0), (1, 2, 0), (2, 0, 1), (2, 0, 0), (0, 2, 1), (0, 2, 0), (1, 1, 1), (1, 1, 0)),
-    *((1, 0, 2), (1, 0, 1), (1, 0, 0), (0, 1, 2), (0, 1, 1), (0, 1, 0), (0, 0, 3), (0, 0, 2), (0, 0, 1), (0, 0, 0)),
+    *(
+        (3, 0, 0),
+        (0, 3, 0),
+        (2, 1, 0),
+        (1, 2, 0),
+        (2, 0, 1),
+        (2, 0, 0),
+        (0, 2, 1),
+        (0, 2, 0),
+        (1, 1, 1),
+        (1, 1, 0),
+    ),
+    *(
+        (1, 0, 2),
+        (1, 0, 1),
+        (1, 0, 0),
+        (0, 1, 2),
+        (0, 1, 1),
+        (0, 1, 0),
+        (0, 0, 3),
+        (0, 0, 2),
+        (0, 0, 1),
+        (0, 0, 0),
+    ),
 ]
 _LINEARS = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, 0)]
 _QUADRATICS = [m for m in _CUBICS if sum(m) <= 2]
@@ -69,7 +91,9 @@ def _essential_constraints(e, work, out):
         for j in range(3):
             for c in range(3):
                 low, high = min(i, c), max(i, c)
-                _add_quadratic_product(work[low * 2 + high if low < 2 else 5], e[3 * c + j], out[1 + 3 * i + j])
+                _add_quadratic_product(
+                    work[low * 2 + high if low < 2 else 5], e[3 * c + j], out[1 + 3 * i + j]
+                )
 
 
 @kernel
@@ -204,7 +228,9 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
 @kernel
 def _det_rows(a, b, c):
     return (
-        a[0] * (b[4] * c[8] - b[5] * c[7]) - a[1] * (b[3] * c[8] - b[5] * c[6]) + a[2] * (b[3] * c[7] - b[4] * c[6])
+        a[0] * (b[4] * c[8] - b[5] * c[7])
+        - a[1] * (b[3] * c[8] - b[5] * c[6])
+        + a[2] * (b[3] * c[7] - b[4] * c[6])
     )
 
 
@@ -249,7 +275,9 @@ def homography_four_point(x1, x2, out):
     norm = 0.0
     for i in range(3):
         for j in range(3):
-            out[3 * i + j] = b[3 * i] * inverse[j] + b[3 * i + 1] * inverse[3 + j] + b[3 * i + 2] * inverse[6 + j]
+            out[3 * i + j] = (
+                b[3 * i] * inverse[j] + b[3 * i + 1] * inverse[3 + j] + b[3 * i + 2] * inverse[6 + j]
+            )
             norm += out[3 * i + j] ** 2
     if not norm > 0.0:
         return False
@@ -266,7 +294,7 @@ def homography_four_point(x1, x2, out):
 
 @kernel
 def svd3(m, u, s, v):
-    """m (3 x 3) = u diag(s) v^T with proper rotations u, v and s0 >= s1 >= |s2|.
+    """M (3 x 3) = u diag(s) v^T with proper rotations u, v and s0 >= s1 >= |s2|.
 
     Jacobi on m^T m; the last column is completed by the cross product, so that rank two is exact.
     """

@@ -23,7 +23,10 @@ def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k
     Returns:
         Between 0 and 10 matrices; none for degenerate input.
     """
-    y1, y2 = as_float_array(rays1, "rays1", 5, 3, finite=True), as_float_array(rays2, "rays2", 5, 3, finite=True)
+    y1, y2 = (
+        as_float_array(rays1, "rays1", 5, 3, finite=True),
+        as_float_array(rays2, "rays2", 5, 3, finite=True),
+    )
     out = np.empty((10, 9))
     return out[: kernels.essential_five_point(y1, y2, out, kernels.five_point_workspace())].reshape(-1, 3, 3)
 

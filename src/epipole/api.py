@@ -1,0 +1,323 @@
+"""One call per job: what the command line does, from Python."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from epipole import __version__, _parallel
+from epipole._jit import compile_seconds
+from epipole.config import ReconstructConfig
+from epipole.errors import DegenerateGeometryError, FileFormatError, NoModelError
+from epipole.geometry import Rigid3
+from epipole.image import undistort_image, undistorted_camera
+from epipole.io.atomic import atomic_write
+from epipole.io.colmap import read_colmap_model, write_colmap_model
+from epipole.io.photographs import read_rgb
+from epipole.io.truth import read_truth
+from epipole.metrics import camera_errors, relative_pose_auc
+from epipole.report import ImageRow, ReportContent, render_report
+from epipole.scene import Cameras, Reconstruction
+from epipole.sfm.pipeline import PipelineResult, run_pipeline
+from epipole.sfm.workspace import write_json
+from epipole.viewer import ViewerHandle
+from epipole.viewer import view as open_viewer
+from epipole.workflow import Progress, ProgressCallback, ignore_progress, load, timed
+
+MAX_INLIERS_SHOWN = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReconstructionResult:
+    """What `reconstruct` gives back; everything is also in the output folder."""
+
+    out: Path
+    models: tuple[Reconstruction, ...]
+    """Largest first; more than one when the pictures do not connect."""
+    reasons: dict[str, str]
+    """Why each picture without a place has none."""
+    warnings: tuple[str, ...]
+    timings_s: dict[str, float]
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+
+    @property
+    def model(self) -> Reconstruction:
+        """The largest model."""
+        return self.models[0]
+
+    def __repr__(self) -> str:
+        return f"ReconstructionResult({self.model!r} in {self.out})"
+
+
+def reconstruct(
+    images: str | Path,
+    out: str | Path,
+    config: ReconstructConfig | None = None,
+    progress: ProgressCallback = ignore_progress,
+) -> ReconstructionResult:
+    """Make a 3D model from a folder of photographs or a video, with a report; a stopped run continues.
+
+    Args:
+        images: folder of photographs (JPEG, PNG, TIFF, WebP; sub-folders too) or a video file.
+        out: output folder, made if missing.
+        config: options; None for the defaults.
+        progress: called with the progress of each stage.
+
+    Raises:
+        NoModelError: the pictures give no model; the message says why.
+        WorkspaceError: the output folder cannot be used.
+        ConfigError: an option does not fit the pictures.
+    """
+    config, out = config or ReconstructConfig(), Path(out)
+    begin = time.perf_counter()
+    _parallel.set_num_threads(config.threads)
+    result = run_pipeline(Path(images), out, config, progress)
+    settings = asdict(config)
+    write_json(out / "config.json", {"version": __version__, "seed": config.mapper.seed, "config": settings})
+    with timed(result.timings_s, "report"):
+        content = _report_content(result, settings)
+        with atomic_write(out / "report.html") as aside:
+            aside.write_text(render_report(content), encoding="utf-8")
+    summary = _summary(result, time.perf_counter() - begin)
+    write_json(out / "summary.json", summary)
+    return ReconstructionResult(
+        out, result.models, result.reasons, result.warnings, result.timings_s, summary
+    )
+
+
+def _summary(result: PipelineResult, seconds: float) -> dict[str, Any]:
+    model = result.models[0]
+    residuals = result.mapped.gps_residuals_m[0]
+    return {
+        "version": __version__,
+        "num_images": len(result.images) + len(result.images.left_out),
+        "num_registered": int(model.is_registered().sum()),
+        "models": [
+            {
+                "num_registered": int(m.is_registered().sum()),
+                "num_points": len(m.points),
+                "num_observations": len(m.tracks.image),
+                "mean_reprojection_error_px": m.mean_reprojection_error_px(),
+            }
+            for m in result.models
+        ],
+        "num_points": len(model.points),
+        "num_observations": len(model.tracks.image),
+        "mean_reprojection_error_px": model.mean_reprojection_error_px(),
+        "is_metric": residuals is not None,
+        "median_gps_residual_m": None if residuals is None else float(np.nanmedian(residuals)),
+        "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
+        "focal_sources": list(result.images.focal_sources),
+        "not_registered": result.reasons,
+        "warnings": list(result.warnings),
+        "seconds": seconds,
+        "compile_seconds": compile_seconds(),
+        "timings_s": result.timings_s,
+    }
+
+
+def _report_content(result: PipelineResult, settings: dict[str, Any]) -> ReportContent:
+    model = result.models[0]
+    component = np.full(len(result.images), -1)
+    for number in reversed(range(len(result.models))):
+        component[result.models[number].is_registered()] = number
+    rows, thumbnails, inliers = [], {}, {}
+    per_model = [(_observations_per_image(m)) for m in result.models]
+    for i, name in enumerate(result.images.names):
+        shown = max(int(component[i]), 0)
+        counts, errors = per_model[shown]
+        placed = bool(component[i] >= 0)
+        rows.append(
+            ImageRow(
+                name,
+                placed,
+                int(component[i]),
+                result.num_keypoints[i],
+                int(counts[i]) if placed else 0,
+                float(errors[i]) if placed else float("nan"),
+                "" if placed else result.reasons.get(name, ""),
+            )
+        )
+        thumbnails[name] = load(result.feature_files[i])["thumbnail"].tobytes()
+        camera = model.cameras[int(model.camera_of_image[i])]
+        own = result.models[shown].tracks.keypoint[result.models[shown].tracks.image == i]
+        pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
+        inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
+    rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in result.images.left_out.items()]
+    residuals = result.mapped.gps_residuals_m[0]
+    scale_note = "unknown scale: pictures alone cannot tell"
+    if residuals is not None:
+        scale_note = f"metres from GPS (median distance of the cameras from their fixes {np.nanmedian(residuals):.2f} m)"
+    sources = result.images.focal_sources
+    return ReportContent(
+        title=result.images.folder.name or str(result.images.folder),
+        reconstruction=model,
+        view_graph=result.view_graph,
+        image_rows=tuple(rows),
+        other_components=tuple(int(m.is_registered().sum()) for m in result.models[1:]),
+        camera_lines=tuple(
+            f"{model.cameras[c]!r}; focal length first: {sources[c]}" for c in range(len(sources))
+        ),
+        timings=dict(result.timings_s),
+        compile_seconds=compile_seconds(),
+        warnings=result.warnings,
+        settings=settings,
+        version=__version__,
+        thumbnails=thumbnails,
+        inliers=inliers,
+        scale_note=scale_note,
+        is_metric=residuals is not None,
+    )
+
+
+def _observations_per_image(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    n = len(model.images)
+    counts = np.bincount(model.tracks.image, minlength=n)
+    sums = np.bincount(model.tracks.image, model.reprojection_errors_px(), n)
+    return counts, np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+
+
+def find_model(path: str | Path) -> Path:
+    """The folder of the COLMAP model inside a workspace, or the folder itself if it is one.
+
+    Raises:
+        FileFormatError: there is none.
+    """
+    path = Path(path)
+    for folder in (path, path / "sparse" / "0", path / "sparse"):
+        if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
+            return folder
+    raise FileFormatError(path, "holds no model (no cameras.bin or cameras.txt, nor sparse/0)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """How far a model's cameras are from known ones."""
+
+    num_truth: int
+    num_registered: int
+    """Of the known cameras."""
+    position_mean: float
+    """After the best similarity, in the truth's unit."""
+    position_median: float
+    position_max: float
+    rotation_mean_deg: float
+    rotation_max_deg: float
+    auc: dict[int, float]
+    """Area under the recall curve of relative pose errors over all pairs, up to 1, 3 and 5 degrees."""
+
+
+def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
+    """Compare a model's cameras with known ones.
+
+    Args:
+        out: a workspace or a COLMAP model.
+        truth: a COLMAP model, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
+
+    Raises:
+        FileFormatError: one of them cannot be read, or they share no pictures.
+        DegenerateGeometryError: fewer than two known cameras are registered.
+    """
+    model, known = read_colmap_model(find_model(out)), read_truth(truth)
+    row = {name: i for i, name in enumerate(model.images.name)}
+    cams_from_world, is_registered = model.cams_from_world(), model.is_registered()
+    rotation, translation = np.full((len(known.names), 3, 3), np.nan), np.full((len(known.names), 3), np.nan)
+    for n, name in enumerate(known.names):
+        if name in row and is_registered[row[name]]:
+            rotation[n] = cams_from_world.rotation[row[name]]
+            translation[n] = cams_from_world.translation[row[name]]
+    found = np.isfinite(translation).all(axis=1)
+    if not found.any():
+        raise FileFormatError(
+            Path(truth), "none of its pictures is registered in the model; do the names agree?"
+        )
+    if found.sum() < 2:
+        raise DegenerateGeometryError("only one known camera is registered; errors need at least two")
+    estimated = Rigid3(rotation, translation)
+    errors = camera_errors(estimated, known.cams_from_world)
+    auc = relative_pose_auc(estimated, known.cams_from_world, found, (1, 3, 5))
+    return Evaluation(
+        len(known.names),
+        int(found.sum()),
+        errors.mean_position,
+        errors.median_position,
+        errors.max_position,
+        errors.mean_rotation_deg,
+        errors.max_rotation_deg,
+        {degrees: float(value) for degrees, value in zip((1, 3, 5), auc)},
+    )
+
+
+def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> Path:
+    """Write `OUT/undistorted`: pictures without distortion and a PINHOLE model, as splat trainers and MVS read them.
+
+    Returns:
+        The folder: `images/` and `sparse/0/`.
+
+    Raises:
+        FileFormatError: there is no model, or a picture is missing.
+    """
+    out = Path(out)
+    model = read_colmap_model(find_model(out))
+    target = out / "undistorted"
+    pinholes = [undistorted_camera(model.cameras[c]) for c in range(len(model.cameras))]
+    registered = np.flatnonzero(model.is_registered())
+    camera_of_image = model.camera_of_image
+    for n, image in enumerate(registered):
+        name, c = model.images.name[image], int(camera_of_image[image])
+        rgb = undistort_image(read_rgb(out / "images" / name), model.cameras[c], pinholes[c])
+        with atomic_write(target / "images" / name) as aside:
+            cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+        progress(Progress("undistort", n + 1, len(registered)))
+    write_colmap_model(_without_distortion(model, pinholes), target / "sparse" / "0")
+    return target
+
+
+def _without_distortion(model: Reconstruction, pinholes: list) -> Reconstruction:
+    pixels = model.images.keypoints_px.copy()
+    for image in range(len(model.images)):
+        c = int(model.camera_of_image[image])
+        own = slice(model.images.keypoint_offsets[image], model.images.keypoint_offsets[image + 1])
+        rays = model.cameras[c].unproject(pixels[own])
+        pixels[own] = np.nan_to_num(pinholes[c].project(rays), nan=-1e6)
+    cameras = Cameras.from_list(pinholes, is_constant=[True] * len(pinholes))
+    return replace(model, cameras=cameras, images=replace(model.images, keypoints_px=pixels))
+
+
+def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
+    """Show a workspace's model in the browser: points, cameras with their pictures.
+
+    Raises:
+        FileFormatError: there is no model.
+    """
+    out = Path(out)
+    model = read_colmap_model(find_model(out))
+    return open_viewer(model, _picture_loader(out / "images"), port=port, host=host, block=block)
+
+
+def _picture_loader(folder: Path) -> Callable[[str], np.ndarray | None]:
+    def load_picture(name: str) -> np.ndarray | None:
+        try:
+            return read_rgb(folder / name, 640)
+        except FileFormatError:
+            return None
+
+    return load_picture
+
+
+__all__ = [
+    "Evaluation",
+    "NoModelError",
+    "ReconstructionResult",
+    "evaluate",
+    "reconstruct",
+    "undistort",
+    "view",
+]
