@@ -10,10 +10,11 @@ from epipole.scene import ViewGraph
 
 
 class MatchConsistency:
-    """Measures, for each pair, the share of its verified matches that are seen as one point by both images.
+    """Measures, for each pair, the share of its verified matches that both images see as one point.
 
-    In a sound model it is high for every pair (0.9 is usual). A mirrored start, a wrong place or two sides of a
-    symmetric thing folded onto each other leave pairs with hardly any.
+    Matches of which neither end has a point (too narrow an angle) tell nothing and do not count. In a sound model
+    the share is high for every pair (0.9 is usual). A mirrored start, a wrong place or two sides of a symmetric
+    thing folded onto each other leave pairs with hardly any.
     """
 
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph) -> None:
@@ -27,9 +28,10 @@ class MatchConsistency:
         self._view_graph = view_graph
 
     def shares(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """Per pair the share of its matches that became one point, NaN unless both are registered; and matches."""
+        """Per pair the share of its matches that became one point, NaN unless both are registered; and how many tell."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
-        count = np.bincount(self._pair, minlength=len(self._view_graph))
+        tells = (point1 >= 0) | (point2 >= 0)
+        count = np.bincount(self._pair, tells, len(self._view_graph)).astype(np.int64)
         same = np.bincount(self._pair, (point1 == point2) & (point1 >= 0), len(self._view_graph))
         both = model.registered[self._view_graph.image1] & model.registered[self._view_graph.image2]
         return np.where(both, same / np.maximum(count, 1), np.nan), count

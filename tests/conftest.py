@@ -1,0 +1,28 @@
+"""Run-time type checks for the whole test run, and what all tests share."""
+
+import os
+from pathlib import Path
+
+import jaxtyping
+import numpy as np
+import pytest
+
+# Every annotated function of the package checks the shapes and types of its arguments and results in the test
+# run. This must come before the first import of epipole; only the bare package may be in already.
+_HOOK = jaxtyping.install_import_hook("epipole", "beartype.beartype")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Random numbers that are the same in every run, whatever runs before."""
+    return np.random.default_rng(20260)
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real data sets: `$EPIPOLE_DATA`, or `../shared/data` beside the repository."""
+    asked = os.environ.get("EPIPOLE_DATA")
+    folder = Path(asked) if asked else Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"real data not found at {folder}; set EPIPOLE_DATA to the folder that holds them")
+    return folder
