@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 # Every annotated function of the package checks the shapes and types of its arguments and results in the test
-# run. This must come before the first import of epipole; only the bare package may be in already.
-_HOOK = jaxtyping.install_import_hook("epipole", "beartype.beartype")
+# run; an int may stand for a float, as in mypy. This must come before the first import of epipole.
+CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
+jaxtyping.install_import_hook("epipole", CHECKER)
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ class FeatureConfig:
 class MatchConfig:
     """Options of matching."""
 
-    max_ratio: float = 0.75
+    max_ratio: float = 0.8
     """Lowe's ratio: the nearest descriptor must be nearer than this times the second nearest."""
     max_distance: float = 0.7
     """SIFT: largest angle between matching descriptors, in radians."""
@@ -123,15 +123,15 @@ class MapperConfig:
     """A start is judged when its model has so many images."""
     sound_share: float = 0.75
     """Share of the matches between registered images that a sound model sees as common points."""
-    image_share: float = 0.3
+    image_share: float = 0.15
     """An image whose matches agree less with the model is taken out again."""
     max_error_px: float = 4.0
     """Observations with a larger reprojection error are dropped."""
     min_angle_deg: float = 1.5
     """Points seen under a narrower angle are dropped: their depth is not known."""
     resection_max_error_px: float = 12.0
-    resection_min_inliers: int = 30
-    resection_min_ratio: float = 0.25
+    resection_min_inliers: int = 20
+    resection_min_ratio: float = 0.15
     """Share of the points in sight that must agree with an image's place."""
     min_observations: int = 15
     """An image left with fewer is taken out again."""

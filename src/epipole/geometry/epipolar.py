@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._checks import as_float_array, as_points, require_same_length
+from epipole.errors import ShapeError
 from epipole.geometry.homogeneous import normalize_lines, to_homogeneous
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import skew
@@ -38,18 +39,18 @@ def essential_from_fundamental(fundamental: Any, K1: Any, K2: Any) -> Float64[np
 def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]:
     """The lines F x1 in image 2 on which the matches of image-1 pixels (n, 2) lie, scaled to unit normals."""
     points = to_homogeneous(as_points(pixels1, "pixels1", 2))
-    return normalize_lines(points @ as_float_array(fundamental, "fundamental", 3, 3).T)
+    return normalize_lines(points @ _single_matrix(fundamental, "fundamental").T)
 
 
 def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, 3], Float64[np.ndarray, 3]]:
     """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's centre."""
-    u, _, vt = np.linalg.svd(as_float_array(fundamental, "fundamental", 3, 3))
+    u, _, vt = np.linalg.svd(_single_matrix(fundamental, "fundamental"))
     return vt[2], u[:, 2]
 
 
 def sampson_error(fundamental: Any, pixels1: Any, pixels2: Any) -> Float64[np.ndarray, " n"]:
     """First-order distance of matches from the epipolar constraint, in pixels (Sampson 1982; HZ eq. 11.9)."""
-    F = as_float_array(fundamental, "fundamental", 3, 3)
+    F = _single_matrix(fundamental, "fundamental")
     x1 = to_homogeneous(as_points(pixels1, "pixels1", 2))
     x2 = to_homogeneous(as_points(pixels2, "pixels2", 2))
     require_same_length(pixels1=x1, pixels2=x2)
@@ -65,7 +66,7 @@ def decompose_essential(essential: Any) -> Rigid3:
     Returns:
         Rigid3 with batch shape (4,). The length of t cannot be known from E.
     """
-    u, _, vt = np.linalg.svd(as_float_array(essential, "essential", 3, 3))
+    u, _, vt = np.linalg.svd(_single_matrix(essential, "essential"))
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
     w = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     ra, rb, t = u @ w @ vt, u @ w.T @ vt, u[:, 2]
@@ -94,3 +95,11 @@ def choose_by_cheirality(
         if best[0] < 0 or in_front.sum() > best[1].sum():
             best = (index, in_front, points)
     return best
+
+
+def _single_matrix(matrix: Any, name: str) -> np.ndarray:
+    """A 3x3 matrix; a batch would be read as something else without a word."""
+    out = as_float_array(matrix, name, 3, 3)
+    if out.ndim != 2:
+        raise ShapeError(f"{name} must be one (3, 3) matrix, got {out.shape}")
+    return out

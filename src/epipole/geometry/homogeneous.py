@@ -46,4 +46,4 @@ def intersection_of(lines_a: Any, lines_b: Any) -> Float64[np.ndarray, "*batch 2
 
 def point_line_distance(points: Any, lines: Any) -> Float64[np.ndarray, "*batch"]:
     """Distance of image points (..., 2) from lines (..., 3), in the points' unit."""
-    return np.abs((to_homogeneous(points) * normalize_lines(lines)).sum(axis=-1))
+    return np.asarray(np.abs((to_homogeneous(points) * normalize_lines(lines)).sum(axis=-1)))

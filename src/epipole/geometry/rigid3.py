@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole.errors import ShapeError
 from epipole.geometry.rotation3 import Rotation3, skew
 
 
@@ -30,8 +31,14 @@ class Rigid3:
 
     @staticmethod
     def from_matrix(matrix: Any) -> Rigid3:
-        """From (..., 4, 4) or (..., 3, 4) matrices [R t]."""
-        m = np.ascontiguousarray(matrix, dtype=np.float64)
+        """From (..., 4, 4) or (..., 3, 4) matrices [R t].
+
+        Raises:
+            ShapeError: they are neither.
+        """
+        m = as_float_array(matrix, "matrix")
+        if m.shape[-2:] not in ((4, 4), (3, 4)):
+            raise ShapeError(f"matrix must have shape (..., 4, 4) or (..., 3, 4), got {m.shape}")
         return Rigid3(np.ascontiguousarray(m[..., :3, :3]), np.ascontiguousarray(m[..., :3, 3]))
 
     def as_matrix(self) -> Float64[np.ndarray, "*batch 4 4"]:

@@ -108,7 +108,7 @@ class Rotation3:
 
     def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
         """The rotation angle in [0, pi], accurate for small angles too."""
-        return np.linalg.norm(self.log(), axis=-1)
+        return np.asarray(np.linalg.norm(self.log(), axis=-1))
 
     def __getitem__(self, index: Any) -> Rotation3:
         """Select from the batch."""

@@ -23,9 +23,13 @@ class Similarity3:
     Tangents are (translation, rotation, log of scale).
     """
 
-    scale: Float64[np.ndarray, "*batch"]
+    scale: Float64[Any, "*batch"]  # an array, whatever comes in: see below
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
+
+    def __post_init__(self) -> None:
+        """Keep the scale an array, where NumPy turned a single value into a scalar or the caller gave a number."""
+        object.__setattr__(self, "scale", np.asarray(self.scale, dtype=np.float64))
 
     @staticmethod
     def identity(*batch: int) -> Similarity3:
@@ -36,13 +40,13 @@ class Similarity3:
     def exp(xi: Any) -> Similarity3:
         """From the tangent (rho, phi, sigma), with s = e^sigma, R = e^phi, t = W(phi, sigma) rho (Strasdat 2012)."""
         xi = as_float_array(xi, "xi", 7)
-        phi, sigma = np.ascontiguousarray(xi[..., 3:6]), xi[..., 6]
+        phi, sigma = np.ascontiguousarray(xi[..., 3:6]), np.asarray(xi[..., 6])
         translation = (_translation_jacobian(phi, sigma) @ xi[..., :3, None])[..., 0]
         return Similarity3(np.exp(sigma), Rotation3.exp(phi).matrix, translation)
 
     def log(self) -> Float64[np.ndarray, "*batch 7"]:
         """The tangent (rho, phi, sigma) with exp(log(S)) = S."""
-        phi, sigma = Rotation3(self.rotation).log(), np.log(self.scale)
+        phi, sigma = Rotation3(self.rotation).log(), np.asarray(np.log(self.scale))
         rho = np.linalg.solve(_translation_jacobian(phi, sigma), self.translation[..., None])[..., 0]
         return np.concatenate([rho, phi, sigma[..., None]], axis=-1)
 

@@ -8,21 +8,27 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points, require_same_length
+from epipole.errors import DegenerateGeometryError
 from epipole.geometry.rigid3 import Rigid3
 
 
 def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray, 3]:
     """The point nearest to n >= 2 rays in the DLT sense (HZ section 12.2, on unit rays).
 
-    Each view contributes [d]x (R X + t) = 0; the homogeneous system is solved by SVD, so that a point at
-    infinity is found too and returned as non-finite coordinates.
+    Each view contributes [d]x (R X + t) = 0; the homogeneous system is solved by SVD. A point at infinity
+    and rays that leave more than one point (no baseline) give NaN.
 
     Args:
         cams_from_world: batch shape (n,).
         rays: directions in each camera, (n, 3), any length.
+
+    Raises:
+        DegenerateGeometryError: fewer than two rays.
+        ShapeError: the arrays do not fit.
     """
     rays = as_points(rays, "rays", 3, finite=True)
-    require_same_length(cams_from_world=cams_from_world.translation, rays=rays)
+    if require_same_length(cams_from_world=cams_from_world.translation, rays=rays) < 2:
+        raise DegenerateGeometryError(f"triangulation needs at least 2 rays, got {len(rays)}")
     d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     # The component of R X + t orthogonal to d vanishes: (I - d d^T) [R t] X = 0.
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
@@ -30,9 +36,11 @@ def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray
     system = across @ np.concatenate(
         [cams_from_world.rotation, cams_from_world.translation[:, :, None] / scale], axis=2
     )
-    _, _, vt = np.linalg.svd(system.reshape(-1, 4))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return scale * vt[3, :3] / vt[3, 3]
+    _, singular, vt = np.linalg.svd(system.reshape(-1, 4))
+    rounding = 1e-15 * np.sqrt(len(rays))
+    if singular[2] < 10 * rounding or abs(vt[3, 3]) < rounding:
+        return np.full(3, np.nan)
+    return scale * vt[3, :3] / vt[3, 3]
 
 
 def triangulate_two_view(
@@ -40,7 +48,8 @@ def triangulate_two_view(
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Midpoints of the shortest segments between matched rays, with the depths along both.
 
-    Solves min |a R d1 + t - b d2| for each match (2x2 normal equations). Parallel rays give NaN.
+    Solves min |a R d1 + t - b d2| for each match: with n = R d1 x d2, a = (d2 x t) . n / |n|^2 and
+    b = (R d1 x t) . n / |n|^2, which stays exact for narrow angles. Parallel rays give NaN.
 
     Args:
         cam2_from_cam1: a single motion.
@@ -54,12 +63,11 @@ def triangulate_two_view(
     d1 = rays1 / np.linalg.norm(rays1, axis=-1, keepdims=True) @ cam2_from_cam1.rotation.T
     d2 = rays2 / np.linalg.norm(rays2, axis=-1, keepdims=True)
     t = cam2_from_cam1.translation
-    cos = (d1 * d2).sum(axis=-1)
-    sin_sq = 1.0 - cos * cos
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sin_sq = np.where(sin_sq > 1e-16, sin_sq, np.nan)
-        along1 = (cos * (d2 @ t) - d1 @ t) / sin_sq
-        along2 = (d2 @ t - cos * (d1 @ t)) / sin_sq
+    normal = np.cross(d1, d2)
+    sin_sq = (normal**2).sum(axis=-1)
+    sin_sq = np.where(sin_sq > 1e-24, sin_sq, np.nan)
+    along1 = (np.cross(d2, t) * normal).sum(axis=-1) / sin_sq
+    along2 = (np.cross(d1, t) * normal).sum(axis=-1) / sin_sq
     middle = 0.5 * (along1[..., None] * d1 + t + along2[..., None] * d2)
     return cam2_from_cam1.inverse().apply(middle), along1, along2
 
@@ -71,4 +79,4 @@ def ray_angles_rad(points: Any, centers_a: Any, centers_b: Any) -> Float64[np.nd
         as_float_array(centers_a, "centers_a", 3) - points,
         as_float_array(centers_b, "centers_b", 3) - points,
     )
-    return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1))
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

@@ -56,6 +56,10 @@ class BundleProblem:
     """1 where a point may move, else 0."""
     prior_position: Float64[np.ndarray, "f 3"]
     """Expected frame centres in world coordinates; NaN rows for none."""
+    params_expected: Float64[np.ndarray, "c 8"] | None = None
+    """Expected camera parameters, with `params_sigma`; None: nothing is known."""
+    params_sigma: Float64[np.ndarray, "c 8"] | None = None
+    """Standard deviations of the camera parameters about what is expected; infinite for no expectation."""
     prior_sigma: float = 1.0
     """Standard deviation of the prior positions, in world units; their loss is Cauchy's at this scale."""
 
@@ -221,6 +225,11 @@ class _Solver:
         self.max_blocks = 2 * longest + 1
         copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
         self.num_chunks = int(np.clip(copies, 1, 8))
+        expected = problem.params_expected is not None and problem.params_sigma is not None
+        free = problem.params_free > 0
+        weight = 1.0 / problem.params_sigma**2 if expected else np.zeros_like(problem.camera_params)
+        self.params_weight = np.where(free, weight, 0.0)
+        self.params_expected = problem.params_expected if expected else problem.camera_params
         self.has_prior = np.isfinite(problem.prior_position).all(axis=1)
 
     def initial_state(self) -> _State:
@@ -244,7 +253,12 @@ class _Solver:
             ),
             len(state.points),
         )
-        return float(sum(parts)) + self._prior_terms(state)[0]
+        offsets = state.params - self.params_expected
+        return (
+            float(sum(parts))
+            + self._prior_terms(state)[0]
+            + 0.5 * float((self.params_weight * offsets**2).sum())
+        )
 
     def step(self, state: _State, damping: float) -> tuple[_State | None, float]:
         """One damped Gauss-Newton step: the moved state (None if the system is not definite), predicted decrease."""
@@ -258,6 +272,13 @@ class _Solver:
             gradient[c : c + 3] += prior_gradient[f]
             diagonal[c : c + 3] += prior_diagonal[f]
             undamped[c : c + 3] += prior_diagonal[f]
+        for c in np.flatnonzero(layout.num_free):
+            chosen = layout.free_params[c, : layout.num_free[c]]
+            columns = layout.camera_column[c] + np.arange(len(chosen))
+            weight = self.params_weight[c, chosen]
+            gradient[columns] += weight * (state.params[c, chosen] - self.params_expected[c, chosen])
+            diagonal[columns] += weight
+            undamped[columns] += weight
         damp = damping * undamped + 1e-12
         diagonal += damp
         diagonal[layout.held] = 1.0

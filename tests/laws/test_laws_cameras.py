@@ -1,0 +1,172 @@
+"""Laws of the camera models: there and back, Jacobians against differences, OpenCV's formulas, compiled = read."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from epipole.cameras import MAX_PARAMS, Camera, CameraModel
+from epipole.cameras import _camera_kernels as kernels
+
+WIDTH, HEIGHT = 640, 480
+PARAMS = {
+    CameraModel.SIMPLE_PINHOLE: [520.0, 321.5, 236.25],
+    CameraModel.PINHOLE: [520.0, 498.0, 321.5, 236.25],
+    CameraModel.SIMPLE_RADIAL: [520.0, 321.5, 236.25, -0.12],
+    CameraModel.RADIAL: [520.0, 321.5, 236.25, 0.08, -0.03],
+    CameraModel.OPENCV: [520.0, 498.0, 321.5, 236.25, -0.2, 0.05, 1.5e-3, -2e-3],
+    CameraModel.OPENCV_FISHEYE: [260.0, 255.0, 321.5, 236.25, 0.03, -0.01, 4e-3, -1e-3],
+}
+MODELS = [pytest.param(m, id=m.name) for m in CameraModel]
+
+
+@pytest.fixture(params=MODELS)
+def camera(request: pytest.FixtureRequest) -> Camera:
+    return Camera(request.param, WIDTH, HEIGHT, np.array(PARAMS[request.param]))
+
+
+def picture_grid() -> np.ndarray:
+    """Pixels over the whole picture with its corners, and the principal point."""
+    u, v = np.meshgrid(np.linspace(-0.5, WIDTH - 0.5, 17), np.linspace(-0.5, HEIGHT - 0.5, 13))
+    return np.vstack([np.column_stack([u.ravel(), v.ravel()]), [[321.5, 236.25]]])
+
+
+def points_in_view(camera: Camera, rng: np.random.Generator) -> np.ndarray:
+    pixels = picture_grid()
+    return camera.unproject(pixels) * rng.uniform(0.3, 20, (len(pixels), 1))
+
+
+def differences(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Central differences of f along the last axis of x: (..., rows, columns)."""
+    columns = []
+    for c, step in enumerate(steps):
+        shift = np.zeros(len(steps))
+        shift[c] = step
+        columns.append((f(x + shift) - f(x - shift)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_every_model_has_parameters_here() -> None:
+    assert set(PARAMS) == set(CameraModel)
+
+
+def test_pixels_there_and_back(camera: Camera, rng: np.random.Generator) -> None:
+    pixels = picture_grid()
+    rays = camera.unproject(pixels)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-15)
+    depth = rng.uniform(0.01, 1e4, (len(pixels), 1))
+    np.testing.assert_allclose(camera.project(rays * depth), pixels, atol=1e-9)
+
+
+def test_points_there_and_back(camera: Camera, rng: np.random.Generator) -> None:
+    points = points_in_view(camera, rng)
+    rays = camera.unproject(camera.project(points))
+    np.testing.assert_allclose(rays, points / np.linalg.norm(points, axis=1, keepdims=True), atol=1e-12)
+
+
+def test_projection_equals_opencv(camera: Camera, rng: np.random.Generator) -> None:
+    points = points_in_view(camera, rng)
+    zero = np.zeros(3)
+    if camera.model is CameraModel.OPENCV_FISHEYE:
+        expected, _ = cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.K, camera.params[4:])
+    else:
+        distortion = np.zeros(4)
+        values = camera.params[list(camera.model.distortion_indices)]
+        distortion[: len(values)] = values
+        expected, _ = cv2.projectPoints(points, zero, zero, camera.K, distortion)
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_undistorted_models_are_the_calibration_matrix(rng: np.random.Generator) -> None:
+    points = np.column_stack([rng.normal(size=(50, 2)), rng.uniform(1, 9, 50)])
+    for model, params in PARAMS.items():
+        straight = np.array(params)
+        straight[list(model.distortion_indices)] = 0.0
+        camera = Camera(model, WIDTH, HEIGHT, straight)
+        if model is CameraModel.OPENCV_FISHEYE:  # equidistant: the image radius is f times the angle
+            rho = np.linalg.norm(points[:, :2], axis=1)
+            seen = points[:, :2] / rho[:, None] * np.arctan2(rho, points[:, 2])[:, None]
+        else:
+            seen = points[:, :2] / points[:, 2:]
+        expected = seen @ camera.K[:2, :2].T + camera.K[:2, 2]
+        np.testing.assert_allclose(camera.project(points), expected, atol=1e-9)
+
+
+def test_projection_does_not_depend_on_the_distance(camera: Camera, rng: np.random.Generator) -> None:
+    rays = camera.unproject(picture_grid())
+    for distance in (1e-6, 1.0, 1e9):
+        np.testing.assert_allclose(camera.project(rays * distance), picture_grid(), atol=1e-8)
+
+
+def test_jacobian_by_points(camera: Camera, rng: np.random.Generator) -> None:
+    points = points_in_view(camera, rng)
+    pixels, jac_points, _ = camera.project_with_jacobian(points)
+    np.testing.assert_allclose(pixels, camera.project(points), atol=1e-10)
+    distance = np.linalg.norm(points, axis=1)[:, None, None]
+    # Differences at distance 1, where one step fits all points; the Jacobian falls with the distance.
+    expected = differences(camera.project, points / distance[..., 0], np.full(3, 1e-6))
+    np.testing.assert_allclose(jac_points * distance, expected, rtol=1e-6, atol=1e-4)
+    # Moving along the ray changes nothing.
+    np.testing.assert_allclose(jac_points @ points[:, :, None], 0.0, atol=1e-9)
+
+
+def test_jacobian_by_params(camera: Camera, rng: np.random.Generator) -> None:
+    points = points_in_view(camera, rng)
+    jac_params = camera.project_with_jacobian(points)[2]
+    steps = np.full(len(camera.params), 1e-4)
+    steps[list(camera.model.distortion_indices)] = 1e-6
+    expected = differences(lambda p: replace(camera, params=p).project(points), camera.params, steps)
+    assert jac_params.shape == (len(points), 2, camera.model.num_params)
+    np.testing.assert_allclose(jac_params, expected, rtol=1e-6, atol=1e-5)
+
+
+def test_jacobian_of_unprojection(camera: Camera) -> None:
+    pixels = picture_grid()
+    rays, jac = camera.unproject_with_jacobian(pixels)
+    np.testing.assert_array_equal(rays, camera.unproject(pixels))
+    np.testing.assert_allclose(jac, differences(camera.unproject, pixels, np.full(2, 1e-3)), atol=1e-8)
+    # A direction stays a unit vector, and projecting undoes unprojecting.
+    np.testing.assert_allclose((rays[:, None] @ jac)[:, 0], 0.0, atol=1e-14)
+    jac_project = camera.project_with_jacobian(rays)[1]
+    np.testing.assert_allclose(jac_project @ jac, np.broadcast_to(np.eye(2), (len(pixels), 2, 2)), atol=1e-11)
+
+
+def test_compiled_kernels_do_what_their_source_says(camera: Camera) -> None:
+    model, params = int(camera.model), camera.padded_params()
+    points = np.array([[0.1, -0.2, 1.5], [0.0, 0.0, 2.0], [0.4, 0.3, -1.0], [1e-11, 0.0, 1.0]])
+    for point in points:
+        jacobians = [np.full((2, 3), 7.0), np.full((2, MAX_PARAMS), 7.0)]
+        as_read = [np.full((2, 3), 7.0), np.full((2, MAX_PARAMS), 7.0)]
+        one, one_jac = kernels.project_one, kernels.project_with_jacobian_one
+        np.testing.assert_allclose(one(model, params, *point), one.py_func(model, params, *point), rtol=1e-14)
+        np.testing.assert_allclose(
+            one_jac(model, params, *point, *jacobians),
+            one_jac.py_func(model, params, *point, *as_read),
+            rtol=1e-14,
+        )
+        for a, b in zip(jacobians, as_read):
+            np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+    for pixel in ((0.0, 0.0), (321.5, 236.25), (600.0, 470.0)):
+        unproject = kernels.unproject_one
+        np.testing.assert_allclose(
+            unproject(model, params, *pixel), unproject.py_func(model, params, *pixel), rtol=1e-13
+        )
+
+
+def test_rows_do_what_one_does(camera: Camera, rng: np.random.Generator) -> None:
+    points, params = points_in_view(camera, rng)[:5], camera.padded_params()
+    as_read, jac_points, jac_params = np.empty((5, 2)), np.empty((5, 2, 3)), np.empty((5, 2, 8))
+    kernels.project_all.py_func(int(camera.model), params, points, as_read)
+    np.testing.assert_allclose(as_read, camera.project(points), rtol=1e-14)
+    kernels.project_with_jacobian_all.py_func(
+        int(camera.model), params, points, as_read, jac_points, jac_params
+    )
+    pixels, by_points, by_params = camera.project_with_jacobian(points)
+    np.testing.assert_allclose(as_read, pixels, rtol=1e-14)
+    np.testing.assert_allclose(jac_points, by_points, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(jac_params[:, :, : camera.model.num_params], by_params, rtol=1e-12, atol=1e-12)
+    rays = np.empty((5, 3))
+    kernels.unproject_all.py_func(int(camera.model), params, pixels, rays)
+    np.testing.assert_allclose(rays, camera.unproject(pixels), rtol=1e-13, atol=1e-15)
