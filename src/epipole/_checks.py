@@ -14,9 +14,12 @@ def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> n
         ShapeError: the trailing axes differ, the values are no numbers, or `finite` and some are not.
     """
     try:
-        out = np.ascontiguousarray(array, dtype=np.float64)
+        given = np.asarray(array)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name} must be an array of numbers: {error}") from error
+    if given.dtype.kind not in "biuf":  # text, objects and complex numbers
+        raise ShapeError(f"{name} must be an array of numbers, got {given.dtype}")
+    out = np.ascontiguousarray(given, dtype=np.float64)
     if tail and out.shape[-len(tail) :] != tail:
         shape = "(..., " + ", ".join(map(str, tail)) + ")"
         hint = "; transpose?" if out.ndim >= 2 and out.shape[-2:] == (*tail, out.shape[-1]) else ""

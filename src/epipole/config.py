@@ -123,6 +123,10 @@ class MapperConfig:
     """A start is judged when its model has so many images."""
     sound_share: float = 0.75
     """Share of the matches between registered images that a sound model sees as common points."""
+    sound_end_share: float = 0.6
+    """The same for a finished model; below it other starts are tried."""
+    restarts: int = 3
+    """Other starts tried at most."""
     image_share: float = 0.15
     """An image whose matches agree less with the model is taken out again."""
     max_error_px: float = 4.0

@@ -133,6 +133,30 @@ def test_jacobian_of_unprojection(camera: Camera) -> None:
     np.testing.assert_allclose(jac_project @ jac, np.broadcast_to(np.eye(2), (len(pixels), 2, 2)), atol=1e-11)
 
 
+@pytest.mark.parametrize("tangential", [0.0, 2e-3])
+def test_strong_distortion_comes_back_up_to_its_fold(tangential: float, rng: np.random.Generator) -> None:
+    radius = np.linspace(0, 1.5, 60)
+    bearing = np.exp(1j * rng.uniform(0, 2 * np.pi, 60))
+    for _ in range(200):
+        k1, k2 = rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3)
+        params = np.array([400.0, 400.0, 320.0, 240.0, k1, k2, tangential, -tangential])
+        camera = Camera(CameraModel.OPENCV, WIDTH, HEIGHT, params)
+        slope = 1 + 3 * k1 * radius**2 + 5 * k2 * radius**4
+        folded = np.flatnonzero(slope < 0.1)
+        stop = folded[0] if len(folded) else len(radius)
+        plane = (radius * bearing)[:stop]
+        points = np.column_stack([plane.real, plane.imag, np.ones(stop)])
+        rays = camera.unproject(camera.project(points))
+        np.testing.assert_allclose(rays / rays[:, 2:], points, atol=1e-7)
+        if not (slope < 0).any():
+            continue
+        # A pixel anywhere has either no ray or one before the fold, never one of the roots beyond it.
+        rays = camera.unproject(rng.uniform(-400, 1100, (100, 2)))
+        found = rays[np.isfinite(rays[:, 0])]
+        fold = np.sqrt(min(r for r in np.roots([5 * k2, 3 * k1, 1]).real if r > 0))
+        assert (np.hypot(found[:, 0], found[:, 1]) < 1.06 * fold * found[:, 2]).all()
+
+
 def test_compiled_kernels_do_what_their_source_says(camera: Camera) -> None:
     model, params = int(camera.model), camera.padded_params()
     points = np.array([[0.1, -0.2, 1.5], [0.0, 0.0, 2.0], [0.4, 0.3, -1.0], [1e-11, 0.0, 1.0]])
@@ -153,6 +177,26 @@ def test_compiled_kernels_do_what_their_source_says(camera: Camera) -> None:
         np.testing.assert_allclose(
             unproject(model, params, *pixel), unproject.py_func(model, params, *pixel), rtol=1e-13
         )
+
+
+def test_helper_kernels_do_what_their_source_says() -> None:
+    for d0, d1 in ((-0.3, 0.0), (0.4, -0.1), (0.1, 0.2), (-0.2, 0.05), (0.0, 0.0)):
+        fold = kernels.fold_radius.py_func(d0, d1)
+        assert kernels.fold_radius(d0, d1) == pytest.approx(fold, rel=1e-14)
+        if np.isfinite(fold):
+            assert 1 + 3 * d0 * fold**2 + 5 * d1 * fold**4 == pytest.approx(0.0, abs=1e-12)
+        for r in (0.1, 0.5, 0.7):
+            target = r * (1 + d0 * r**2 + d1 * r**4)
+            found = kernels.undistorted_radius(d0, d1, fold, target)
+            assert found == pytest.approx(kernels.undistorted_radius.py_func(d0, d1, fold, target), rel=1e-14)
+            assert found == pytest.approx(r, rel=1e-10)
+        for a, b in ((0.0, 0.0), (0.3, -0.2)):
+            arguments = (d0, d1, 1e-3, -2e-3, a, b)
+            distort = kernels.distort_with_jacobian
+            np.testing.assert_allclose(distort(*arguments), distort.py_func(*arguments), rtol=1e-13)
+    for model in CameraModel:
+        params = np.arange(1.0, 9.0)
+        assert kernels.expand_params(int(model), params) == kernels.expand_params.py_func(int(model), params)
 
 
 def test_rows_do_what_one_does(camera: Camera, rng: np.random.Generator) -> None:

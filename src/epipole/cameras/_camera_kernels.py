@@ -35,7 +35,7 @@ def project_one(model, params, x, y, z):
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
     if model == OPENCV_FISHEYE:
         rho = math.sqrt(x * x + y * y)
-        if rho < 1e-12:
+        if rho <= 1e-12 * abs(z):
             if z <= 0.0:
                 return math.nan, math.nan
             return cx + fx * x / z, cy + fy * y / z
@@ -75,14 +75,14 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
     if model == OPENCV_FISHEYE:
         rho2 = x * x + y * y
         rho = math.sqrt(rho2)
-        if rho < 1e-12 and z <= 0.0:
+        if rho <= 1e-12 * abs(z) and z <= 0.0:
             return math.nan, math.nan
         r2 = rho2 + z * z
         theta = math.atan2(rho, z)
         t2 = theta * theta
         poly = 1.0 + t2 * (d0 + t2 * (d1 + t2 * (d2 + t2 * d3)))
         slope = 1.0 + t2 * (3.0 * d0 + t2 * (5.0 * d1 + t2 * (7.0 * d2 + t2 * 9.0 * d3)))
-        if rho < 1e-9:
+        if rho < 1e-9 * z:
             s, ds_rho, ds_z, theta_rho = 1.0 / z, 0.0, -1.0 / (z * z), 1.0 / z
         else:
             theta_rho = theta / rho
@@ -134,6 +134,43 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
 
 
 @kernel
+def fold_radius(d0, d1):
+    """The first r > 0 with d(r (1 + d0 r^2 + d1 r^4))/dr = 0, where the picture folds back; infinity for none."""
+    root = 9.0 * d0 * d0 - 20.0 * d1
+    inverse_sq = 0.5 * (math.sqrt(root) - 3.0 * d0) if root >= 0.0 else 0.0
+    return 1.0 / math.sqrt(inverse_sq) if inverse_sq > 0.0 else math.inf
+
+
+@kernel
+def undistorted_radius(d0, d1, fold, target):
+    """The r before the fold with r (1 + d0 r^2 + d1 r^4) = target > 0; nearly the fold where there is none.
+
+    Newton's method, with bisection where it would leave the bracket.
+    """
+    low, high = 0.0, fold
+    if not high < math.inf:
+        high = max(1.0, target)
+        while high * (1.0 + high * high * (d0 + high * high * d1)) < target:
+            high *= 2.0
+    r = min(target, high)
+    for _ in range(60):
+        r2 = r * r
+        error = r * (1.0 + r2 * (d0 + r2 * d1)) - target
+        if error > 0.0:
+            high = r
+        else:
+            low = r
+        slope = 1.0 + r2 * (3.0 * d0 + r2 * 5.0 * d1)
+        following = r - error / slope if slope > 0.0 else high
+        if not low < following < high:
+            following = 0.5 * (low + high)
+        if abs(following - r) <= 1e-12 * r:  # the caller polishes
+            break
+        r = following
+    return r
+
+
+@kernel
 def unproject_one(model, params, u, v):
     """Unit direction (x, y, z) that projects to (u, v); NaN where Newton's method finds none."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
@@ -161,11 +198,17 @@ def unproject_one(model, params, u, v):
         return p * s, q * s, math.cos(theta)
     a, b = p, q
     if d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0:
+        # Beyond the fold lie other roots, which are not the ray's: start before it, and stay there.
+        fold = fold_radius(d0, d1)
+        target = math.sqrt(p * p + q * q)
+        if target > 0.0:
+            ratio = undistorted_radius(d0, d1, fold, target) / target
+            a, b = ratio * p, ratio * q
         for _ in range(30):
             du, dv, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
             eu, ev = du - p, dv - q
             det = ua * vb - ub * ub
-            # A vanishing or negative determinant: the picture folds over here, and no ray is the true one.
+            # A vanishing or negative determinant: the picture folds over here.
             if det < 1e-6:
                 return math.nan, math.nan, math.nan
             a -= (vb * eu - ub * ev) / det
@@ -173,7 +216,7 @@ def unproject_one(model, params, u, v):
             if abs(eu) + abs(ev) < 1e-14:
                 break
         du, dv, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
-        if not (abs(du - p) + abs(dv - q) < 1e-9):
+        if not (abs(du - p) + abs(dv - q) < 1e-9 and math.sqrt(a * a + b * b) < 1.05 * fold):
             return math.nan, math.nan, math.nan
     n = 1.0 / math.sqrt(a * a + b * b + 1.0)
     return a * n, b * n, n

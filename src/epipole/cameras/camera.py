@@ -24,10 +24,10 @@ class Camera:
     params: Float64[np.ndarray, " p"]
 
     def __post_init__(self) -> None:
-        """Check the number and the finiteness of the parameters.
+        """Check the number and the finiteness of the parameters, and the size.
 
         Raises:
-            ConfigError: they do not fit the model.
+            ConfigError: the parameters do not fit the model, or no camera can have these values.
         """
         names = self.model.param_names
         if self.params.shape != (len(names),):
@@ -37,8 +37,11 @@ class Camera:
         bad = [n for n, value in zip(names, self.params) if not np.isfinite(value)]
         if bad:
             raise ConfigError(f"camera parameter {', '.join(bad)} is not a finite number")
-        if min(self.params[i] for i in self.model.focal_indices) <= 0:
-            raise ConfigError(f"the focal length must be positive, got {self.params[0]:g}")
+        shortest = min(self.params[i] for i in self.model.focal_indices)
+        if shortest <= 0:
+            raise ConfigError(f"the focal length must be positive, got {shortest:g}")
+        if self.width < 1 or self.height < 1:
+            raise ConfigError(f"the picture size must be positive, got {self.width}x{self.height}")
 
     @property
     def focal_px(self) -> float:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from epipole.config import FeatureConfig
 from epipole.features.features import Features
+
+_opencv: Any = cv2  # its stubs lack SIFT and ORB
 
 
 def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
@@ -37,7 +41,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
 
 def _sift(grey: np.ndarray, config: FeatureConfig) -> Features:
     # Without precise upscaling the doubled first octave shifts every keypoint by a quarter of a pixel.
-    detector = cv2.SIFT_create(
+    detector = _opencv.SIFT_create(
         nfeatures=0,
         contrastThreshold=config.contrast_threshold,
         enable_precise_upscale=True,
@@ -55,7 +59,7 @@ def root_sift(descriptors: Float32[np.ndarray, "n 128"]) -> UInt8[np.ndarray, "n
 
 
 def _orb(grey: np.ndarray, config: FeatureConfig) -> Features:
-    keypoints, descriptors = cv2.ORB_create(nfeatures=config.max_features).detectAndCompute(grey, None)
+    keypoints, descriptors = _opencv.ORB_create(nfeatures=config.max_features).detectAndCompute(grey, None)
     return _sorted(keypoints, descriptors, config.max_features) if keypoints else _none(32)
 
 

@@ -58,10 +58,15 @@ def triangulate_two_view(
 
     Returns:
         Points in camera 1; distance along ray 1; distance along ray 2 (negative: behind).
+
+    Raises:
+        ShapeError: the arrays do not fit.
     """
-    rays1, rays2 = as_float_array(rays1, "rays1", 3), as_float_array(rays2, "rays2", 3)
-    d1 = rays1 / np.linalg.norm(rays1, axis=-1, keepdims=True) @ cam2_from_cam1.rotation.T
-    d2 = rays2 / np.linalg.norm(rays2, axis=-1, keepdims=True)
+    rays1, rays2 = as_points(rays1, "rays1", 3), as_points(rays2, "rays2", 3)
+    require_same_length(rays1=rays1, rays2=rays2)
+    with np.errstate(invalid="ignore"):  # a ray of no length gives NaN too
+        d1 = rays1 / np.linalg.norm(rays1, axis=-1, keepdims=True) @ cam2_from_cam1.rotation.T
+        d2 = rays2 / np.linalg.norm(rays2, axis=-1, keepdims=True)
     t = cam2_from_cam1.translation
     normal = np.cross(d1, d2)
     sin_sq = (normal**2).sum(axis=-1)

@@ -7,6 +7,7 @@ from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.model_builder import MatchComponents as MatchComponents
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
+from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.model_builder import connect_matches as connect_matches
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image

@@ -120,10 +120,7 @@ def _adjust(
     result = adjust_bundle(with_fixed_gauge(problem), config)
     model.set_places(free_images, result.rig_from_world[free_images])
     model.set_points(used, result.points_in_world)
-    changed = np.flatnonzero((result.camera_params != model.params).any(axis=1))
-    model.params = result.camera_params
-    for c in changed:
-        model.update_rays(int(c))
+    model.set_params(result.camera_params)
     return result
 
 

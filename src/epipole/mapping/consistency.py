@@ -42,6 +42,11 @@ class MatchConsistency:
         known = np.isfinite(shares)
         return float((shares[known] * count[known]).sum() / max(count[known].sum(), 1))
 
+    def num_explained(self, model: ModelBuilder) -> int:
+        """Number of matches that both images see as one point."""
+        point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
+        return int(((point1 == point2) & (point1 >= 0)).sum())
+
     def of_image(self, model: ModelBuilder, image: int) -> float:
         """The share over the matches of one image with the other registered ones; 1 where there are none."""
         shares, count = self.shares(model)

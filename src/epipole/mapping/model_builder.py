@@ -83,6 +83,16 @@ def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, "
     )
 
 
+class Snapshot(NamedTuple):
+    """A state of a model to which it can return."""
+
+    registered: np.ndarray
+    motion: np.ndarray
+    row_point: np.ndarray
+    points: np.ndarray
+    params: np.ndarray
+
+
 class ModelBuilder:
     """Images, points and rows under construction. One image is one frame of its own rig."""
 
@@ -123,6 +133,30 @@ class ModelBuilder:
         self.row_point = np.full(len(self.row_image), -1, np.int32)
         self._points = np.empty((1024, 3))
         self.num_points = 0
+        if (self.params != self.cameras.params).any():
+            self.set_params(self.cameras.params.copy())
+
+    def snapshot(self) -> Snapshot:
+        """The present state."""
+        return Snapshot(
+            *(self.registered.copy(), self.motion.copy(), self.row_point.copy(), self.points.copy()),
+            self.params.copy(),
+        )
+
+    def restore(self, state: Snapshot) -> None:
+        """Return to an earlier state."""
+        self.registered, self.row_point = state.registered.copy(), state.row_point.copy()
+        self.motion, self.center = state.motion.copy(), np.full((len(state.motion), 3), np.nan)
+        self.set_places(np.flatnonzero(self.registered), self.registered_places())
+        self._points, self.num_points = state.points.copy(), len(state.points)
+        self.set_params(state.params.copy())
+
+    def set_params(self, params: np.ndarray) -> None:
+        """Change the cameras' parameters, and the rays of those that change."""
+        changed = np.flatnonzero((params != self.params).any(axis=1))
+        self.params = params
+        for camera in changed:
+            self.update_rays(int(camera))
 
     @property
     def points(self) -> Float64[np.ndarray, "p 3"]:

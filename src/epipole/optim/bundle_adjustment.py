@@ -225,11 +225,11 @@ class _Solver:
         self.max_blocks = 2 * longest + 1
         copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
         self.num_chunks = int(np.clip(copies, 1, 8))
-        expected = problem.params_expected is not None and problem.params_sigma is not None
-        free = problem.params_free > 0
-        weight = 1.0 / problem.params_sigma**2 if expected else np.zeros_like(problem.camera_params)
-        self.params_weight = np.where(free, weight, 0.0)
-        self.params_expected = problem.params_expected if expected else problem.camera_params
+        self.params_weight = np.zeros_like(problem.camera_params)
+        self.params_expected = problem.camera_params
+        if problem.params_expected is not None and problem.params_sigma is not None:
+            self.params_weight = np.where(problem.params_free > 0, 1.0 / problem.params_sigma**2, 0.0)
+            self.params_expected = problem.params_expected
         self.has_prior = np.isfinite(problem.prior_position).all(axis=1)
 
     def initial_state(self) -> _State:

@@ -14,6 +14,7 @@ from epipole.mapping import (
     MatchConsistency,
     ModelBuilder,
     PositionPriors,
+    Snapshot,
     adjust_all,
     adjust_around,
     refine_resection,
@@ -45,6 +46,7 @@ class IncrementalMapper:
         self.model, self.view_graph, self.config = model, view_graph, config
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
+        self._started: set[int] = set()
         self.priors: PositionPriors | None = None
         self._ransac = RansacConfig(
             max_error_px=config.resection_max_error_px,
@@ -56,12 +58,26 @@ class IncrementalMapper:
         self._angle = np.deg2rad(config.min_angle_deg)
 
     def run(self, usable: np.ndarray, progress: Progress | None = None) -> bool:
-        """Map the usable images (mask); False if no pair of them can start a model."""
-        if not self.start(usable):
+        """Map the usable images (mask); False if no pair of them can start a model.
+
+        A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths,
+        nearly parallel views): others are tried, and the model that explains most matches is kept.
+        """
+        best: tuple[int, Snapshot] | None = None
+        for _ in range(1 + self.config.restarts):
+            if not self.start(usable):
+                break
+            self.grow(usable, int(usable.sum()), progress)
+            self.adjust_globally(rounds=self.config.final_rounds)
+            self.finish()
+            explained = self.consistency.num_explained(self.model)
+            if best is None or explained > best[0]:
+                best = (explained, self.model.snapshot())
+            if self.consistency.overall(self.model) >= self.config.sound_end_share:
+                break
+        if best is None:
             return False
-        self.grow(usable, int(usable.sum()), progress)
-        self.adjust_globally(rounds=self.config.final_rounds)
-        self.finish()
+        self.model.restore(best[1])
         return True
 
     def finish(self) -> None:
@@ -109,6 +125,7 @@ class IncrementalMapper:
                     break
                 continue
             probes += 1
+            self._started |= {int(self.view_graph.image1[edge]), int(self.view_graph.image2[edge])}
             share = self.consistency.overall(self.model)
             if share >= self.config.sound_share:
                 return True
@@ -142,6 +159,9 @@ class IncrementalMapper:
             candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
             if len(candidates):
                 break
+        # Another start shall differ from those before.
+        known = np.isin(g.image1, list(self._started)) & np.isin(g.image2, list(self._started))
+        candidates = candidates[~known[candidates]]
         return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
 
     def _take_out_if_wrong(self, image: int) -> None:
@@ -217,8 +237,9 @@ class IncrementalMapper:
             self.rejections[image] = Rejection(image, self._num_rows_in_sight(image), estimate.num_inliers)
             return False
         if search_focal:
-            model.params[camera_index, : len(camera.params)] = camera.params
-            model.update_rays(camera_index)
+            params = model.params.copy()
+            params[camera_index] = camera.padded_params()
+            model.set_params(params)
         rows, points = model.points_in_sight(image)
         refined = refine_resection(model.points[points], model.row_pixel[rows], estimate, camera, focal=False)
         model.register(image, estimate.motion if refined is None else refined[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,9 @@ from epipole.sfm.photographs import ImageSet, read_image_set
 from epipole.sfm.warm_up import warm_up
 from epipole.sfm.workspace import Workspace, open_workspace
 from epipole.workflow import Progress, ProgressCallback, Unit, ignore_progress, load, run_units, timed
+
+FOCAL_CORRECTION = 0.1
+"""A trusted focal length that changes by more in mapping was wrong: matching starts again with the better one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,22 +80,30 @@ def run_pipeline(
             images, features = _detect(images, workspace, config, progress)
         with timed(timings_s, "match"):
             pairs = _choose_pairs(images, features, config)
-            matching = (workspace.units / "matches", config.matching, config.verification)
-            matches = match_units(pairs, features, images.cameras, images.camera_of_image, *matching)
-            run_units(matches, stage="match", executor=config.executor, progress=progress)
-        with timed(timings_s, "verify"):
-            cameras, view_graph, notes = _verify(
-                pairs, images, features, matches, workspace, config, progress
-            )
-        with timed(timings_s, "map"):
-            keypoints, colors = _keypoints(features)
-            compiling.join()
-            mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
+        keypoints, colors = _keypoints(features)
+
+        def attempt(images: ImageSet, suffix: str) -> _Attempt:
+            with timed(timings_s, "match"):
+                matching = (workspace.units / f"matches{suffix}", config.matching, config.verification)
+                matches = match_units(pairs, features, images.cameras, images.camera_of_image, *matching)
+                run_units(matches, stage="match", executor=config.executor, progress=progress)
+            with timed(timings_s, "verify"):
+                folder = workspace.units / f"geometry{suffix}"
+                cameras, view_graph, notes = _verify(
+                    pairs, images, features, matches, folder, config, progress
+                )
+            with timed(timings_s, "map"):
+                compiling.join()
+                mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
+            return _Attempt(images, matches, cameras, view_graph, notes, mapped)
+
+        best = attempt(images, "")
+        if (corrected := _corrected_cameras(best)) is not None:
+            best = max(best, attempt(replace(images, cameras=corrected), "-again"), key=_Attempt.worth)
+        images, view_graph, mapped = best.images, best.view_graph, best.mapped
         reasons = reasons_in_words(images, mapped, view_graph, keypoints, config.mapper.resection_min_inliers)
         with timed(timings_s, "write"):
-            _write_database(
-                workspace, images, cameras, keypoints, features, load_putative(matches), view_graph
-            )
+            _write_database(workspace, best, keypoints, features)
             if not mapped.models:
                 raise NoModelError(no_model_reason(view_graph, len(images)))
             _write_models(workspace, images, mapped)
@@ -104,9 +115,45 @@ def run_pipeline(
         reasons,
         tuple(len(k) for k in keypoints),
         tuple(u.path for u in features),
-        (*notes, *_warnings(images, mapped, reasons)),
+        (*best.notes, *_warnings(images, mapped, reasons)),
         timings_s,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Attempt:
+    """Matching, verification and mapping under one idea of the cameras."""
+
+    images: ImageSet
+    matches: list[Unit]
+    cameras: Cameras
+    view_graph: ViewGraph
+    notes: tuple[str, ...]
+    mapped: Mapped
+
+    def worth(self) -> tuple[int, int]:
+        """Images and observations of the largest model."""
+        if not self.mapped.models:
+            return 0, 0
+        return int(self.mapped.models[0].is_registered().sum()), len(self.mapped.models[0].tracks.image)
+
+
+def _corrected_cameras(attempt: _Attempt) -> Cameras | None:
+    """The cameras as mapping found them, where a trusted focal length was wrong and images are missing; else None.
+
+    Such a focal length has spoiled matches and geometries before any model could correct it.
+    """
+    first = attempt.images.cameras
+    if not attempt.mapped.models:
+        return None
+    model = attempt.mapped.models[0]
+    used = np.zeros(len(first), bool)
+    used[model.camera_of_image[model.is_registered()]] = True
+    ratio = model.cameras.params[:, 0] / first.params[:, 0]
+    wrong = used & first.is_focal_trusted & ~first.is_constant & (np.abs(np.log(ratio)) > FOCAL_CORRECTION)
+    if not wrong.any() or model.is_registered().sum() < 5 or model.is_registered().all():
+        return None
+    return replace(first, params=np.where(wrong[:, None], model.cameras.params, first.params))
 
 
 def _read(
@@ -174,21 +221,21 @@ def _verify(
     images: ImageSet,
     features: Sequence[Unit],
     matches: Sequence[Unit],
-    workspace: Workspace,
+    folder: Path,
     config: ReconstructConfig,
     progress: ProgressCallback,
 ) -> tuple[Cameras, ViewGraph, tuple[str, ...]]:
     """Geometry of all pairs; where focal lengths were guessed, again with those that the pairs agree on."""
 
-    def verify(cameras: Cameras, folder: str) -> ViewGraph:
+    def verify(cameras: Cameras, folder: Path) -> ViewGraph:
         units = verification_units(
-            *(pairs, features, cameras, images.camera_of_image, workspace.units / folder),
+            *(pairs, features, cameras, images.camera_of_image, folder),
             *(config.matching, config.verification, matches),
         )
         run_units(units, stage="verify", executor=config.executor, progress=progress)
         return load_view_graph(units)
 
-    view_graph = verify(images.cameras, "geometry")
+    view_graph = verify(images.cameras, folder)
     cameras, found = estimate_focals(images.cameras, images.camera_of_image, view_graph)
     if not found:
         return cameras, view_graph, ()
@@ -196,7 +243,7 @@ def _verify(
         f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves"
         for c in found
     )
-    return cameras, verify(cameras, "geometry-calibrated"), notes
+    return cameras, verify(cameras, folder.with_name(f"{folder.name}-calibrated")), notes
 
 
 def _keypoints(features: Sequence[Unit]) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -209,14 +256,9 @@ def _keypoints(features: Sequence[Unit]) -> tuple[list[np.ndarray], list[np.ndar
 
 
 def _write_database(
-    workspace: Workspace,
-    images: ImageSet,
-    cameras: Cameras,
-    keypoints: Sequence[np.ndarray],
-    features: Sequence[Unit],
-    putative: dict[tuple[int, int], np.ndarray],
-    view_graph: ViewGraph,
+    workspace: Workspace, attempt: _Attempt, keypoints: Sequence[np.ndarray], features: Sequence[Unit]
 ) -> None:
+    images, cameras = attempt.images, attempt.cameras
     n = len(images)
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     stacked = np.concatenate(list(keypoints)).reshape(-1, 2)
@@ -231,8 +273,8 @@ def _write_database(
         Frames(images.camera_of_image, unregistered(n), images.timestamps_s),
         Images(images.names, rows, images.camera_of_image, offsets, stacked),
         descriptors,
-        putative,
-        view_graph,
+        load_putative(attempt.matches),
+        attempt.view_graph,
         images.lat_lon_alt,
     )
     write_database(workspace.database, contents)

@@ -1,0 +1,53 @@
+"""Pictures of a synthetic scene, with exact depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.synthetic import _render_kernels as kernels
+from epipole.synthetic.scene import SyntheticScene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """A picture and its depth."""
+
+    rgb: UInt8[np.ndarray, "h w 3"]
+    depth: Float64[np.ndarray, "h w"]
+    """z in camera coordinates at each pixel's centre; NaN for the sky."""
+
+
+def render(
+    scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, noise_sigma: float = 0.0, seed: int = 0
+) -> Rendering:
+    """Cast rays through every pixel (four a pixel for the colour, one for the depth).
+
+    Args:
+        scene: what there is.
+        camera: any model, distortion included.
+        cam_from_world: where the camera stands.
+        noise_sigma: standard deviation of the sensor's noise, in grey levels of 255.
+        seed: of the noise.
+    """
+    height, width = camera.height, camera.width
+    rgb, depth = np.zeros((height, width, 3)), np.full((height, width), np.nan)
+    motion = np.concatenate([cam_from_world.rotation.ravel(), cam_from_world.translation])
+    columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
+    params = camera.padded_params()
+    _parallel.map_chunks(
+        lambda start, stop, _: kernels.render_rows(
+            columns, int(camera.model), params, motion, start, stop, width, rgb, depth
+        ),
+        height,
+        32,
+    )
+    levels = 255.0 * rgb
+    if noise_sigma > 0:
+        levels += np.random.default_rng(seed).normal(0.0, noise_sigma, levels.shape)
+    return Rendering(np.clip(np.rint(levels), 0, 255).astype(np.uint8), depth)

@@ -1,0 +1,123 @@
+"""Scenes made of planes, boxes, spheres and height fields with procedural textures. The z axis points up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole.errors import ShapeError
+from epipole.synthetic import _render_kernels as kernels
+
+Vector = tuple[float, float, float]
+_NUM_PARAMS = 12
+
+
+class Texture(IntEnum):
+    """What covers a surface."""
+
+    RICH = kernels.RICH
+    """Detail at all scales, nowhere repeated."""
+    PLAIN = kernels.PLAIN
+    """One colour: a blank wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Surface:
+    color: Vector = (0.5, 0.5, 0.5)
+    texture: Texture = Texture.RICH
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plane(_Surface):
+    """A rectangle: centre, two orthogonal unit directions and half its sides along them."""
+
+    center: Vector
+    direction_u: Vector
+    direction_v: Vector
+    half_size: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Box(_Surface):
+    """A box: centre, half sizes, turned about z."""
+
+    center: Vector
+    half_size: Vector
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sphere(_Surface):
+    """A sphere."""
+
+    center: Vector
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeightField(_Surface):
+    """A rolling ground about a centre: half sizes in x and y, height of its waves and their length."""
+
+    center: Vector
+    half_size: tuple[float, float]
+    amplitude: float
+    wavelength: float
+
+
+Primitive = Plane | Box | Sphere | HeightField
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SyntheticScene:
+    """Primitives as columns."""
+
+    kind: Int64[np.ndarray, " n"]
+    params: Float64[np.ndarray, "n 12"]
+    texture: Int64[np.ndarray, " n"]
+    color: Float64[np.ndarray, "n 3"]
+    seed: Int64[np.ndarray, " n"]
+    light: Float64[np.ndarray, "3"]
+    """Unit direction towards the light."""
+
+    @staticmethod
+    def of(primitives: Sequence[Primitive], light: Vector = (0.3, -0.5, 0.81)) -> SyntheticScene:
+        """Collect primitives.
+
+        Raises:
+            ShapeError: there are none.
+        """
+        if not primitives:
+            raise ShapeError("a scene needs at least one primitive")
+        rows = [_row(p) for p in primitives]
+        params = np.zeros((len(rows), _NUM_PARAMS))
+        for n, (_, values) in enumerate(rows):
+            params[n, : len(values)] = values
+        direction = np.array(light, np.float64)
+        return SyntheticScene(
+            np.array([kind for kind, _ in rows], np.int64),
+            params,
+            np.array([int(p.texture) for p in primitives], np.int64),
+            np.array([p.color for p in primitives], np.float64),
+            np.array([p.seed for p in primitives], np.int64),
+            direction / np.linalg.norm(direction),
+        )
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+def _row(primitive: Primitive) -> tuple[int, list[float]]:
+    if isinstance(primitive, Plane):
+        values = [*primitive.center, *primitive.direction_u, *primitive.direction_v, *primitive.half_size]
+        return kernels.PLANE, values
+    if isinstance(primitive, Box):
+        return kernels.BOX, [*primitive.center, *primitive.half_size, primitive.angle_rad]
+    if isinstance(primitive, Sphere):
+        return kernels.SPHERE, [*primitive.center, primitive.radius]
+    values = [*primitive.center, *primitive.half_size, primitive.amplitude, primitive.wavelength]
+    return kernels.HEIGHT_FIELD, values

@@ -1,0 +1,132 @@
+"""The kernels' decorator: lazy, cached on disk by the digest of all sources, safe about NaN."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import epipole
+from epipole import _jit
+from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel
+
+
+@kernel
+def _mean_of_finite(values):
+    total, count = 0.0, 0
+    for i in range(len(values)):
+        if np.isfinite(values[i]):
+            total += values[i]
+            count += 1
+    return total / count
+
+
+@kernel(inline=True, extra_fastmath=frozenset({"reassoc"}))
+def _dot(a, b):
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@kernel
+def _length(a):
+    return np.sqrt(_dot(a, a))
+
+
+def test_kernels_are_compiled_at_the_first_call_only() -> None:
+    @kernel
+    def twice(x):
+        return 2 * x
+
+    before = compile_seconds()
+    assert twice.signatures == [] and compile_seconds() == before
+    assert twice(21) == 42
+    first = compile_seconds()
+    assert first > before
+    assert twice(4) == 8 and compile_seconds() == first
+    assert len(twice.signatures) == 1
+
+
+def test_nan_and_infinity_are_seen() -> None:
+    """fastmath=True would answer NaN or infinity here."""
+    assert not {"nnan", "ninf", "fast"} & SAFE_FASTMATH
+    values = np.array([1.0, np.nan, 3.0, np.inf, -np.inf])
+    assert _mean_of_finite(values) == _mean_of_finite.py_func(values) == 2.0
+
+
+def test_division_by_zero_follows_numpy() -> None:
+    assert np.isnan(_mean_of_finite(np.array([np.nan])))
+
+
+def test_inlined_helpers() -> None:
+    assert _length(np.array([3.0, 4.0])) == pytest.approx(5.0, rel=1e-15)
+    assert "reassoc" in _dot.targetoptions["fastmath"] and "reassoc" not in _length.targetoptions["fastmath"]
+
+
+def test_kernels_are_serial_cached_and_release_the_interpreter_lock() -> None:
+    options = _length.targetoptions
+    assert options["nogil"] and not options.get("parallel", False) and options["error_model"] == "numpy"
+    assert _length._cache.cache_path.startswith(str(cache_folder()))
+
+
+def test_a_type_checking_wrapper_is_removed() -> None:
+    """The import hook of this test run wraps every function; Numba could not compile the wrapper."""
+    from epipole.cameras import _camera_kernels
+
+    assert not hasattr(_camera_kernels.project_one.py_func, "__wrapped__")
+    assert hasattr(_jit.cache_folder, "__wrapped__")
+
+
+def run_python(code: str, **environment: str) -> str:
+    env = {**os.environ, **environment}
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env)
+    assert out.returncode == 0, out.stderr
+    return out.stdout.strip()
+
+
+COMPILE = (
+    "from epipole._jit import compile_seconds;"
+    "from epipole.cameras._camera_kernels import expand_params as f;"
+    "import numpy as np; f(0, np.ones(8)); print(compile_seconds())"
+)
+
+
+def test_a_second_process_compiles_nothing(tmp_path: Path) -> None:
+    assert float(run_python(COMPILE, EPIPOLE_CACHE_DIR=str(tmp_path))) > 0
+    assert list(tmp_path.rglob("*.nbc"))
+    assert float(run_python(COMPILE, EPIPOLE_CACHE_DIR=str(tmp_path))) == 0.0
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="the fallback is tested with POSIX paths")
+def test_an_unusable_cache_folder_is_no_reason_to_stop(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    code = "from epipole._jit import cache_folder; print(cache_folder())"
+    env = {"EPIPOLE_CACHE_DIR": str(blocked), "TMPDIR": str(tmp_path)}
+    folder = Path(run_python(code, **env))
+    assert folder.is_dir() and folder.is_relative_to(tmp_path) and folder.name == cache_folder().name
+
+
+def test_the_folder_follows_the_sources_of_all_kernels(tmp_path: Path) -> None:
+    """Numba does not see that a callee in another file has changed; the digest does."""
+    source = Path(epipole.__file__).parent
+    for room in ("a", "b"):
+        package = tmp_path / room / "epipole"
+        (package / "cameras").mkdir(parents=True)
+        for name in ("__init__.py", "_jit.py", "errors.py"):
+            (package / name).write_text((source / name).read_text())
+        (package / "cameras" / "_x_kernels.py").write_text(f"# {room}\n")
+        (package / "cameras" / "x.py").write_text(f"# {room}\n")
+    code = "from epipole._jit import cache_folder; print(cache_folder())"
+    names = {}
+    for room in ("a", "b"):
+        env = {"EPIPOLE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path / room)}
+        names[room] = Path(run_python(code, **env)).name
+    assert names["a"] != names["b"]
+    (tmp_path / "b" / "epipole" / "cameras" / "_x_kernels.py").write_text("# a\n")
+    env = {"EPIPOLE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path / "b")}
+    # The same kernels: what else a room holds does not count.
+    assert Path(run_python(code, **env)).name == names["a"]
