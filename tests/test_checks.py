@@ -8,7 +8,11 @@ from epipole.errors import EpipoleError, ShapeError
 
 
 def test_arrays_come_back_as_c_contiguous_doubles() -> None:
-    for given in ([[1, 2], [3, 4]], np.asfortranarray(np.ones((3, 2), np.float32)), np.ones((4, 8), bool)[::2, ::4]):
+    for given in (
+        [[1, 2], [3, 4]],
+        np.asfortranarray(np.ones((3, 2), np.float32)),
+        np.ones((4, 8), bool)[::2, ::4],
+    ):
         out = as_points(given, "pixels", 2)
         assert out.dtype == np.float64 and out.flags.c_contiguous
         np.testing.assert_array_equal(out, np.asarray(given))
@@ -46,9 +50,11 @@ def test_columns_instead_of_rows_are_guessed() -> None:
         as_points(np.zeros((4, 7)), "rays", 3)
 
 
-@pytest.mark.parametrize("given", ["word", ["1", "2"], [[1.0], [1.0, 2.0]], [object()] * 2, {"a": 1}, None, [None, 1.0]])
+@pytest.mark.parametrize(
+    "given", ["word", ["1", "2"], [[1.0], [1.0, 2.0]], [object()] * 2, {"a": 1}, None, [None, 1.0]]
+)
 def test_what_is_no_number_is_refused(given: object) -> None:
-    with pytest.raises(ShapeError, match="^points must"):
+    with pytest.raises(ShapeError, match=r"^points must"):
         as_float_array(given, "points", 2)
 
 

@@ -193,8 +193,6 @@ class ReconstructConfig:
     """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
     pairs: Path | None = None
     """Text file of image pairs to match, two names a line."""
-    database: Path | None = None
-    """COLMAP database from which features and matches are taken."""
     max_frames: int = 200
     """Frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"

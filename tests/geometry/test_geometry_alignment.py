@@ -14,7 +14,12 @@ def cost(similarity: Similarity3, source: np.ndarray, target: np.ndarray) -> flo
 
 
 def assert_local_minimum(
-    found: Similarity3, source: np.ndarray, target: np.ndarray, rng: np.random.Generator, *, scale: bool = True
+    found: Similarity3,
+    source: np.ndarray,
+    target: np.ndarray,
+    rng: np.random.Generator,
+    *,
+    scale: bool = True,
 ) -> None:
     best = cost(found, source, target)
     for step in rng.normal(size=(60, 7)) * rng.choice([1e-3, 1e-1], (60, 1)):

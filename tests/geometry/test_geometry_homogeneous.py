@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from epipole.errors import ShapeError
-from epipole.geometry import from_homogeneous, intersection_of, line_through, point_line_distance, to_homogeneous
+from epipole.geometry import (
+    from_homogeneous,
+    intersection_of,
+    line_through,
+    point_line_distance,
+    to_homogeneous,
+)
 from epipole.geometry.homogeneous import normalize_lines
 
 

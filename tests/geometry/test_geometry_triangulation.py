@@ -58,7 +58,9 @@ def test_a_point_at_infinity_is_not_finite(rng: np.random.Generator) -> None:
     assert not np.isfinite(triangulate_linear(cams_from_world, rays)).any()
     # A far point has its digits still.
     far = 1e8 * direction
-    np.testing.assert_allclose(triangulate_linear(cams_from_world, cams_from_world.apply(far)), far, rtol=1e-6)
+    np.testing.assert_allclose(
+        triangulate_linear(cams_from_world, cams_from_world.apply(far)), far, rtol=1e-6
+    )
 
 
 def test_turning_on_the_spot_gives_no_point(rng: np.random.Generator) -> None:

@@ -56,7 +56,7 @@ class Scene:
 def scene(request: pytest.FixtureRequest) -> Scene:
     rng = np.random.default_rng(request.param)
     motion = Rigid3.exp(np.concatenate([rng.normal(size=3), 0.3 * rng.normal(size=3)]))
-    points = rng.uniform(-2, 2, (40, 3)) + [0, 0, 7]
+    points = rng.uniform([-2, -2, 5], [2, 2, 9], (40, 3))
     in_cam2 = motion.apply(points)
     assert (in_cam2[:, 2] > 0.5).all()
     # Rays of any length must do.
@@ -180,7 +180,9 @@ def test_sampson_error_equals_the_formula(scene: Scene, rng: np.random.Generator
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     np.testing.assert_allclose(sampson_error(-7.0 * F, pixels1, pixels2), found, rtol=1e-9)
     np.testing.assert_allclose(sampson_error(F.T, pixels2, pixels1), found, rtol=1e-9)
-    squared = [cv2.sampsonDistance(np.array([*a, 1.0]), np.array([*b, 1.0]), F) for a, b in zip(pixels1, pixels2)]
+    squared = [
+        cv2.sampsonDistance(np.array([*a, 1.0]), np.array([*b, 1.0]), F) for a, b in zip(pixels1, pixels2)
+    ]
     np.testing.assert_allclose(found**2, squared, rtol=1e-8)
 
 

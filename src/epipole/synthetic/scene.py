@@ -81,7 +81,7 @@ class SyntheticScene:
     texture: Int64[np.ndarray, " n"]
     color: Float64[np.ndarray, "n 3"]
     seed: Int64[np.ndarray, " n"]
-    light: Float64[np.ndarray, "3"]
+    light: Float64[np.ndarray, 3]
     """Unit direction towards the light."""
 
     @staticmethod

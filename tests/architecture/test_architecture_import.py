@@ -1,0 +1,95 @@
+"""`import epipole` is quick, compiles nothing and leaves no trace."""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from architecture_sources import PACKAGE
+
+PROBE = """
+import json, logging, os, sys, threading, time, warnings
+handlers, filters, before = list(logging.root.handlers), list(warnings.filters), dict(os.environ)
+begin = time.perf_counter()
+import epipole
+seconds = time.perf_counter() - begin
+print(json.dumps({
+    "seconds": seconds,
+    "modules": sorted(sys.modules),
+    "handlers": logging.root.handlers != handlers or any(
+        logger.handlers for name, logger in logging.root.manager.loggerDict.items()
+        if name.startswith("epipole") and isinstance(logger, logging.Logger)),
+    "filters": warnings.filters != filters,
+    "environment": dict(os.environ) != before,
+    "threads": threading.active_count(),
+    "names": dir(epipole),
+}))
+"""
+HEAVY = {"numpy", "numba", "scipy", "cv2", "viser", "tyro", "rich", "PIL", "jaxtyping", "beartype"}
+
+
+def run_python(code: str, folder: Path) -> str:
+    env = {**os.environ, "HOME": str(folder), "XDG_CACHE_HOME": str(folder / "cache"), "TMPDIR": str(folder)}
+    env.pop("EPIPOLE_CACHE_DIR", None)
+    out = subprocess.run([sys.executable, "-c", code], cwd=folder, env=env, capture_output=True, text=True)
+    assert out.returncode == 0, out.stderr
+    assert not out.stderr
+    return out.stdout
+
+
+@pytest.fixture(scope="module")
+def probes(tmp_path_factory: pytest.TempPathFactory) -> list[dict]:
+    folder = tmp_path_factory.mktemp("import")
+    found = [json.loads(run_python(PROBE, folder)) for _ in range(3)]
+    assert not list(folder.iterdir()), "importing wrote files"
+    return found
+
+
+def test_importing_takes_less_than_half_a_second(probes: list[dict]) -> None:
+    assert statistics.median(probe["seconds"] for probe in probes) < 0.5
+
+
+def test_importing_loads_nothing_heavy(probes: list[dict]) -> None:
+    assert not HEAVY & set(probes[0]["modules"])
+
+
+def test_importing_has_no_side_effects(probes: list[dict]) -> None:
+    for probe in probes:
+        assert not probe["handlers"] and not probe["filters"] and not probe["environment"]
+        assert probe["threads"] == 1
+
+
+def test_every_room_imports_without_compiling_or_writing(tmp_path: Path) -> None:
+    rooms = sorted(p.parent.name for p in PACKAGE.glob("*/__init__.py"))
+    code = (
+        f"import importlib; [importlib.import_module('epipole.' + r) for r in {rooms}];"
+        "import logging, threading; from epipole._jit import compile_seconds, cache_folder;"
+        "print(compile_seconds(), logging.root.handlers, threading.active_count(), cache_folder())"
+    )
+    seconds, handlers, threads, folder = run_python(code, tmp_path).split()
+    assert (float(seconds), handlers, int(threads)) == (0.0, "[]", 1)
+    # The folder of compiled kernels is all that there is, and it is empty.
+    written = [p for p in tmp_path.rglob("*") if p.is_file()]
+    assert not written and Path(folder).is_relative_to(tmp_path)
+
+
+def test_the_public_names_are_there_and_no_others(tmp_path: Path) -> None:
+    code = (
+        "import epipole; print(all(callable(getattr(epipole, n)) or n == '__version__' for n in epipole.__all__))"
+        "\ntry: epipole.no_such_name\nexcept AttributeError as e: print(e)"
+    )
+    out = run_python(code, tmp_path).splitlines()
+    assert out == ["True", "module 'epipole' has no attribute 'no_such_name'"]
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    import tomllib
+
+    import epipole
+
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
+    assert epipole.__version__ == project["version"]
+    assert (PACKAGE / "py.typed").is_file()

@@ -1,0 +1,125 @@
+"""The columns: cameras, rigs, frames, images, points, tracks, view graph."""
+
+import numpy as np
+import pytest
+from scene_models import CAMERAS, empty_model, rig_model
+
+from epipole.cameras import MAX_PARAMS, CameraModel
+from epipole.geometry import Rigid3
+from epipole.scene import Cameras, Frames, Points, Rigs, Tracks, ViewGraph, unregistered
+
+
+def test_cameras_there_and_back() -> None:
+    cameras = Cameras.from_list(
+        CAMERAS, is_focal_trusted=[True, False, True], is_constant=[False, True, False]
+    )
+    assert len(cameras) == 3 and cameras.params.shape == (3, MAX_PARAMS)
+    np.testing.assert_array_equal(cameras.is_focal_trusted, [True, False, True])
+    np.testing.assert_array_equal(cameras.is_constant, [False, True, False])
+    for row, camera in enumerate(CAMERAS):
+        back = cameras[row]
+        assert (back.model, back.width, back.height) == (camera.model, camera.width, camera.height)
+        np.testing.assert_array_equal(back.params, camera.params)
+        assert not cameras.params[row, camera.model.num_params :].any()
+    assert repr(cameras) == "Cameras(3: OPENCV, SIMPLE_PINHOLE, SIMPLE_RADIAL)"
+
+
+def test_a_camera_taken_out_is_a_copy() -> None:
+    cameras = Cameras.from_list(CAMERAS)
+    cameras[0].params[:] = 1.0
+    np.testing.assert_array_equal(cameras[0].params, CAMERAS[0].params)
+
+
+def test_cameras_from_a_generator_and_from_nothing() -> None:
+    cameras = Cameras.from_list(c for c in CAMERAS)
+    assert cameras.is_focal_trusted.all() and not cameras.is_constant.any() and len(cameras) == 3
+    none = Cameras.from_list([])
+    assert len(none) == 0 and none.params.shape == (0, MAX_PARAMS) and none.model.dtype == np.int32
+
+
+def test_camera_models_keep_their_numbers_in_the_column() -> None:
+    column = Cameras.from_list(CAMERAS).model
+    assert [CameraModel(int(m)) for m in column] == [c.model for c in CAMERAS]
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_rigs_of_single_cameras(count: int) -> None:
+    rigs = Rigs.of_single_cameras(count)
+    assert len(rigs) == len(rigs.sensor_camera) == len(rigs.cam_from_rig) == count
+    np.testing.assert_array_equal(rigs.rig_of_sensor(), np.arange(count))
+    np.testing.assert_array_equal(rigs.sensor_camera, np.arange(count))
+    np.testing.assert_array_equal(rigs.cam_from_rig.as_matrix(), np.tile(np.eye(4), (count, 1, 1)))
+
+
+def test_rigs_in_compressed_rows(rng: np.random.Generator) -> None:
+    rigs = rig_model(rng).rigs
+    assert len(rigs) == 2 and repr(rigs) == "Rigs(2 rigs, 3 sensors)"
+    np.testing.assert_array_equal(rigs.rig_of_sensor(), [0, 0, 1])
+
+
+def test_frames_know_which_of_them_have_a_place() -> None:
+    places = Rigid3.identity(4)
+    places.translation[1] = np.nan
+    places.translation[2, 0] = np.inf
+    frames = Frames(np.zeros(4, np.int32), places, np.full(4, np.nan))
+    np.testing.assert_array_equal(frames.is_registered(), [True, False, False, True])
+    assert len(frames) == 4 and repr(frames) == "Frames(4, 2 registered)"
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_unregistered_rows(count: int) -> None:
+    places = unregistered(count)
+    assert len(places) == count and np.isnan(places.as_matrix()[..., :3, :]).all()
+    frames = Frames(np.zeros(count, np.int32), places, np.zeros(count))
+    assert not frames.is_registered().any()
+    assert np.isnan((places @ Rigid3.identity(count)).inverse().translation).all()
+
+
+def test_keypoints_of_each_image(rng: np.random.Generator) -> None:
+    images = rig_model(rng).images
+    assert len(images) == 8 and repr(images) == "Images(8, 86 keypoints)"
+    together = np.concatenate([images.keypoints_of(i) for i in range(8)])
+    np.testing.assert_array_equal(together, images.keypoints_px)
+    np.testing.assert_array_equal(images.keypoints_of(7), [[1.0, 2.0], [3.0, 4.0]])
+
+
+def test_tracks_in_compressed_rows() -> None:
+    tracks = Tracks(np.array([0, 2, 2, 5]), np.arange(5, dtype=np.int32), np.zeros(5, np.int32))
+    assert len(tracks) == 3 and repr(tracks) == "Tracks(3, 5 observations)"
+    np.testing.assert_array_equal(tracks.point_of_observation(), [0, 0, 2, 2, 2])
+    assert empty_model().tracks.point_of_observation().shape == (0,)
+
+
+def test_points_have_a_length() -> None:
+    points = Points(np.zeros((4, 3)), np.zeros((4, 3), np.uint8), np.zeros(4))
+    assert len(points) == 4 and repr(points) == "Points(4)"
+
+
+@pytest.mark.parametrize("pairs", [0, 2])
+def test_view_graph_counts_its_inliers(pairs: int) -> None:
+    ids, matrices = np.arange(pairs, dtype=np.int32), np.zeros((pairs, 3, 3))
+    offsets = np.array([0, 3, 4][: pairs + 1])
+    matches = np.zeros(offsets[-1], np.int32)
+    graph = ViewGraph(
+        ids,
+        ids + 1,
+        ids,
+        ids + 9,
+        offsets,
+        matches,
+        matches,
+        unregistered(pairs),
+        matrices,
+        matrices,
+        matrices,
+        np.full(pairs, np.nan),
+    )
+    assert len(graph) == pairs
+    np.testing.assert_array_equal(graph.num_inliers(), [3, 1][:pairs])
+    assert repr(graph) == f"ViewGraph({pairs} pairs, {offsets[-1]} inlier matches)"
+
+
+def test_rows_must_fit_each_other_in_the_test_run() -> None:
+    """The type checks of this test run see columns of unequal length."""
+    with pytest.raises(Exception, match="rgb"):
+        Points(np.zeros((4, 3)), np.zeros((3, 3), np.uint8), np.zeros(4))
