@@ -19,7 +19,7 @@ _UNIT = 512.0
 
 def match_descriptors(
     descriptors1: UInt8[np.ndarray, "n d"],
-    descriptors2: UInt8[np.ndarray, "m d"],
+    descriptors2: UInt8[np.ndarray, "m e"],
     config: MatchConfig | None = None,
 ) -> Int32[np.ndarray, "k 2"]:
     """Index pairs of mutual nearest neighbours that pass the ratio test (Lowe, IJCV 2004, section 7.1).

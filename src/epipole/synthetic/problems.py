@@ -1,0 +1,316 @@
+"""Geometry problems with known answers, for tests and benchmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int32
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from epipole.synthetic.courtyard import look_at
+
+NEAR, FAR = 4.0, 9.0
+"""Depths of the points of two views and of resection; the baseline of two views is 1."""
+RING_RADIUS, BALL_RADIUS = 4.0, 1.0
+DISTORTION = (-0.05, 0.01, 1e-3, -1e-3)
+"""The first coefficients of whichever model a bundle problem uses."""
+START_TWIST, START_POINT, START_FOCAL = 0.01, 0.02, 0.01
+"""Standard deviations of a bundle problem's start: twist of each camera, points, and focal length (relative)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwoViewProblem:
+    """Matches between two pictures; an outlier's second pixel lies anywhere in the picture."""
+
+    pixels1: Float64[np.ndarray, "n 2"]
+    pixels2: Float64[np.ndarray, "n 2"]
+    inlier_mask: Bool[np.ndarray, " n"]
+    cam2_from_cam1: Rigid3
+    """|t| = 1, or 0 for a pure rotation."""
+    camera1: Camera
+    camera2: Camera
+    points_in_cam1: Float64[np.ndarray, "n 3"]
+    """What pixels1 sees, of outliers too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AbsolutePoseProblem:
+    """Points and their pixels; an outlier's pixel lies anywhere in the picture."""
+
+    points_in_world: Float64[np.ndarray, "n 3"]
+    pixels: Float64[np.ndarray, "n 2"]
+    inlier_mask: Bool[np.ndarray, " n"]
+    cam_from_world: Rigid3
+    camera: Camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleProblem:
+    """A true model whose keypoints are noisy, and a start with the same keypoints and tracks."""
+
+    truth: Reconstruction
+    start: Reconstruction
+
+
+def two_view_problem(
+    num_matches: int,
+    outlier_ratio: float = 0.0,
+    noise_px: float = 0.0,
+    seed: int = 0,
+    *,
+    planar: bool = False,
+    pure_rotation: bool = False,
+    forward: bool = False,
+    focal_px: float = 800.0,
+    size: tuple[int, int] = (1280, 960),
+) -> TwoViewProblem:
+    """Matches between two pictures of one camera, with a baseline of 1 and depths of 4 to 9.
+
+    Args:
+        num_matches: inliers and outliers together.
+        outlier_ratio: share of wrong matches.
+        noise_px: standard deviation of every coordinate in both pictures.
+        seed: of everything random.
+        planar: all points on one slanted plane.
+        pure_rotation: no baseline.
+        forward: the baseline lies along the first camera's axis.
+        focal_px: of both cameras.
+        size: width and height of both pictures.
+
+    Raises:
+        ConfigError: a value makes no sense, or a camera is to move and not to move.
+    """
+    _check(num_matches, outlier_ratio, noise_px)
+    if pure_rotation and forward:
+        raise ConfigError("a camera cannot move forward in a pure rotation")
+    rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
+    rotation = Rotation3.exp(_direction(rng) * rng.uniform(0.05, 0.15))
+    center = np.array([0.0, 0.0, 1.0]) if forward else _direction(rng)
+    shift = np.zeros(3) if pure_rotation else -rotation.apply(center)
+    cam2_from_cam1 = Rigid3(rotation.matrix, shift)
+    normal = _slanted_normal(rng) if planar else None
+    points, pixels1, pixels2 = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
+    while len(points) < num_matches:
+        candidates, seen1 = _points_in_view(rng, camera, num_matches + 8, normal)
+        seen2 = camera.project(cam2_from_cam1.apply(candidates))
+        inside = _is_inside(camera, seen2)
+        points = np.concatenate([points, candidates[inside]])[:num_matches]
+        pixels1 = np.concatenate([pixels1, seen1[inside]])[:num_matches]
+        pixels2 = np.concatenate([pixels2, seen2[inside]])[:num_matches]
+    pixels1 = pixels1 + noise_px * rng.standard_normal(pixels1.shape)
+    pixels2, inlier_mask = _with_noise_and_outliers(rng, camera, pixels2, outlier_ratio, noise_px)
+    return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points)
+
+
+def absolute_pose_problem(
+    num_points: int,
+    outlier_ratio: float = 0.0,
+    noise_px: float = 0.0,
+    seed: int = 0,
+    *,
+    planar: bool = False,
+    focal_px: float = 800.0,
+    size: tuple[int, int] = (1280, 960),
+) -> AbsolutePoseProblem:
+    """Points seen by a camera that stands and looks anywhere, at depths of 4 to 9.
+
+    Args:
+        num_points: inliers and outliers together.
+        outlier_ratio: share of wrong pixels.
+        noise_px: standard deviation of every coordinate.
+        seed: of everything random.
+        planar: all points on one slanted plane.
+        focal_px: of the camera.
+        size: width and height of the picture.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    _check(num_points, outlier_ratio, noise_px)
+    rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
+    cam_from_world = Rigid3(
+        Rotation3.from_quat_wxyz(rng.standard_normal(4)).matrix, rng.uniform(-10.0, 10.0, 3)
+    )
+    normal = _slanted_normal(rng) if planar else None
+    points_in_cam, pixels = _points_in_view(rng, camera, num_points, normal)
+    pixels, inlier_mask = _with_noise_and_outliers(rng, camera, pixels, outlier_ratio, noise_px)
+    points_in_world = cam_from_world.inverse().apply(points_in_cam)
+    return AbsolutePoseProblem(points_in_world, pixels, inlier_mask, cam_from_world, camera)
+
+
+def bundle_problem(
+    num_cameras: int,
+    num_points: int,
+    track_length: int,
+    noise_px: float = 0.0,
+    seed: int = 0,
+    *,
+    model: CameraModel = CameraModel.SIMPLE_RADIAL,
+) -> BundleProblem:
+    """A ring of images of one camera around a ball of points; neighbours on the ring share points.
+
+    Args:
+        num_cameras: images on the ring.
+        num_points: in the ball, which hides nothing.
+        track_length: images, next to each other on the ring, that see each point.
+        noise_px: standard deviation of every keypoint coordinate.
+        seed: of everything random.
+        model: of the camera that took all images.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    _check(num_points, 0.0, noise_px)
+    if not 1 <= track_length <= num_cameras:
+        raise ConfigError(f"track_length must lie between 1 and {num_cameras} cameras, got {track_length}")
+    rng = np.random.default_rng(seed)
+    camera, cams_from_world = _ring_camera(model), _ring(num_cameras)
+    xyz = rng.standard_normal((num_points, 3))
+    xyz *= BALL_RADIUS * rng.random((num_points, 1)) ** (1 / 3) / np.linalg.norm(xyz, axis=1, keepdims=True)
+    first = rng.integers(num_cameras, size=(num_points, 1))
+    image = np.sort((first + np.arange(track_length)) % num_cameras, axis=1).astype(np.int32).ravel()
+    seen = camera.project(cams_from_world[image].apply(np.repeat(xyz, track_length, axis=0)))
+    pixels = seen + noise_px * rng.standard_normal((len(image), 2))
+    truth = _assemble(camera, cams_from_world, xyz, image, pixels, track_length)
+    return BundleProblem(truth, _perturbed(truth, rng))
+
+
+def _check(count: int, outlier_ratio: float, noise_px: float) -> None:
+    if count < 0:
+        raise ConfigError(f"the number of points must not be negative, got {count}")
+    if not 0 <= outlier_ratio <= 1:
+        raise ConfigError(f"outlier_ratio must lie in [0, 1], got {outlier_ratio}")
+    if not 0 <= noise_px < np.inf:
+        raise ConfigError(f"noise_px must be finite and not negative, got {noise_px}")
+
+
+def _pinhole(focal_px: float, size: tuple[int, int]) -> Camera:
+    model = CameraModel.PINHOLE
+    return Camera(model, *size, model.initial_params(focal_px, *size))
+
+
+def _direction(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+def _slanted_normal(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
+    """Between about 10 and 30 degrees off the camera's axis."""
+    angle = rng.uniform(0.0, 2 * np.pi)
+    tilt = rng.uniform(0.2, 0.5)
+    return np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
+
+
+def _points_in_view(
+    rng: np.random.Generator, camera: Camera, count: int, plane_normal: np.ndarray | None
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"]]:
+    """Points in camera coordinates and their exact pixels, spread evenly over the picture."""
+    pixels = _anywhere(rng, camera, count)
+    rays = camera.unproject(pixels)
+    rays = rays / rays[:, 2:]
+    if plane_normal is None:
+        return rays * rng.uniform(NEAR, FAR, (count, 1)), pixels
+    # n . x = n_z (NEAR + FAR) / 2: the plane meets the axis in the middle of the depths.
+    depth = 0.5 * (NEAR + FAR) * plane_normal[2] / (rays @ plane_normal)
+    return rays * depth[:, None], pixels
+
+
+def _anywhere(rng: np.random.Generator, camera: Camera, count: int) -> Float64[np.ndarray, "n 2"]:
+    return rng.uniform(-0.5, (camera.width - 0.5, camera.height - 0.5), (count, 2))
+
+
+def _is_inside(camera: Camera, pixels: np.ndarray) -> Bool[np.ndarray, " n"]:
+    return np.all((pixels >= -0.5) & (pixels <= (camera.width - 0.5, camera.height - 0.5)), axis=1)
+
+
+def _with_noise_and_outliers(
+    rng: np.random.Generator, camera: Camera, pixels: np.ndarray, outlier_ratio: float, noise_px: float
+) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    n = len(pixels)
+    noisy = pixels + noise_px * rng.standard_normal((n, 2))
+    outliers = rng.permutation(n)[: round(outlier_ratio * n)]
+    noisy[outliers] = _anywhere(rng, camera, len(outliers))
+    inlier_mask = np.ones(n, bool)
+    inlier_mask[outliers] = False
+    return noisy, inlier_mask
+
+
+def _ring_camera(model: CameraModel) -> Camera:
+    width, height = 1280, 960
+    params = model.initial_params(1000.0, width, height)
+    for index, coefficient in zip(model.distortion_indices, DISTORTION):
+        params[index] = coefficient
+    return Camera(model, width, height, params)
+
+
+def _ring(num_cameras: int) -> Rigid3:
+    """cams_from_world that look at the origin from a wavy circle."""
+    angles = 2 * np.pi * np.arange(num_cameras) / num_cameras
+    views = [
+        look_at(
+            (RING_RADIUS * np.cos(a), RING_RADIUS * np.sin(a), 0.8 + 0.5 * np.sin(2 * a)), (0.0, 0.0, 0.0)
+        )
+        for a in angles
+    ]
+    return Rigid3(np.stack([v.rotation for v in views]), np.stack([v.translation for v in views]))
+
+
+def _assemble(
+    camera: Camera,
+    cams_from_world: Rigid3,
+    xyz: np.ndarray,
+    image: Int32[np.ndarray, " k"],
+    pixels: np.ndarray,
+    track_length: int,
+) -> Reconstruction:
+    """Observations come in track order; keypoints are stored image by image."""
+    num_images, num_points = len(cams_from_world), len(xyz)
+    order = np.argsort(image, kind="stable")
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(image, minlength=num_images))]).astype(np.int64)
+    keypoint = np.empty(len(image), np.int32)
+    keypoint[order] = np.arange(len(image)) - offsets[image[order]]
+    rgb = np.clip(127.5 + 110.0 * xyz / BALL_RADIUS, 0, 255).astype(np.uint8)
+    model = Reconstruction(
+        Cameras.from_list([camera]),
+        Rigs.of_single_cameras(1),
+        Frames(np.zeros(num_images, np.int32), cams_from_world, np.full(num_images, np.nan)),
+        Images(
+            tuple(f"ring_{i:04d}.jpg" for i in range(num_images)),
+            np.arange(num_images, dtype=np.int32),
+            np.zeros(num_images, np.int32),
+            offsets,
+            pixels[order],
+        ),
+        Points(xyz, rgb, np.full(num_points, np.nan)),
+        Tracks(track_length * np.arange(num_points + 1, dtype=np.int64), image, keypoint),
+    )
+    return _with_errors(model)
+
+
+def _with_errors(model: Reconstruction) -> Reconstruction:
+    """The same model with each point's mean reprojection error (all tracks have one length)."""
+    if not len(model.points):
+        return model
+    mean = model.reprojection_errors_px().reshape(len(model.points), -1).mean(axis=1)
+    return replace(model, points=replace(model.points, error_px=mean))
+
+
+def _perturbed(truth: Reconstruction, rng: np.random.Generator) -> Reconstruction:
+    """Cameras, points and focal length moved at random; no distortion."""
+    twists = START_TWIST * rng.standard_normal((len(truth.frames), 6))
+    rig_from_world = Rigid3.exp(twists) @ truth.frames.rig_from_world
+    xyz = truth.points.xyz_in_world + START_POINT * rng.standard_normal((len(truth.points), 3))
+    params, model = truth.cameras.params.copy(), truth.cameras[0].model
+    params[:, list(model.focal_indices)] *= 1.0 + START_FOCAL * rng.standard_normal()
+    params[:, list(model.distortion_indices)] = 0.0
+    moved = replace(
+        truth,
+        cameras=replace(truth.cameras, params=params),
+        frames=replace(truth.frames, rig_from_world=rig_from_world),
+        points=replace(truth.points, xyz_in_world=xyz),
+    )
+    return _with_errors(moved)
