@@ -175,7 +175,7 @@ def test_outliers_do_not_spoil_a_robust_adjustment(rng):
 
 def test_position_priors_pull_frames(rng):
     truth, start = ring(rng)
-    shifted = truth.rig_from_world.centers() + [3.0, 0, 0]
+    shifted = truth.rig_from_world.centers() + np.array([3.0, 0, 0])
     result = adjust_bundle(
         replace(start, prior_position=shifted, prior_sigma=0.5), BundleConfig(max_iterations=100)
     )

@@ -44,7 +44,6 @@ class Rotation3:
     def log(self) -> Float64[np.ndarray, "*batch 3"]:
         """The rotation vector in radians, |phi| <= pi; through the quaternion, which is stable near 0 and pi."""
         quat = self.as_quat_wxyz()
-        quat = np.where(quat[..., :1] < 0, -quat, quat)
         norm = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
         angle = 2 * np.arctan2(norm, quat[..., :1])
         scale = np.where(norm > 1e-12, angle / np.where(norm > 1e-12, norm, 1.0), 2.0)

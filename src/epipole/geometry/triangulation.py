@@ -37,8 +37,8 @@ def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray
         [cams_from_world.rotation, cams_from_world.translation[:, :, None] / scale], axis=2
     )
     _, singular, vt = np.linalg.svd(system.reshape(-1, 4))
-    rounding = 1e-15 * np.sqrt(len(rays))
-    if singular[2] < 10 * rounding or abs(vt[3, 3]) < rounding:
+    rounding = 1e-14
+    if singular[2] < rounding * singular[0] or abs(vt[3, 3]) < rounding:
         return np.full(3, np.nan)
     return scale * vt[3, :3] / vt[3, 3]
 

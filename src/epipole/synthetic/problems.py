@@ -49,7 +49,7 @@ class AbsolutePoseProblem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BundleProblem:
+class ReconstructionProblem:
     """A true model whose keypoints are noisy, and a start with the same keypoints and tracks."""
 
     truth: Reconstruction
@@ -150,7 +150,7 @@ def bundle_problem(
     seed: int = 0,
     *,
     model: CameraModel = CameraModel.SIMPLE_RADIAL,
-) -> BundleProblem:
+) -> ReconstructionProblem:
     """A ring of images of one camera around a ball of points; neighbours on the ring share points.
 
     Args:
@@ -176,7 +176,7 @@ def bundle_problem(
     seen = camera.project(cams_from_world[image].apply(np.repeat(xyz, track_length, axis=0)))
     pixels = seen + noise_px * rng.standard_normal((len(image), 2))
     truth = _assemble(camera, cams_from_world, xyz, image, pixels, track_length)
-    return BundleProblem(truth, _perturbed(truth, rng))
+    return ReconstructionProblem(truth, _perturbed(truth, rng))
 
 
 def _check(count: int, outlier_ratio: float, noise_px: float) -> None:

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -111,7 +112,8 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
             np.savez(file, key=np.array(key), **arrays)  # type: ignore[arg-type]
         aside.replace(path)
     except OSError as error:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            aside.unlink()
         raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
 
 

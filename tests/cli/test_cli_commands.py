@@ -1,0 +1,121 @@
+"""Every command, end to end, on rendered photographs."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
+from photographs import neighbouring_views, render_to
+
+from epipole.geometry import Rigid3
+from epipole.io import read_colmap_model, write_colmap_model
+from epipole.metrics import camera_errors
+
+
+def run(*arguments, expect=0):
+    done = subprocess.run(
+        [sys.executable, "-m", "epipole.cli.main", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == expect, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli")
+    views = neighbouring_views(8)
+    names = render_to(folder / "photographs", views)
+    printed = run("reconstruct", folder / "photographs", folder / "out")
+    return folder, names, views, printed
+
+
+def test_reconstruct_places_every_photograph_near_the_truth(workspace):
+    folder, names, views, printed = workspace
+    assert "8 of 8" in printed and "report.html" in printed
+    model = read_colmap_model(folder / "out" / "sparse" / "0")
+    assert model.images.name == tuple(names)
+    errors = camera_errors(model.cams_from_world(), views)
+    size = np.linalg.norm(np.ptp(views.centers(), axis=0))
+    assert errors.mean_position < 2e-3 * size
+    assert errors.max_rotation_deg < 0.2
+    assert model.mean_reprojection_error_px() < 0.8
+    for name in (
+        "config.json",
+        "summary.json",
+        "report.html",
+        "database.db",
+        "points.ply",
+        "images/view_00.jpg",
+    ):
+        assert (folder / "out" / name).is_file(), name
+    assert json.loads((folder / "out" / "summary.json").read_text())["num_registered"] == 8
+
+
+def test_again_it_redoes_nothing_and_gives_the_same_bytes(workspace):
+    folder, _, _, _ = workspace
+    before = (folder / "out" / "sparse" / "0" / "points3D.bin").read_bytes()
+    stamps = {p: p.stat().st_mtime_ns for p in (folder / "out" / "work").rglob("*.npz")}
+    run("reconstruct", folder / "photographs", folder / "out")
+    assert (folder / "out" / "sparse" / "0" / "points3D.bin").read_bytes() == before
+    assert stamps == {p: p.stat().st_mtime_ns for p in (folder / "out" / "work").rglob("*.npz")}
+
+
+def test_one_thread_gives_the_same_bytes(workspace):
+    folder, _, _, _ = workspace
+    run("reconstruct", folder / "photographs", folder / "one", "--threads", "1")
+    for name in ("cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"):
+        a, b = (folder / out / "sparse" / "0" / name for out in ("out", "one"))
+        assert a.read_bytes() == b.read_bytes(), name
+
+
+def test_a_changed_option_redoes_only_what_depends_on_it(workspace):
+    folder, _, _, _ = workspace
+    stamps = {p.name: p.stat().st_mtime_ns for p in (folder / "one" / "work" / "features").iterdir()}
+    run("reconstruct", folder / "photographs", folder / "one", "--matching.max-ratio", "0.7")
+    assert stamps == {p.name: p.stat().st_mtime_ns for p in (folder / "one" / "work" / "features").iterdir()}
+
+
+def test_evaluate_undistort_and_convert(workspace):
+    folder, names, views, _ = workspace
+    model = read_colmap_model(folder / "out" / "sparse" / "0")
+    from dataclasses import replace
+
+    truth = replace(
+        model, frames=replace(model.frames, rig_from_world=Rigid3(views.rotation, views.translation))
+    )
+    write_colmap_model(truth, folder / "truth")
+    result = json.loads(run("evaluate", folder / "out", "--truth", folder / "truth", "--json"))
+    assert result["num_registered"] == 8 and result["position_mean"] < 0.02 and result["auc"]["5"] > 0.95
+    assert "8 of 8" in run("evaluate", folder / "out", "--truth", folder / "truth")
+    run("undistort", folder / "out")
+    flat = read_colmap_model(folder / "out" / "undistorted" / "sparse" / "0")
+    assert flat.cameras[0].model.name == "PINHOLE"
+    assert len(list((folder / "out" / "undistorted" / "images").iterdir())) == len(names)
+    assert flat.mean_reprojection_error_px() < 0.8
+    for form in ("txt", "bin", "ply", "transforms", "bundler"):
+        run("convert", folder / "out", folder / f"as_{form}", "--format", form)
+
+
+def test_errors_are_one_line_and_a_code(tmp_path):
+    printed = run("reconstruct", tmp_path / "nothing", tmp_path / "out", expect=1)
+    assert printed.count("Traceback") == 0 and "does not exist" in printed
+    assert "holds no model" in run("view", tmp_path, expect=1)
+    assert "epipole" in run("version")
+
+
+def test_help_is_quick_and_loads_nothing_heavy():
+    times = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        printed = run("--help")
+        times.append(time.perf_counter() - begin)
+    assert "reconstruct" in printed
+    assert min(times) < 0.6
