@@ -13,7 +13,7 @@ from benchmarks.tasks.sfm import SfmTask
 class EpipoleSfm:
     """`epipole reconstruct IMAGES OUT` from the environment that runs the benchmark.
 
-    The feature limit is the command's default; its threads come from `$EPIPOLE_NUM_THREADS`.
+    Its threads come from `$EPIPOLE_NUM_THREADS`.
     """
 
     name = "epipole"
@@ -26,13 +26,19 @@ class EpipoleSfm:
         except metadata.PackageNotFoundError:
             return None
 
-    def command(self, task: SfmTask, out: Path, limits: Limits) -> list[str]:  # noqa: ARG002 - see the class
+    def command(self, task: SfmTask, out: Path, limits: Limits) -> list[str]:
         """The command line of one whole run."""
         known = []
         if task.camera_model is not None and task.camera_params is not None:
             params = ",".join(map(repr, task.camera_params))
             known = ["--camera-model", task.camera_model, "--camera-params", params]
-        return [str(self._program()), "reconstruct", str(task.images), str(out), *known]
+        bounds = [
+            "--features.max-features",
+            str(limits.max_num_features),
+            "--features.max-size-px",
+            str(limits.max_image_size),
+        ]
+        return [str(self._program()), "reconstruct", str(task.images), str(out), *known, *bounds]
 
     @staticmethod
     def _program() -> Path:

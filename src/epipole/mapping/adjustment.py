@@ -31,7 +31,7 @@ class PositionPriors:
     sigma: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Freedom:
     """Which intrinsics an adjustment may change, for cameras that are not constant."""
 

@@ -64,7 +64,7 @@ class BundleProblem:
     """Standard deviation of the prior positions, in world units; their loss is Cauchy's at this scale."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BundleConfig:
     """Options of bundle adjustment."""
 

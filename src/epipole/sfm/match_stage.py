@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from jaxtyping import Int32
 
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
@@ -23,7 +23,7 @@ BLOCK_PAIRS = 8
 MIN_SCOUTS = 768
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MatchPayload:
     """What the unit of one block of pairs needs."""
 
@@ -39,16 +39,26 @@ class MatchPayload:
     """Verification: where the matches stand."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PairWork:
+    """What matching and verification work on."""
+
+    pairs: Int32[np.ndarray, "p 2"]
+    features: Sequence[Unit]
+    cameras: Cameras
+    camera_of_image: Int32[np.ndarray, " n"]
+    matching: MatchConfig
+    verification: RansacConfig
+
+
 def _units(
-    pairs: np.ndarray,
-    feature_units: Sequence[Unit],
-    cameras: Cameras,
-    camera_of_image: np.ndarray,
+    todo: PairWork,
     folder: Path,
-    work: Callable[[MatchPayload], Any],
-    configs: tuple[MatchConfig, RansacConfig],
+    work: Callable[[MatchPayload], dict[str, np.ndarray]],
     match_units: Sequence[Unit] | None,
 ) -> list[Unit]:
+    pairs, feature_units, cameras = todo.pairs, todo.features, todo.cameras
+    camera_of_image, configs = todo.camera_of_image, (todo.matching, todo.verification)
     units = []
     single = [cameras[c] for c in range(len(cameras))]
     trusted = cameras.is_focal_trusted | cameras.is_constant
@@ -74,35 +84,14 @@ def _units(
     return units
 
 
-def match_units(
-    pairs: np.ndarray,
-    features: Sequence[Unit],
-    cameras: Cameras,
-    camera_of_image: np.ndarray,
-    folder: Path,
-    matching: MatchConfig,
-    verification: RansacConfig,
-) -> list[Unit]:
+def match_units(todo: PairWork, folder: Path) -> list[Unit]:
     """Units that match blocks of pairs."""
-    return _units(
-        pairs, features, cameras, camera_of_image, folder, match_block, (matching, verification), None
-    )
+    return _units(todo, folder, match_block, None)
 
 
-def verification_units(
-    pairs: np.ndarray,
-    features: Sequence[Unit],
-    cameras: Cameras,
-    camera_of_image: np.ndarray,
-    folder: Path,
-    matching: MatchConfig,
-    verification: RansacConfig,
-    matches: Sequence[Unit],
-) -> list[Unit]:
+def verification_units(todo: PairWork, folder: Path, matches: Sequence[Unit]) -> list[Unit]:
     """Units that verify blocks of matched pairs."""
-    return _units(
-        pairs, features, cameras, camera_of_image, folder, verify_block, (matching, verification), matches
-    )
+    return _units(todo, folder, verify_block, matches)
 
 
 def match_block(payload: MatchPayload) -> dict[str, np.ndarray]:

@@ -21,7 +21,7 @@ from epipole.scene import Cameras, Frames, Images, Reconstruction, Rigs, ViewGra
 from epipole.sfm.feature_stage import feature_units
 from epipole.sfm.focal import estimate_focals
 from epipole.sfm.mapping_stage import Mapped, map_images, no_model_reason, reasons_in_words
-from epipole.sfm.match_stage import load_putative, load_view_graph, match_units, verification_units
+from epipole.sfm.match_stage import PairWork, load_putative, load_view_graph, match_units, verification_units
 from epipole.sfm.pairing import choose_pairs, read_pairs
 from epipole.sfm.photographs import ImageSet, read_image_set
 from epipole.sfm.warm_up import warm_up
@@ -83,15 +83,22 @@ def run_pipeline(
         keypoints, colors = _keypoints(features)
 
         def attempt(images: ImageSet, suffix: str) -> _Attempt:
+            todo = PairWork(
+                *(
+                    pairs,
+                    features,
+                    images.cameras,
+                    images.camera_of_image,
+                    config.matching,
+                    config.verification,
+                )
+            )
             with timed(timings_s, "match"):
-                matching = (workspace.units / f"matches{suffix}", config.matching, config.verification)
-                matches = match_units(pairs, features, images.cameras, images.camera_of_image, *matching)
+                matches = match_units(todo, workspace.units / f"matches{suffix}")
                 run_units(matches, stage="match", executor=config.executor, progress=progress)
             with timed(timings_s, "verify"):
                 folder = workspace.units / f"geometry{suffix}"
-                cameras, view_graph, notes = _verify(
-                    pairs, images, features, matches, folder, config, progress
-                )
+                cameras, view_graph, notes = _verify(todo, matches, folder, config, progress)
             with timed(timings_s, "map"):
                 compiling.join()
                 mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
@@ -217,9 +224,7 @@ class _Lazy(Sequence[np.ndarray]):
 
 
 def _verify(
-    pairs: np.ndarray,
-    images: ImageSet,
-    features: Sequence[Unit],
+    todo: PairWork,
     matches: Sequence[Unit],
     folder: Path,
     config: ReconstructConfig,
@@ -228,15 +233,12 @@ def _verify(
     """Geometry of all pairs; where focal lengths were guessed, again with those that the pairs agree on."""
 
     def verify(cameras: Cameras, folder: Path) -> ViewGraph:
-        units = verification_units(
-            *(pairs, features, cameras, images.camera_of_image, folder),
-            *(config.matching, config.verification, matches),
-        )
+        units = verification_units(replace(todo, cameras=cameras), folder, matches)
         run_units(units, stage="verify", executor=config.executor, progress=progress)
         return load_view_graph(units)
 
-    view_graph = verify(images.cameras, folder)
-    cameras, found = estimate_focals(images.cameras, images.camera_of_image, view_graph)
+    view_graph = verify(todo.cameras, folder)
+    cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
     if not found:
         return cameras, view_graph, ()
     notes = tuple(

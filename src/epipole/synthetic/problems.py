@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
@@ -62,9 +63,7 @@ def two_view_problem(
     noise_px: float = 0.0,
     seed: int = 0,
     *,
-    planar: bool = False,
-    pure_rotation: bool = False,
-    forward: bool = False,
+    kind: Literal["general", "planar", "rotation", "forward"] = "general",
     focal_px: float = 800.0,
     size: tuple[int, int] = (1280, 960),
 ) -> TwoViewProblem:
@@ -75,24 +74,21 @@ def two_view_problem(
         outlier_ratio: share of wrong matches.
         noise_px: standard deviation of every coordinate in both pictures.
         seed: of everything random.
-        planar: all points on one slanted plane.
-        pure_rotation: no baseline.
-        forward: the baseline lies along the first camera's axis.
+        kind: general; planar, all points on one slanted plane; rotation, no baseline; forward, the baseline along
+            the first camera's axis.
         focal_px: of both cameras.
         size: width and height of both pictures.
 
     Raises:
-        ConfigError: a value makes no sense, or a camera is to move and not to move.
+        ConfigError: a value makes no sense.
     """
     _check(num_matches, outlier_ratio, noise_px)
-    if pure_rotation and forward:
-        raise ConfigError("a camera cannot move forward in a pure rotation")
     rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
     rotation = Rotation3.exp(_direction(rng) * rng.uniform(0.05, 0.15))
-    center = np.array([0.0, 0.0, 1.0]) if forward else _direction(rng)
-    shift = np.zeros(3) if pure_rotation else -rotation.apply(center)
+    center = np.array([0.0, 0.0, 1.0]) if kind == "forward" else _direction(rng)
+    shift = np.zeros(3) if kind == "rotation" else -rotation.apply(center)
     cam2_from_cam1 = Rigid3(rotation.matrix, shift)
-    normal = _slanted_normal(rng) if planar else None
+    normal = _slanted_normal(rng) if kind == "planar" else None
     points, pixels1, pixels2 = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
     while len(points) < num_matches:
         candidates, seen1 = _points_in_view(rng, camera, num_matches + 8, normal)
