@@ -177,6 +177,17 @@ def test_angles_beyond_pi_come_back_from_the_other_side() -> None:
     np.testing.assert_allclose(Rotation3.exp(phi).log(), expected, atol=1e-14)
 
 
+@pytest.mark.parametrize("angle", [1e-5, 1e-3, 5e-3, 9.99e-3, 1.001e-2, 2e-2, 0.3])
+@pytest.mark.parametrize("group", GROUPS)
+def test_no_seam_between_small_and_large_angles(group: Group, angle: float, rng: np.random.Generator) -> None:
+    """A series near zero and a closed form beyond it must agree where one takes over from the other."""
+    xi = tangents(group, "random", (10,), rng)
+    xi[:, group.angle] *= angle / np.linalg.norm(xi[:, group.angle], axis=1, keepdims=True)
+    expected = np.stack([expm(m) for m in group.hat(xi)])
+    np.testing.assert_allclose(matrix_of(group.exp(xi)), expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(group.exp(xi).log(), xi, atol=1e-12)
+
+
 @pytest.mark.parametrize("batch", BATCHES, ids=str)
 @pytest.mark.parametrize("sample", SAMPLES)
 def test_quaternions_round_trip(sample: str, batch: tuple[int, ...], rng: np.random.Generator) -> None:
