@@ -80,6 +80,15 @@ class PairingConfig:
     overlap: int = 10
     """sequential: each image with so many that follow, and with its retrieved look-alikes."""
 
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if min(self.neighbours, self.overlap, self.exhaustive_limit) < 1:
+            raise ConfigError("neighbours, overlap and exhaustive_limit must be at least 1")
+
 
 @dataclass(frozen=True, kw_only=True)
 class RansacConfig:
@@ -107,6 +116,10 @@ class RansacConfig:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if not 0 < self.confidence < 1:
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
+        if not 0 <= self.min_inlier_ratio <= 1:
+            raise ConfigError(f"min_inlier_ratio must be between 0 and 1, got {self.min_inlier_ratio}")
+        if min(self.min_iterations, self.max_iterations, self.min_inliers) < 1:
+            raise ConfigError("min_iterations, max_iterations and min_inliers must be at least 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +186,7 @@ class MapperConfig:
         """
         if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
             raise ConfigError("error bounds must be positive")
-        if self.global_growth <= 1:
+        if not self.global_growth > 1:
             raise ConfigError("global_growth must be greater than 1")
 
 
@@ -212,6 +225,8 @@ class ReconstructConfig:
             ConfigError: camera parameters are not numbers, or threads is not positive.
         """
         self.known_params()
+        if self.max_frames < 2:
+            raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
 

@@ -1,6 +1,7 @@
 """Components of matches, triangulation of tracks, consistency."""
 
 import numpy as np
+import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
@@ -30,8 +31,10 @@ def view_graph(pairs, matches):
     )
 
 
-def scene(rng, num_points=80):
-    places = [look_at((5 * np.cos(a), 5 * np.sin(a), 1.0), (0, 0, 0)) for a in (0.0, 0.25, 0.5)]
+PLACES = [look_at((5 * np.cos(a), 5 * np.sin(a), 1.0), (0, 0, 0)) for a in (0.0, 0.25, 0.5)]
+
+
+def scene(rng, places=PLACES, num_points=80):
     points = rng.uniform(-1, 1, (num_points, 3))
     keypoints = [CAMERA.project(p.apply(points)) for p in places]
     same = np.stack([np.arange(num_points)] * 2, axis=1)
@@ -92,11 +95,13 @@ def test_a_wrong_row_is_left_out_of_its_point(rng):
     np.testing.assert_allclose(model.points[owner], points, atol=1e-9)
 
 
-def test_narrow_angles_give_no_points(rng):
-    places, _, _, model = scene(rng)
+@pytest.mark.parametrize(("baseline", "expected"), [(1e-3, 0), (0.05, 0), (0.5, 160)])
+def test_narrow_angles_give_no_points(rng, baseline, expected):
+    aside = Rigid3.exp(np.array([baseline, 0, 0, 0, 0, 0])) @ PLACES[0]
+    places, _, _, model = scene(rng, [PLACES[0], aside, PLACES[2]])
     model.register(0, places[0])
-    model.register(1, Rigid3.exp(np.array([1e-3, 0, 0, 0, 0, 0])) @ places[0])
-    assert model.triangulate(np.arange(len(model.components)), 4.0, np.deg2rad(1.5)) == 0
+    model.register(1, places[1])
+    assert model.triangulate(np.arange(len(model.components)), 4.0, np.deg2rad(1.5)) == expected
 
 
 def test_a_snapshot_brings_the_model_back(rng):
