@@ -140,7 +140,7 @@ class MapperConfig:
     """The same for a finished model; below it other starts are tried."""
     restarts: int = 3
     """Other starts tried at most."""
-    image_share: float = 0.15
+    image_share: float = 0.3
     """An image whose matches agree less with the model is taken out again."""
     max_error_px: float = 4.0
     """Observations with a larger reprojection error are dropped."""
