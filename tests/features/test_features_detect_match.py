@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import epipole.features.match as matching
 from epipole.config import FeatureConfig, MatchConfig
 from epipole.errors import ShapeError
 from epipole.features import (
@@ -82,6 +83,29 @@ def test_matching_equals_brute_force(rng, n, m):
     b[:common] = np.clip(a[:common].astype(int) + rng.integers(-4, 5, (common, 128)), 0, 255)
     config = MatchConfig()
     np.testing.assert_array_equal(match_descriptors(a, b, config), brute_force(a, b, config))
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 1), (8, 32), (9, 33), (700, 1003)])
+def test_byte_products_equal_float_products(rng, n, m):
+    if matching.byte_kernels.LANES == 0:
+        pytest.skip("this processor has no byte dot product")
+    a, b = (root_sift(rng.gamma(0.3, 1, (k, 128)).astype(np.float32)) for k in (n, m))
+    b[: min(n, m)] = a[: min(n, m)]
+    b[m // 2 :] = b[: m - m // 2]  # exact ties
+    config = MatchConfig(max_ratio=1.0)
+    column, *by_bytes = matching._top_two_bytes(a, b, config)
+    by_floats = matching._top_two_floats(a, b, config)
+    known = by_floats[0] >= 0
+    np.testing.assert_array_equal(column[known], by_floats[0][known])
+    for ours, theirs in zip(by_bytes, by_floats[1:]):
+        np.testing.assert_array_equal(ours, np.maximum(theirs, 0))
+
+
+def test_descriptors_too_long_for_byte_keys_are_compared_as_floats(rng):
+    long = (rng.integers(0, 2, (40, 128)) * 255).astype(np.uint8)
+    assert not matching._fits_byte_dot(long, long)
+    config = MatchConfig(max_ratio=1.0)
+    np.testing.assert_array_equal(match_descriptors(long, long, config), brute_force(long, long, config))
 
 
 def test_orb_bits_match_their_copies(rng):

@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int32, UInt8
 
 from epipole.config import MatchConfig
 from epipole.errors import ShapeError
+from epipole.features import _byte_dot_kernels as byte_kernels
 from epipole.features import _matching_kernels as kernels
 from epipole.features.features import Features
 
@@ -37,29 +38,70 @@ def match_descriptors(
         return np.empty((0, 2), np.int32)
     if width == 32:
         return _match_bits(descriptors1, descriptors2, config)
-    return match_sift_floats(descriptors1.astype(np.float32), descriptors2.astype(np.float32), config)
+    top_two = _top_two_bytes if _fits_byte_dot(descriptors1, descriptors2) else _top_two_floats
+    return _accept(*top_two(descriptors1, descriptors2, config), config)
 
 
-def match_sift_floats(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> Int32[np.ndarray, "k 2"]:
-    """As `match_descriptors` for root-SIFT already converted to float32 (n, 128), C-contiguous.
+TopTwo = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Of every row the best column, the best and the second best similarity; of every column the best."""
 
-    Work: 2 * 128 * n * m operations in the matrix product, one read of n * m numbers for the top two. The
-    product is made in blocks of rows that stay in the cache.
+
+def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether the processor multiplies bytes and no similarity is too large for the keys (root-SIFT's never is)."""
+    if byte_kernels.LANES == 0 or len(b) > byte_kernels.MOST_COLUMNS:
+        return False
+    longest = [float(np.einsum("ij,ij->i", d, d, dtype=np.uint32).max()) for d in (a, b)]
+    return longest[0] * longest[1] < float(byte_kernels.MOST_SIMILARITY) ** 2
+
+
+def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo:
+    """Work: 128 * n * m byte products, 64 (or 32) an instruction; the similarities stay in registers."""
+    n, m = len(a), len(b)
+    signed = np.full((-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), -128, np.int8)
+    signed.reshape(-1, byte_kernels.WIDTH)[:n] = (a ^ np.uint8(128)).view(np.int8)
+    padded = np.zeros((-(-m // byte_kernels.COLUMNS), byte_kernels.COLUMNS, byte_kernels.STEPS, 4), np.uint8)
+    padded.reshape(-1, byte_kernels.WIDTH)[:m] = b
+    bias = np.uint32(128) * padded.sum(axis=(2, 3), dtype=np.uint32)
+    best, second = np.empty(signed.shape[:2], np.uint32), np.empty(signed.shape[:2], np.uint32)
+    column, column_best = np.empty(signed.shape[:2], np.int32), np.zeros(padded.shape[:2], np.uint32)
+    byte_kernels.byte_top_two(
+        *(signed, np.ascontiguousarray(padded.transpose(0, 2, 1, 3)), bias),
+        *(best.ravel(), second.ravel(), column.ravel(), column_best),
+    )
+    return column.ravel()[:n], best.ravel()[:n], second.ravel()[:n], column_best.ravel()[:m]
+
+
+def _top_two_floats(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> TopTwo:
+    """The same by float32 products, in blocks of rows that stay in the cache; whole numbers below 2^24 are exact.
+
+    Columns are looked up only for rows that pass the ratio test; -1 for the others.
     """
+    a, b = a.astype(np.float32), b.astype(np.float32)
     n, m = len(a), len(b)
     block = np.empty((min(_BLOCK_ROWS, n), m), np.float32)
     best, second = np.empty(n, np.float32), np.empty(n, np.float32)
     column, column_best = np.full(n, -1, np.int32), np.full(m, -1.0, np.float32)
-    passes = np.zeros(n, bool)
     for start in range(0, n, _BLOCK_ROWS):
         stop = min(start + _BLOCK_ROWS, n)
-        rows = stop - start
-        np.dot(a[start:stop], b.T, out=block[:rows])
-        kernels.top_two(block, rows, best[start:stop], second[start:stop], column_best)
-        nearest, next_nearest = _angle(best[start:stop]), _angle(second[start:stop])
-        passes[start:stop] = (nearest < config.max_ratio * next_nearest) & (nearest <= config.max_distance)
-        kernels.find_best_column(block, rows, best[start:stop], passes[start:stop], column[start:stop])
-    rows1 = np.flatnonzero(passes)
+        here, rows = slice(start, stop), stop - start
+        np.dot(a[here], b.T, out=block[:rows])
+        kernels.top_two(block, rows, best[here], second[here], column_best)
+        kernels.find_best_column(
+            block, rows, best[here], _passes(best[here], second[here], config), column[here]
+        )
+    return column, best, second, column_best
+
+
+def _passes(best: np.ndarray, second: np.ndarray, config: MatchConfig) -> np.ndarray:
+    nearest, next_nearest = _angle(best), _angle(second)
+    return (nearest < config.max_ratio * next_nearest) & (nearest <= config.max_distance)
+
+
+def _accept(
+    column: np.ndarray, best: np.ndarray, second: np.ndarray, column_best: np.ndarray, config: MatchConfig
+) -> Int32[np.ndarray, "k 2"]:
+    """Ratio test, distance and mutual check."""
+    rows1 = np.flatnonzero((column >= 0) & _passes(best, second, config))
     mutual = best[rows1] == column_best[column[rows1]]
     return _one_to_one(rows1[mutual], column[rows1[mutual]])
 
@@ -97,11 +139,7 @@ def match_along_epipolar_lines(
         *(_STRIP_PX, (strips[0][0], strips[1][0]), (strips[0][1], strips[1][1])),
         *(column, best, second, column_best),
     )
-    nearest, next_nearest = _angle(best), _angle(second)
-    passes = (column >= 0) & (nearest < config.max_ratio * next_nearest) & (nearest <= config.max_distance)
-    rows1 = np.flatnonzero(passes)
-    mutual = best[rows1] == column_best[column[rows1]]
-    return _one_to_one(rows1[mutual], column[rows1[mutual]])
+    return _accept(column, best, second, column_best, config)
 
 
 def _strips(position: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
