@@ -12,6 +12,7 @@ truncated least squares of Lebeda, Matas, Chum, BMVC 2012 as its local step).
 """
 
 import math
+from inspect import signature
 from typing import NamedTuple
 
 import numpy as np
@@ -91,7 +92,7 @@ def _specialize(function, **implementations):
         return None
 
     # Numba wants the chooser's parameters to be named as the function's.
-    names = function.__code__.co_varnames[: function.__code__.co_argcount]
+    names = signature(function).parameters
     scope = {"choose": choose}
     exec(f"def chooser({', '.join(names)}): return choose({', '.join(names)})", scope)
     overload(function, jit_options={"error_model": "numpy", "fastmath": SAFE_FASTMATH})(scope["chooser"])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.solvers._linear_kernels import real_roots
+from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 
 
 @kernel
@@ -53,7 +53,7 @@ def p3p(rays, points, motions, w):
 @kernel
 def p3p_workspace():
     """Arrays that `p3p` writes into."""
-    return np.empty(5), np.empty(12), np.empty((3, 12, 12))
+    return np.empty(5), np.empty(4), roots_workspace()
 
 
 @kernel

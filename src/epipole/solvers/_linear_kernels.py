@@ -1,8 +1,6 @@
-"""Small dense linear algebra and real roots for the minimal solvers; no allocation, no LAPACK."""
+"""Small dense linear algebra for the minimal solvers; no allocation, no LAPACK."""
 
 import math
-
-import numpy as np
 
 from epipole._jit import kernel
 
@@ -133,95 +131,3 @@ def symmetric_eigen(a, vectors):
                 for k in range(n):
                     vkp, vkq = vectors[k, p], vectors[k, q]
                     vectors[k, p], vectors[k, q] = c * vkp - s * vkq, s * vkp + c * vkq
-
-
-@kernel
-def _polish(poly, degree, low, high, f_low):
-    """The root of poly between low and high, where it changes sign: Newton's method kept inside the bracket."""
-    x = 0.5 * (low + high)
-    for _ in range(60):
-        value, slope = poly[degree], 0.0
-        for k in range(degree - 1, -1, -1):
-            slope = slope * x + value
-            value = value * x + poly[k]
-        if (value > 0.0) == (f_low > 0.0):
-            low = x
-        else:
-            high = x
-        step = value / slope if slope != 0.0 else math.inf
-        after = x - step
-        if not (low < after < high):
-            after = 0.5 * (low + high)
-        if abs(after - x) <= 1e-15 * (1.0 + abs(after)):
-            return after
-        x = after
-    return x
-
-
-@kernel
-def roots_in_unit_interval(poly, degree, work, roots):
-    """Real roots of poly (ascending coefficients) in [-1, 1], ascending; returns their number.
-
-    Between neighbouring roots of the derivative a polynomial is monotone, so the roots of the derivatives,
-    from the linear one upward, bracket those of the next (work: (2, degree + 2) and (degree + 1, degree + 1)).
-    """
-    derivatives, critical = work[0], work[1]
-    for k in range(degree + 1):
-        derivatives[degree, k] = poly[k]
-    for d in range(degree - 1, 0, -1):
-        for k in range(d + 1):
-            derivatives[d, k] = derivatives[d + 1, k + 1] * (k + 1)
-    count = 0
-    for d in range(1, degree + 1):
-        for k in range(count):
-            critical[0, k + 1] = roots[k]
-        critical[0, 0], critical[0, count + 1] = -1.0, 1.0
-        intervals, found = count + 1, 0
-        f_low = _horner(derivatives[d], d, -1.0)
-        for k in range(intervals):
-            low, high = critical[0, k], critical[0, k + 1]
-            f_high = _horner(derivatives[d], d, high)
-            if f_low == 0.0:
-                roots[found] = low
-                found += 1
-            elif (f_low > 0.0) != (f_high > 0.0) and f_high != 0.0:
-                roots[found] = _polish(derivatives[d], d, low, high, f_low)
-                found += 1
-            f_low = f_high
-        if f_low == 0.0 and found < d:
-            roots[found] = 1.0
-            found += 1
-        count = found
-    return count
-
-
-@kernel
-def _horner(poly, degree, x):
-    value = poly[degree]
-    for k in range(degree - 1, -1, -1):
-        value = value * x + poly[k]
-    return value
-
-
-@kernel
-def real_roots(poly, work, roots):
-    """All real roots of poly (ascending coefficients); returns their number.
-
-    Roots beyond 1 in size are the inverses of those of the reversed polynomial inside the interval.
-    """
-    degree = len(poly) - 1
-    biggest = 0.0
-    for k in range(degree + 1):
-        biggest = max(biggest, abs(poly[k]))
-    if not (biggest > 0.0 and biggest < np.inf):
-        return 0
-    count = roots_in_unit_interval(poly, degree, work, roots)
-    reversed_poly, inverse = work[2, 0], work[2, 1]
-    for k in range(degree + 1):
-        reversed_poly[k] = poly[degree - k]
-    more = roots_in_unit_interval(reversed_poly, degree, work, inverse)
-    for k in range(more):
-        if abs(inverse[k]) > 1e-12 and abs(inverse[k]) < 1.0 and count < degree:
-            roots[count] = 1.0 / inverse[k]
-            count += 1
-    return count

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.solvers._linear_kernels import null_space, real_roots, reduce_rows, symmetric_eigen
+from epipole.solvers._linear_kernels import null_space, reduce_rows, symmetric_eigen
+from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 
 # Monomials of degree <= 3 in x, y, z in Nister's order: x3 y3 x2y xy2 x2z x2 y2z y2 xyz xy | xz2 xz x yz2 yz y z3 z2 z 1.
 _CUBICS = [
@@ -110,7 +111,7 @@ def essential_five_point(y1, y2, essentials, w):
     Assumption: calibrated rays, (5, 3). Writes up to ten unit-norm matrices (k, 9); returns k. w: workspace
     of `five_point_workspace()`.
     """
-    a, basis, e, quadratics, system, b, poly, roots, root_work = w
+    a, basis, e, quadratics, system, b, minor, poly, roots, root_work = w
     for k in range(5):
         for i in range(3):
             for j in range(3):
@@ -137,13 +138,12 @@ def essential_five_point(y1, y2, essentials, w):
             b[r, 2, d] = upper[19 - d] - lower[20 - d]
         b[r, 2, 0] = upper[19]
     poly[:] = 0.0
-    minor = root_work[2, 2]
     for r in range(3):
         p, q = (r + 1) % 3, (r + 2) % 3
         minor[:] = 0.0
         _multiply_add(b[p, 0, :4], b[q, 1, :4], minor, 1.0)
         _multiply_add(b[p, 1, :4], b[q, 0, :4], minor, -1.0)
-        _multiply_add(minor[:7], b[r, 2], poly, 1.0)
+        _multiply_add(minor, b[r, 2], poly, 1.0)
     count = real_roots(poly, root_work, roots)
     found = 0
     for k in range(count):
@@ -192,9 +192,10 @@ def five_point_workspace():
         np.empty((7, 10)),
         np.empty((10, 20)),
         np.empty((3, 3, 5)),
+        np.empty(7),
         np.empty(11),
         np.empty(11),
-        np.empty((3, 12, 12)),
+        roots_workspace(),
     )
 
 
@@ -204,7 +205,7 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
 
     Assumption: coordinates of order one. Writes up to three matrices (k, 9); returns k.
     """
-    a, basis, roots, root_work = w
+    a, basis, poly, roots, root_work = w
     for k in range(7):
         for i in range(3):
             for j in range(3):
@@ -212,7 +213,6 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
     null_space(a, basis)
     f, g = basis[0], basis[1]
     # det(f + s g) = c0 + c1 s + c2 s^2 + c3 s^3, each coefficient a sum over rows taken from f or g.
-    poly = root_work[2, 3, :4]
     poly[0] = _det_rows(f, f, f)
     poly[1] = _det_rows(g, f, f) + _det_rows(f, g, f) + _det_rows(f, f, g)
     poly[2] = _det_rows(f, g, g) + _det_rows(g, f, g) + _det_rows(g, g, f)
@@ -237,7 +237,7 @@ def _det_rows(a, b, c):
 @kernel
 def seven_point_workspace():
     """Arrays that `fundamental_seven_point` writes into."""
-    return np.empty((7, 9)), np.empty((2, 9)), np.empty(12), np.empty((3, 12, 12))
+    return np.empty((7, 9)), np.empty((2, 9)), np.empty(4), np.empty(4), roots_workspace()
 
 
 @kernel
@@ -365,22 +365,50 @@ def is_in_front(motion, a, b):
 
 @kernel
 def motions_from_essential(e, y1, y2, motions):
-    """Those of the four motions (R, t), |t| = 1, of E that put all matches in front (HZ result 9.19)."""
-    m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    """Those of the four motions (R, t), |t| = 1, of E that put all matches in front (HZ result 9.19).
+
+    E = [b]x R gives b b^T = tr(E E^T) I / 2 - E E^T and (b . b) R = cof(E) - [b]x E; -b gives the other rotation
+    (Horn, JOSA A 1991). Assumption: E is essential to rounding, as a minimal solver's is.
+    """
+    norms, t, moved = np.empty(3), np.empty(3), np.empty(9)
+    trace = 0.0
     for i in range(3):
-        for j in range(3):
-            m[i, j] = e[3 * i + j]
-    if not svd3(m, u, s, v):
+        norms[i] = e[3 * i] ** 2 + e[3 * i + 1] ** 2 + e[3 * i + 2] ** 2
+        trace += norms[i]
+    k = 0
+    for i in range(1, 3):
+        if norms[i] < norms[k]:  # the largest diagonal entry of b b^T
+            k = i
+    square = 0.5 * trace - norms[k]
+    if not square > 1e-300:
         return 0
+    for i in range(3):
+        t[i] = (
+            square
+            if i == k
+            else -(e[3 * i] * e[3 * k] + e[3 * i + 1] * e[3 * k + 1] + e[3 * i + 2] * e[3 * k + 2])
+        )
+    norm = math.sqrt(t[0] ** 2 + t[1] ** 2 + t[2] ** 2)
+    size = math.sqrt(0.5 * trace)
+    for i in range(3):
+        t[i] /= norm
+    for j in range(3):
+        moved[j] = size * (t[1] * e[6 + j] - t[2] * e[3 + j])
+        moved[3 + j] = size * (t[2] * e[j] - t[0] * e[6 + j])
+        moved[6 + j] = size * (t[0] * e[3 + j] - t[1] * e[j])
     found = 0
     for turn in (1.0, -1.0):
         for sign in (1.0, -1.0):
             out = motions[found]
             for i in range(3):
+                p, q = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3)
                 for j in range(3):
-                    # R = U W V^T with W = [[0, -turn, 0], [turn, 0, 0], [0, 0, 1]].
-                    out[3 * i + j] = turn * (u[i, 1] * v[j, 0] - u[i, 0] * v[j, 1]) + u[i, 2] * v[j, 2]
-                out[9 + i] = sign * u[i, 2]
+                    m, n = (j + 1) % 3, (j + 2) % 3
+                    cofactor = e[p + m] * e[q + n] - e[p + n] * e[q + m]
+                    out[3 * i + j] = cofactor - turn * moved[3 * i + j]
+                out[9 + i] = sign * t[i]
+            if not orthonormalize_rows(out):
+                return found
             in_front = True
             for k in range(len(y1)):
                 if not is_in_front(out, y1[k], y2[k]):
@@ -391,3 +419,22 @@ def motions_from_essential(e, y1, y2, motions):
                 if found == len(motions):
                     return found
     return found
+
+
+@kernel
+def orthonormalize_rows(r):
+    """Gram and Schmidt on the first two rows of r (9 numbers, row by row); the third is their cross product."""
+    for i in range(2):
+        if i == 1:
+            dot = r[0] * r[3] + r[1] * r[4] + r[2] * r[5]
+            for j in range(3):
+                r[3 + j] -= dot * r[j]
+        norm = math.sqrt(r[3 * i] ** 2 + r[3 * i + 1] ** 2 + r[3 * i + 2] ** 2)
+        if not norm > 1e-150:
+            return False
+        for j in range(3):
+            r[3 * i + j] /= norm
+    for j in range(3):
+        m, n = (j + 1) % 3, (j + 2) % 3
+        r[6 + j] = r[m] * r[3 + n] - r[n] * r[3 + m]
+    return True
