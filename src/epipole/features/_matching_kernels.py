@@ -89,27 +89,15 @@ def _dot(a, b):
 
 
 @kernel
-def _first_at_least(values, order, low, high, bound):
-    while low < high:
-        middle = (low + high) >> 1
-        if values[order[middle]] < bound:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@kernel
 def guided_top_two(
     pixels1,
     descriptors1,
-    pixels2,
-    descriptors2,
+    along_x,
+    along_y,
     f,
     band,
+    strip,
     cell,
-    orders,
-    bounds,
     best_column,
     best,
     second,
@@ -117,9 +105,9 @@ def guided_top_two(
 ):
     """Nearest and second nearest feature of image 2 within `band` pixels of each feature's epipolar line F x.
 
-    Features of image 2 lie in strips of width `cell`: orders[0] sorts those of each strip of x by y, orders[1]
-    those of each strip of y by x; bounds[d] are the strips' first positions. A line is followed strip by strip
-    along the axis to which it is nearer.
+    along_x and along_y hold image 2's features cell by cell: (order, pixels, descriptors, first), where first[s, c]
+    is the place of the first feature of cell c (of length `cell`) in strip s (of width `strip`); strips follow one
+    another along x, or y. A line is followed strip by strip along the axis to which it is nearer.
     """
     for i in range(len(pixels1)):
         best[i], second[i], best_column[i] = -1, -1, -1
@@ -130,23 +118,26 @@ def guided_top_two(
         size = np.sqrt(a * a + b * b)
         if not size > 0.0:
             continue
-        d = 0 if abs(b) >= abs(a) else 1
-        along, across = (a, b) if d == 0 else (b, a)
-        margin = band * size / abs(across)
-        values, order, strips = pixels2[1 - d], orders[d], bounds[d]
-        for s in range(len(strips) - 1):
-            if strips[s] == strips[s + 1]:
+        a, b, c = a / size, b / size, c / size
+        order, pixels, descriptors, first = along_x if abs(b) >= abs(a) else along_y
+        along, across = (a, b) if abs(b) >= abs(a) else (b, a)
+        cells = first.shape[1] - 1
+        # Where the line enters strip s, in cells: start + s * step.
+        start, step = -c / (across * cell), -along * strip / (across * cell)
+        least, most = (
+            min(step, 0.0) - band / (abs(across) * cell),
+            max(step, 0.0) + band / (abs(across) * cell),
+        )
+        for s in range(len(first)):
+            low, high = start + s * step + least, start + s * step + most
+            if not (high >= 0.0 and low < cells):
                 continue
-            p = -(along * (s * cell) + c) / across
-            q = -(along * ((s + 1) * cell) + c) / across
-            low, high = min(p, q) - margin, max(p, q) + margin
-            n = _first_at_least(values, order, strips[s], strips[s + 1], low)
-            while n < strips[s + 1] and values[order[n]] <= high:
-                j = order[n]
-                n += 1
-                if abs(a * pixels2[0, j] + b * pixels2[1, j] + c) > band * size:
+            begin, end = first[s, int(max(low, 0.0))], first[s, int(min(high, cells - 1.0)) + 1]
+            for n in range(begin, end):
+                if abs(a * pixels[n, 0] + b * pixels[n, 1] + c) > band:
                     continue
-                v = _dot(descriptors1[i], descriptors2[j])
+                j = order[n]
+                v = _dot(descriptors1[i], descriptors[n])
                 if v > best[i]:
                     second[i], best[i], best_column[i] = best[i], v, j
                 elif v > second[i]:

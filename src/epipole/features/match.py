@@ -12,8 +12,8 @@ from epipole.features import _matching_kernels as kernels
 from epipole.features.features import Features
 
 _BLOCK_ROWS = 256
-_STRIP_PX = 32.0
-"""Width of the strips in which features along a line are looked up."""
+_STRIP_PX, _CELL_PX = 32.0, 8.0
+"""Width of the strips in which features along a line are looked up, and length of their cells."""
 _UNIT = 512.0
 """Length of a root-SIFT descriptor."""
 
@@ -129,24 +129,28 @@ def match_along_epipolar_lines(
     n, m = len(features1), len(features2)
     if min(n, m) == 0:
         return np.empty((0, 2), np.int32)
-    pixels2 = np.ascontiguousarray(features2.pixels.T, np.float64)
-    strips = [_strips(pixels2[d], pixels2[1 - d]) for d in range(2)]
-    column, best, second = np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int32)
+    column, best, second = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     column_best = np.full(m, -1, np.int32)
     kernels.guided_top_two(
-        *(features1.pixels.astype(np.float64), features1.descriptors.astype(np.int16)),
-        *(pixels2, features2.descriptors.astype(np.int16), np.ascontiguousarray(fundamental), float(band_px)),
-        *(_STRIP_PX, (strips[0][0], strips[1][0]), (strips[0][1], strips[1][1])),
+        *(features1.pixels.astype(np.float64), features1.descriptors),
+        *(_cells(features2, 0), _cells(features2, 1)),
+        *(np.ascontiguousarray(fundamental), float(band_px), _STRIP_PX, _CELL_PX),
         *(column, best, second, column_best),
     )
     return _accept(column, best, second, column_best, config)
 
 
-def _strips(position: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Features by strip of `position`, inside a strip by `other`; and the first of each strip."""
-    strip = np.clip(position // _STRIP_PX, 0, None).astype(np.int64)
-    order = np.lexsort((other, strip))
-    return order, np.searchsorted(strip[order], np.arange(int(strip.max()) + 2))
+def _cells(features: Features, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Features in the order of the cells of the strips along `axis`; and the first of each cell."""
+    pixels = features.pixels.astype(np.float64)
+    strip = np.maximum(pixels[:, axis] // _STRIP_PX, 0).astype(np.int64)
+    cell = np.maximum(pixels[:, 1 - axis] // _CELL_PX, 0).astype(np.int64)
+    strips, cells = int(strip.max()) + 1, int(cell.max()) + 1
+    key = strip * cells + cell
+    order = np.argsort(key, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=strips * cells))])
+    first = starts[np.arange(strips)[:, None] * cells + np.arange(cells + 1)]
+    return order, pixels[order], features.descriptors[order], first
 
 
 def _angle(similarity: np.ndarray) -> np.ndarray:
