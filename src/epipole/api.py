@@ -145,7 +145,7 @@ def _report_content(result: PipelineResult, settings: dict[str, Any]) -> ReportC
                 "" if placed else result.reasons.get(name, ""),
             )
         )
-        thumbnails[name] = load(result.feature_files[i])["thumbnail"].tobytes()
+        thumbnails[name] = load(result.feature_files[i], "thumbnail")["thumbnail"].tobytes()
         camera = model.cameras[int(model.camera_of_image[i])]
         own = result.models[shown].tracks.keypoint[result.models[shown].tracks.image == i]
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]

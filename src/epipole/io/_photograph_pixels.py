@@ -8,6 +8,7 @@ from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import IO
 
 import cv2
 import numpy as np
@@ -135,10 +136,28 @@ def _optional_reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
 
 def exif_of(image: ImageFile) -> Image.Exif:
     """The EXIF block, empty when it is damaged."""
+    if isinstance(image, PngImageFile) and image.fp is not None and not _has_exif_chunk(image.fp):
+        return Image.Exif()  # Pillow would decode the whole picture to look behind its pixels
     try:
         return image.getexif()
     except EXIF_ERRORS:
         return Image.Exif()
+
+
+def _has_exif_chunk(stream: IO[bytes]) -> bool:
+    """Whether a PNG file has a chunk that may hold EXIF, before or after its pixels (PNG 1.5, section 4.7)."""
+    before, place = stream.tell(), 8  # behind the signature
+    try:
+        while True:
+            stream.seek(place)
+            head = stream.read(8)
+            if len(head) < 8 or head[4:] == b"IEND":
+                return False
+            if head[4:] in (b"eXIf", b"tEXt", b"zTXt", b"iTXt"):
+                return True
+            place += 12 + int.from_bytes(head[:4], "big")
+    finally:
+        stream.seek(before)
 
 
 def stored_size(image: ImageFile) -> tuple[int, int]:

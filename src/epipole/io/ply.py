@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from scipy.spatial import cKDTree
 
 from epipole._checks import as_points, require_same_length
 from epipole.errors import FileFormatError, ShapeError
@@ -107,6 +106,8 @@ def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n
 def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float:
     """A length that keeps neighbouring cameras apart; without neighbours, by the distance to the points."""
     if len(centers) > 1:
+        from scipy.spatial import cKDTree  # a sixth of a second to import, for a scene's cameras only
+
         nearest = cKDTree(centers).query(centers, k=2)[0][:, 1]
         depth = CAMERA_SIZE * float(np.median(nearest))
         if depth > 0:

@@ -15,7 +15,7 @@ from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.sfm.photographs import ImageSet
 from epipole.workflow import Unit, digest, load
 
-FORMAT = 1
+FORMAT = 2
 """Raise when the meaning of the files changes."""
 THUMBNAIL_PX = 320
 
@@ -84,11 +84,10 @@ def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
         "descriptors": small.descriptors[keep],
         "colors": colors[keep],
         "thumbnail": jpeg,
-        "contrast": np.array(float(rgb.std())),
+        "failure": np.array(""),
     }
 
 
 def load_features(path: Path) -> Features:
     """The features of a unit's file."""
-    arrays = load(path)
-    return Features(arrays["pixels"], arrays["scale_px"], arrays["angle_rad"], arrays["descriptors"])
+    return Features(**load(path, "pixels", "scale_px", "angle_rad", "descriptors"))

@@ -124,7 +124,7 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
 def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     """Geometry of a block of matched pairs."""
     assert payload.match_file is not None
-    pixels = {i: load(path)["pixels"] for i, path in payload.feature_files.items()}
+    pixels = {i: load(path, "pixels")["pixels"] for i, path in payload.feature_files.items()}
     stored = load(payload.match_file)
     found = []
     for n, (i, j) in enumerate(payload.pairs):

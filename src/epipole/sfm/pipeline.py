@@ -190,9 +190,8 @@ def _detect(
     run_units(units, stage="features", executor=config.executor, progress=progress)
     failures = {}
     for i, unit in enumerate(units):
-        stored = load(unit.path)
-        if "failure" in stored:
-            failures[i] = str(stored["failure"])
+        if why := str(load(unit.path, "failure")["failure"]):
+            failures[i] = why
     images = images.without(failures)
     if len(images) == 0:
         reason = next(iter(images.left_out.values()))
@@ -220,7 +219,7 @@ class _Lazy(Sequence[np.ndarray]):
         return len(self._paths)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        return load(self._paths[index])["descriptors"]
+        return load(self._paths[index], "descriptors")["descriptors"]
 
 
 def _verify(

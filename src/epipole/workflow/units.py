@@ -117,10 +117,10 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
         raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def load(path: Path) -> Arrays:
-    """Read the arrays of a unit's file."""
+def load(path: Path, *names: str) -> Arrays:
+    """Read the arrays of these names from a unit's file; all of them if none is named."""
     with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files if name != "key"}
+        return {name: file[name] for name in names or file.files if name != "key"}
 
 
 def stored_key(path: Path) -> str:
