@@ -18,6 +18,7 @@ from epipole.geometry import Rigid3
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim.losses import Loss
 
+_CHUNK_OBSERVATIONS = 3000
 _MAX_SYSTEM_BYTES = 256 << 20
 """Bound on the copies of the reduced system that parallel chunks fill."""
 
@@ -224,7 +225,9 @@ class _Solver:
         longest = int(np.diff(problem.offsets).max(initial=0))
         self.max_blocks = 2 * longest + 1
         copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
-        self.num_chunks = int(np.clip(copies, 1, 8))
+        # Small problems stay in one piece: handing out a chunk costs as much as a few hundred observations.
+        self.num_chunks = int(np.clip(len(problem.frame) // _CHUNK_OBSERVATIONS, 1, 16))
+        self.num_systems = min(self.num_chunks, int(np.clip(copies, 1, 8)))
         self.params_weight = np.zeros_like(problem.camera_params)
         self.params_expected = problem.camera_params
         if problem.params_expected is not None and problem.params_sigma is not None:
@@ -252,6 +255,7 @@ class _Solver:
                 self.observations, a, b, *self._arguments(state), *self._loss()
             ),
             len(state.points),
+            self.num_chunks,
         )
         offsets = state.params - self.params_expected
         return (
@@ -308,6 +312,7 @@ class _Solver:
                 moved.points,
             ),
             len(state.points),
+            self.num_chunks,
         )
         return moved, float(sum(parts)) + 0.5 * float(step @ (damp * step - gradient))
 
@@ -329,7 +334,7 @@ class _Solver:
             )
             return s, g, rhs
 
-        parts = _parallel.map_chunks(build, len(state.points), self.num_chunks)
+        parts = _parallel.map_chunks(build, len(state.points), self.num_systems)
         system, gradient, rhs = parts[0] if parts else (np.zeros((n, n)), np.zeros(n), np.zeros(n))
         for s, g, r in parts[1:]:
             system += s

@@ -89,7 +89,7 @@ class IncrementalMapper:
             loss=Loss[self.config.final_loss.upper()],
             loss_scale_px=self.config.final_scale_px,
             max_iterations=50,
-            function_tolerance=1e-6,
+            function_tolerance=1e-5,
         )
         adjust_all(self.model, last, self._freedom(), self.priors)
         self.model.filter(self.config.max_error_px, self._angle)
