@@ -2,54 +2,172 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float64
 
 from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
 
-NUM_STEPS = 60
-MIN_PAIRS = 1
+FACTORS = np.geomspace(0.25, 4.0, 49)
+"""Focal lengths tried, as factors of the guess: steps of 6 %."""
 MIN_INLIERS = 50
+FULL_WEIGHT_INLIERS = 500
+WIDTHS = (0.1, 0.05, 0.02, 0.01)
+"""Disagreement at which a pair's vote is worth half, in turn: wide to find the hill, narrow to climb it."""
+MAX_SWEEPS = 20
+MAX_PAIRS_OF_CAMERA = 40
+CLEAR_VOTE = 2.0
+"""A focal length is believed when its vote is so many times the median of all factors'."""
+PRIOR_VOTE, PRIOR_WIDTH = 50.0, 0.7
+"""The guess itself votes, like a pair of so many matches that is half sure within a factor of e^width."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ballot:
+    """What one pair of images says: its disagreement for every combination of both cameras' factors."""
+
+    first: int
+    second: int
+    weight: float
+    disagreement: np.ndarray
+    """(factors of first, factors of second); one column for a trusted second camera, one row for a first; (n, 1)
+    where both are the same camera."""
 
 
 def estimate_focals(
     cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph
 ) -> tuple[Cameras, dict[int, float]]:
-    """Guess the focal lengths of untrusted cameras from the pairs that one camera took.
+    """Guess the focal lengths of untrusted cameras from the pairs of images that they took.
 
-    An essential matrix has two equal singular values (Huang and Faugeras, PAMI 1989), so that the focal length
-    of K^T F K is right where they agree best. Every pair votes over a logarithmic range; the votes are added,
-    weighted by inliers and bounded, so that planar and forward-moving pairs, whose votes are flat or wrong, do
-    not decide. (Searching the range in place of solving for it: Mendonca and Cipolla, CVPR 1999.)
+    An essential matrix has two equal singular values (Huang and Faugeras, PAMI 1989), so that the focal lengths
+    of K2^T F K1 are right where they agree best. Every pair votes over a logarithmic range of both its cameras'
+    factors; the votes are weighted by inliers and bounded, so that planar and forward-moving pairs, whose votes
+    are flat or wrong, do not decide. (Searching in place of solving: Mendonca and Cipolla, CVPR 1999; all cameras
+    jointly and robustly: Fetzer, Reis, Stricker, WACV 2020.) Votes are climbed one camera at a time, and all by
+    one common factor, which is what pairs of similar cameras tell least about.
 
     Returns:
         Cameras with the new guesses, and the factor found for each camera that got one.
     """
-    params, trusted, found = cameras.params.copy(), cameras.is_focal_trusted.copy(), {}
-    usable = (view_graph.kind == PairKind.UNCALIBRATED) & (view_graph.num_inliers() >= MIN_INLIERS)
-    first, second = camera_of_image[view_graph.image1], camera_of_image[view_graph.image2]
-    for c in np.flatnonzero(~cameras.is_focal_trusted & ~cameras.is_constant):
-        pairs = np.flatnonzero(usable & (first == c) & (second == c))
-        if len(pairs) < MIN_PAIRS:
-            continue
-        camera = cameras[int(c)]
-        factors = np.geomspace(0.25, 4.0, NUM_STEPS)
-        votes = np.zeros(NUM_STEPS)
-        for n, factor in enumerate(factors):
-            K = camera.K * np.array([[factor], [factor], [1.0]])
-            K[:2, 2] = camera.K[:2, 2]
-            s = np.linalg.svd(K.T @ view_graph.fundamental[pairs] @ K, compute_uv=False)
-            disagreement = 1.0 - s[:, 1] / s[:, 0]
-            weight = np.minimum(view_graph.num_inliers()[pairs], 500)
-            votes[n] = (weight / (1.0 + (disagreement / 0.02) ** 2)).sum()
-        best = int(np.argmax(votes))
+    unknown = ~cameras.is_focal_trusted & ~cameras.is_constant
+    ballots = _ballots(cameras, camera_of_image, view_graph, unknown)
+    of_camera: dict[int, list[_Ballot]] = {}
+    for ballot in ballots:
+        for c in {ballot.first, ballot.second}:
+            if unknown[c]:
+                of_camera.setdefault(c, []).append(ballot)
+    middle = len(FACTORS) // 2
+    chosen = dict.fromkeys(sorted(of_camera, key=lambda c: -sum(b.weight for b in of_camera[c])), middle)
+    for width in WIDTHS:
+        _climb(chosen, ballots, of_camera, width)
+    found = {}
+    for c, index in sorted(chosen.items()):
+        votes = _votes(c, chosen, of_camera[c], WIDTHS[-1])
         # A flat vote tells nothing: the guess stays.
-        if votes[best] < 2.0 * np.median(votes) or best in (0, NUM_STEPS - 1):
-            continue
-        found[int(c)] = float(factors[best])
-        for index in camera.model.focal_indices:
-            params[c, index] *= factors[best]
+        if votes[index] >= CLEAR_VOTE * np.median(votes) and 0 < index < len(FACTORS) - 1:
+            found[c] = float(FACTORS[index])
+    params, trusted = cameras.params.copy(), cameras.is_focal_trusted.copy()
+    for c, factor in found.items():
+        params[c, list(cameras[c].model.focal_indices)] *= factor
         trusted[c] = True
     return replace(cameras, params=params, is_focal_trusted=trusted), found
+
+
+def _ballots(
+    cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph, unknown: np.ndarray
+) -> list[_Ballot]:
+    first, second = camera_of_image[view_graph.image1], camera_of_image[view_graph.image2]
+    inliers = view_graph.num_inliers()
+    usable = (view_graph.kind == PairKind.UNCALIBRATED) & (inliers >= MIN_INLIERS)
+    usable &= unknown[first] | unknown[second]
+    taken = np.zeros(len(cameras), int)
+    one = np.ones(1)
+    out = []
+    for edge in np.flatnonzero(usable)[np.argsort(-inliers[usable], kind="stable")]:
+        a, b = int(first[edge]), int(second[edge])
+        # The strongest pairs of a camera suffice.
+        if max(taken[a] if unknown[a] else 0, taken[b] if unknown[b] else 0) >= MAX_PAIRS_OF_CAMERA:
+            continue
+        taken[[a, b]] += 1
+        F, K1, K2 = view_graph.fundamental[edge], cameras[a].K, cameras[b].K
+        if a == b:
+            table = singular_value_disagreement(F, K1, K2, FACTORS, FACTORS)[:, None]
+        else:
+            rows = FACTORS[:, None] if unknown[a] else one[:, None]
+            columns = FACTORS[None] if unknown[b] else one[None]
+            table = singular_value_disagreement(F, K1, K2, rows, columns)
+        out.append(_Ballot(a, b, float(min(inliers[edge], FULL_WEIGHT_INLIERS)), table))
+    return out
+
+
+def singular_value_disagreement(
+    fundamental: Float64[np.ndarray, "3 3"],
+    K1: Float64[np.ndarray, "3 3"],
+    K2: Float64[np.ndarray, "3 3"],
+    factors1: np.ndarray,
+    factors2: np.ndarray,
+) -> np.ndarray:
+    """1 - s1 / s0 of E = K2^T F K1 with the focal lengths times these factors (broadcast together).
+
+    For rank two, s0^2 + s1^2 = |E|^2 and (s0 s1)^2 is the sum of the squares of all 2 x 2 minors of E.
+    """
+
+    def scaled(K: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        out = np.broadcast_to(K, (*factors.shape, 3, 3)).copy()
+        out[..., [0, 1], [0, 1]] *= factors[..., None]
+        return out
+
+    E = np.swapaxes(scaled(K2, factors2), -1, -2) @ fundamental @ scaled(K1, factors1)
+    total = (E**2).sum(axis=(-2, -1))
+    rows = [np.cross(E[..., i, :], E[..., (i + 1) % 3, :]) for i in range(3)]
+    product = sum((r**2).sum(axis=-1) for r in rows)
+    apart = np.sqrt(np.maximum(total**2 - 4.0 * product, 0.0))
+    return 1.0 - np.sqrt(np.maximum(total - apart, 0.0) / np.maximum(total + apart, 1e-300))
+
+
+def _climb(
+    chosen: dict[int, int], ballots: list[_Ballot], of_camera: dict[int, list[_Ballot]], width: float
+) -> None:
+    """Move each camera, then all together, to the factor with most votes until nothing moves."""
+    for _ in range(MAX_SWEEPS):
+        before = dict(chosen)
+        for c in chosen:
+            chosen[c] = int(np.argmax(_votes(c, chosen, of_camera[c], width)))
+        best, furthest = _total(chosen, ballots, width), chosen
+        for shift in range(1 - len(FACTORS), len(FACTORS)):
+            moved = {c: index + shift for c, index in chosen.items()}
+            if not all(0 <= index < len(FACTORS) for index in moved.values()):
+                continue
+            if (total := _total(moved, ballots, width)) > best + 1e-9:
+                best, furthest = total, moved
+        chosen.update(furthest)
+        if chosen == before:
+            break
+
+
+def _votes(c: int, chosen: dict[int, int], ballots: list[_Ballot], width: float) -> np.ndarray:
+    """Votes for every factor of camera c, the other cameras standing as chosen."""
+    votes = _prior_votes()
+    for b in ballots:
+        if b.first == b.second:
+            column = b.disagreement[:, 0]
+        elif b.first == c:
+            column = b.disagreement[:, chosen.get(b.second, 0)]
+        else:
+            column = b.disagreement[chosen.get(b.first, 0)]
+        votes = votes + b.weight / (1.0 + (column / width) ** 2)
+    return votes
+
+
+def _total(chosen: dict[int, int], ballots: list[_Ballot], width: float) -> float:
+    votes = float(_prior_votes()[list(chosen.values())].sum())
+    for b in ballots:
+        column = 0 if b.first == b.second else chosen.get(b.second, 0)
+        votes += b.weight / (1.0 + (b.disagreement[chosen.get(b.first, 0), column] / width) ** 2)
+    return votes
+
+
+def _prior_votes() -> np.ndarray:
+    return PRIOR_VOTE / (1.0 + (np.log(FACTORS) / PRIOR_WIDTH) ** 2)
