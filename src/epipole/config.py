@@ -147,7 +147,7 @@ class MapperConfig:
     min_angle_deg: float = 1.5
     """Points seen under a narrower angle are dropped: their depth is not known."""
     resection_max_error_px: float = 12.0
-    resection_min_inliers: int = 20
+    resection_min_inliers: int = 30
     resection_min_ratio: float = 0.15
     """Share of the points in sight that must agree with an image's place."""
     min_observations: int = 15

@@ -51,6 +51,7 @@ class IncrementalMapper:
         self._ransac = RansacConfig(
             max_error_px=config.resection_max_error_px,
             min_inliers=config.resection_min_inliers,
+            min_inlier_ratio=config.resection_min_ratio,
             min_iterations=30,
             max_iterations=5000,
             seed=config.seed,
