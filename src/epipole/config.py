@@ -206,6 +206,8 @@ class ReconstructConfig:
     """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
     pairs: Path | None = None
     """Text file of image pairs to match, two names a line."""
+    database: Path | None = None
+    """COLMAP database whose features and matches are used in place of own ones (its cameras too, unless given)."""
     max_frames: int = 200
     """Frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"

@@ -50,39 +50,66 @@ def _mask_fingerprint(masks: Path | None, name: str) -> list[str]:
     return [f"{p}-{p.stat().st_size}-{p.stat().st_mtime_ns}" for p in candidates if p.is_file()]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture as it is worked on, and its full size."""
+
+    rgb: np.ndarray
+    width: int
+    height: int
+
+
+def read_picture(path: Path, max_size_px: int) -> Picture | str:
+    """Read a picture, reduced to `max_size_px`; for a damaged one the reason instead."""
+    try:
+        header = read_header(path)
+        return Picture(read_rgb(path, max_size_px), header.width, header.height)
+    except (FileFormatError, MissingDependencyError) as error:
+        return str(error).removeprefix(f"{path}: ")
+
+
 def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
     """Features of one picture, their colours and a thumbnail; for a damaged picture the reason instead."""
+    picture = read_picture(payload.path, payload.config.max_size_px)
+    if isinstance(picture, str):
+        return {"failure": np.array(picture)}
+    rgb, mask = picture.rgb, None
     try:
-        header = read_header(payload.path)
-        rgb = read_rgb(payload.path, payload.config.max_size_px)
-        mask = None
         if payload.masks is not None:
-            mask = read_mask(payload.masks, payload.name, size=(header.width, header.height))
+            mask = read_mask(payload.masks, payload.name, size=(picture.width, picture.height))
     except (FileFormatError, MissingDependencyError) as error:
-        return {"failure": np.array(str(error).removeprefix(f"{payload.path}: "))}
+        return {"failure": np.array(str(error))}
     cv2.setNumThreads(1)  # pictures are the unit of parallel work
     small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
-    rows, columns = (
-        np.clip(np.rint(small.pixels[:, i]).astype(int), 0, rgb.shape[1 - i] - 1) for i in (1, 0)
-    )
-    colors = rgb[rows, columns]
-    stretch = np.array([header.width / rgb.shape[1], header.height / rgb.shape[0]])
+    stretch = np.array([picture.width / rgb.shape[1], picture.height / rgb.shape[0]])
     pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
     keep = np.ones(len(pixels), bool)
     if mask is not None:
-        at = np.clip(np.rint(pixels).astype(int), 0, [header.width - 1, header.height - 1])
+        at = np.clip(np.rint(pixels).astype(int), 0, [picture.width - 1, picture.height - 1])
         keep = mask[at[:, 1], at[:, 0]]
+    scale_px = (small.scale_px * stretch.mean()).astype(np.float32)
+    return as_unit_arrays(
+        picture, pixels[keep], scale_px[keep], small.angle_rad[keep], small.descriptors[keep]
+    )
+
+
+def as_unit_arrays(
+    picture: Picture, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Features, their colours and a thumbnail of the picture, as a unit stores them."""
+    rgb = picture.rgb
+    shrink = np.array([rgb.shape[1] / picture.width, rgb.shape[0] / picture.height])
+    at = np.clip(np.rint((pixels + 0.5) * shrink - 0.5).astype(int), 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])
     factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
-    _, jpeg = cv2.imencode(
-        ".jpg", cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80]
-    )
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    _, jpeg = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
     return {
-        "pixels": pixels[keep],
-        "scale_px": (small.scale_px * stretch.mean()).astype(np.float32)[keep],
-        "angle_rad": small.angle_rad[keep],
-        "descriptors": small.descriptors[keep],
-        "colors": colors[keep],
+        "pixels": pixels,
+        "scale_px": scale_px,
+        "angle_rad": angle_rad,
+        "descriptors": descriptors,
+        "colors": rgb[at[:, 1], at[:, 0]],
         "thumbnail": jpeg,
         "failure": np.array(""),
     }

@@ -98,6 +98,11 @@ def match_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     """Putative matches of a block of pairs."""
     features = {i: load_features(path) for i, path in payload.feature_files.items()}
     found = [match_pair(features[i], features[j], i, j, payload) for i, j in payload.pairs]
+    return stacked_matches(found)
+
+
+def stacked_matches(found: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Matches of a block of pairs as a unit stores them."""
     return {"offsets": _offsets(found), "matches": _stacked(found)}
 
 

@@ -11,13 +11,16 @@ import numpy as np
 
 from epipole import _parallel
 from epipole.config import ReconstructConfig
-from epipole.errors import NoModelError
+from epipole.errors import ConfigError, NoModelError
 from epipole.io.colmap import write_colmap_model
 from epipole.io.colmap_database import DatabaseContents, write_database
 from epipole.io.photographs import copy_or_rotate
 from epipole.io.ply import write_scene_ply
 from epipole.io.video import extract_frames, is_video
 from epipole.scene import Cameras, Frames, Images, Reconstruction, Rigs, ViewGraph, unregistered
+from epipole.sfm.database_stage import DatabaseSource, Matches, open_source
+from epipole.sfm.database_stage import feature_units as given_feature_units
+from epipole.sfm.database_stage import match_units as given_match_units
 from epipole.sfm.feature_stage import feature_units
 from epipole.sfm.focal import estimate_focals
 from epipole.sfm.mapping_stage import Mapped, map_images, no_model_reason, reasons_in_words
@@ -76,25 +79,23 @@ def run_pipeline(
     with _parallel.single_threaded_blas():
         with timed(timings_s, "read"):
             images = _read(source, workspace, config, progress)
+            database, images = _open_database(images, workspace, config)
         with timed(timings_s, "features"):
-            images, features = _detect(images, workspace, config, progress)
+            images, features = _detect(images, workspace, config, progress, database)
         with timed(timings_s, "match"):
-            pairs = _choose_pairs(images, features, config)
+            given = database.matches(images.names) if database is not None else {}
+            pairs = _choose_pairs(images, features, config, given)
         keypoints, colors = _keypoints(features)
 
         def attempt(images: ImageSet, suffix: str) -> _Attempt:
-            todo = PairWork(
-                *(
-                    pairs,
-                    features,
-                    images.cameras,
-                    images.camera_of_image,
-                    config.matching,
-                    config.verification,
-                )
-            )
+            of_images = images.cameras, images.camera_of_image
+            todo = PairWork(pairs, features, *of_images, config.matching, config.verification)
             with timed(timings_s, "match"):
-                matches = match_units(todo, workspace.units / f"matches{suffix}")
+                folder = workspace.units / f"matches{suffix}"
+                if database is not None and given:
+                    matches = given_match_units(database, {p: given[p] for p in _in_order(pairs)}, folder)
+                else:
+                    matches = match_units(todo, folder)
                 run_units(matches, stage="match", executor=config.executor, progress=progress)
             with timed(timings_s, "verify"):
                 folder = workspace.units / f"geometry{suffix}"
@@ -182,11 +183,30 @@ def _read(
     return read_image_set(source, config, ignore=ignore, progress=progress)
 
 
+def _open_database(
+    images: ImageSet, workspace: Workspace, config: ReconstructConfig
+) -> tuple[DatabaseSource | None, ImageSet]:
+    """The database to start from, where one is given, and the pictures that it knows."""
+    if config.database is None:
+        return None, images
+    if config.database.resolve() == workspace.database.resolve():
+        raise ConfigError(f"{config.database} is where this run writes its own; copy it elsewhere first")
+    return open_source(config.database, images, keep_cameras=config.camera_params is not None)
+
+
 def _detect(
-    images: ImageSet, workspace: Workspace, config: ReconstructConfig, progress: ProgressCallback
+    images: ImageSet,
+    workspace: Workspace,
+    config: ReconstructConfig,
+    progress: ProgressCallback,
+    database: DatabaseSource | None,
 ) -> tuple[ImageSet, list[Unit]]:
-    """Features of every picture; damaged pictures leave the set."""
-    units = feature_units(images, workspace.units / "features", config.features, config.masks)
+    """Features of every picture, found or from the database; damaged pictures leave the set."""
+    folder = workspace.units / "features"
+    if database is None:
+        units = feature_units(images, folder, config.features, config.masks)
+    else:
+        units = given_feature_units(database, images, folder, config.features.max_size_px)
     run_units(units, stage="features", executor=config.executor, progress=progress)
     failures = {}
     for i, unit in enumerate(units):
@@ -202,11 +222,22 @@ def _detect(
     return images, [u for i, u in enumerate(units) if i not in failures]
 
 
-def _choose_pairs(images: ImageSet, features: Sequence[Unit], config: ReconstructConfig) -> np.ndarray:
-    if config.pairs is not None:
-        return read_pairs(config.pairs, images.names)
+def _choose_pairs(
+    images: ImageSet, features: Sequence[Unit], config: ReconstructConfig, given: Matches
+) -> np.ndarray:
+    """The pairs to work on; of those with given matches, where there are any, the ones asked for."""
+    asked = read_pairs(config.pairs, images.names) if config.pairs is not None else None
+    if given:
+        kept = sorted(given) if asked is None else [p for p in _in_order(asked) if p in given]
+        return np.array(kept, np.int32).reshape(-1, 2)
+    if asked is not None:
+        return asked
     descriptors = _Lazy([u.path for u in features])
     return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
+
+
+def _in_order(pairs: np.ndarray) -> list[tuple[int, int]]:
+    return sorted({(int(min(pair)), int(max(pair))) for pair in pairs})
 
 
 class _Lazy(Sequence[np.ndarray]):

@@ -1,0 +1,86 @@
+"""A COLMAP database as the source of features and matches."""
+
+import shutil
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from epipole import reconstruct
+from epipole.config import ReconstructConfig
+from epipole.errors import ConfigError, FileFormatError
+
+
+@pytest.fixture(scope="module")
+def first(rendered, tmp_path_factory):
+    return reconstruct(rendered, tmp_path_factory.mktemp("first") / "out")
+
+
+@pytest.fixture
+def database(first, tmp_path):
+    return shutil.copyfile(first.out / "database.db", tmp_path / "given.db")
+
+
+def run(statement, database):
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute(statement)
+
+
+def test_the_same_features_and_matches_give_the_same_model(rendered, first, database, tmp_path):
+    again = reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
+    assert again.model.is_registered().all()
+    assert len(again.model.tracks.image) == pytest.approx(len(first.model.tracks.image), rel=0.01)
+    np.testing.assert_array_equal(again.model.images.keypoint_offsets, first.model.images.keypoint_offsets)
+    np.testing.assert_allclose(again.model.images.keypoints_px, first.model.images.keypoints_px, atol=1e-3)
+
+
+def test_without_matches_before_verification_the_verified_ones_serve(rendered, database, tmp_path):
+    run("DELETE FROM matches", database)
+    again = reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
+    assert again.model.is_registered().all()
+
+
+def test_features_alone_are_matched_here(rendered, database, tmp_path):
+    run("DELETE FROM matches", database)
+    run("DELETE FROM two_view_geometries", database)
+    again = reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
+    assert again.model.is_registered().all()
+
+
+def test_pairs_choose_among_the_databases(rendered, database, tmp_path):
+    (tmp_path / "pairs.txt").write_text("view_00.jpg view_01.jpg\nview_01.jpg view_02.jpg\n")
+    config = ReconstructConfig(database=database, pairs=tmp_path / "pairs.txt")
+    again = reconstruct(rendered, tmp_path / "out", config)
+    assert again.model.is_registered().sum() == 3
+
+
+def test_a_picture_that_the_database_lacks_is_left_out_with_the_reason(rendered, database, tmp_path):
+    folder = shutil.copytree(rendered, tmp_path / "pictures")
+    shutil.copyfile(folder / "view_00.jpg", folder / "another.jpg")
+    again = reconstruct(folder, tmp_path / "out", ReconstructConfig(database=database))
+    assert again.model.is_registered().sum() == 6
+    assert again.reasons == {"another.jpg": "not in given.db"}
+
+
+def test_a_database_of_other_pictures_is_refused(rendered, database, tmp_path):
+    run("UPDATE images SET name = 'other' || name", database)
+    with pytest.raises(ConfigError, match="knows none of the pictures"):
+        reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
+
+
+def test_pictures_of_another_size_are_refused(rendered, database, tmp_path):
+    run("UPDATE cameras SET width = 999", database)
+    with pytest.raises(ConfigError, match="480x320 upright, but 999x320"):
+        reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=database))
+
+
+def test_what_is_no_database_is_refused(rendered, tmp_path):
+    (tmp_path / "given.db").write_text("no database at all")
+    with pytest.raises(FileFormatError):
+        reconstruct(rendered, tmp_path / "out", ReconstructConfig(database=tmp_path / "given.db"))
+
+
+def test_the_runs_own_database_is_not_read_over(rendered, first):
+    with pytest.raises(ConfigError, match="copy it elsewhere"):
+        reconstruct(rendered, first.out, ReconstructConfig(database=first.out / "database.db"))
