@@ -105,8 +105,9 @@ def _summary(result: PipelineResult, seconds: float) -> dict[str, Any]:
                 "num_points": len(m.points),
                 "num_observations": len(m.tracks.image),
                 "mean_reprojection_error_px": m.mean_reprojection_error_px(),
+                "match_agreement": agreement,
             }
-            for m in result.models
+            for m, agreement in zip(result.models, result.mapped.agreements)
         ],
         "num_points": len(model.points),
         "num_observations": len(model.tracks.image),

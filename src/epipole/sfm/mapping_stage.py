@@ -29,6 +29,8 @@ class Mapped:
     rejections: dict[int, Rejection]
     gps_residuals_m: tuple[np.ndarray | None, ...]
     """Of each model: distance of each image from its GPS fix; None where the model is not in metres."""
+    agreements: tuple[float, ...]
+    """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
 
 
 def map_images(
@@ -45,7 +47,7 @@ def map_images(
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
     remaining = np.ones(len(images), bool)
-    found: list[tuple[Reconstruction, np.ndarray | None]] = []
+    found: list[tuple[Reconstruction, np.ndarray | None, float]] = []
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
@@ -56,10 +58,12 @@ def map_images(
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
-        found.append((builder.freeze(images.names, colors, images.timestamps_s), residuals))
+        agreement = mapper.consistency.overall(builder)
+        found.append((builder.freeze(images.names, colors, images.timestamps_s), residuals, agreement))
         remaining &= ~builder.registered
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
-    return Mapped(tuple(m for m, _ in found), rejections, tuple(r for _, r in found))
+    models, residuals_m, agreements = zip(*found) if found else ((), (), ())
+    return Mapped(tuple(models), rejections, tuple(residuals_m), tuple(agreements))
 
 
 def _put_in_place(

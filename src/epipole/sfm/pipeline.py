@@ -123,7 +123,7 @@ def run_pipeline(
         reasons,
         tuple(len(k) for k in keypoints),
         tuple(u.path for u in features),
-        (*best.notes, *_warnings(images, mapped, reasons)),
+        (*best.notes, *_warnings(images, mapped, reasons, config.mapper.sound_end_share)),
         timings_s,
     )
 
@@ -331,8 +331,16 @@ def _write_models(workspace: Workspace, images: ImageSet, mapped: Mapped) -> Non
             copy_or_rotate(images.folder / images.names[image], target)
 
 
-def _warnings(images: ImageSet, mapped: Mapped, reasons: dict[str, str]) -> tuple[str, ...]:
+def _warnings(
+    images: ImageSet, mapped: Mapped, reasons: dict[str, str], sound_share: float
+) -> tuple[str, ...]:
     out = []
+    for number, agreement in enumerate(mapped.agreements):
+        if agreement < sound_share:
+            out.append(
+                f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
+                "parts of it are probably wrong (a wrong focal length, or things that look alike)"
+            )
     if reasons:
         out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
     if len(mapped.models) > 1:
