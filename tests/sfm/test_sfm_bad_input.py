@@ -4,7 +4,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -138,23 +137,64 @@ def test_masks_remove_features(rendered, tmp_path):
     assert result.model.images.keypoints_px[:, 0].min() >= CAMERA.width // 3 - 1
 
 
-def test_killed_at_any_time_it_goes_on_to_the_same_model(rendered, tmp_path):
-    reference = reconstruct(rendered, tmp_path / "reference")
-    command = [
-        sys.executable,
-        "-m",
-        "epipole.cli.main",
-        "reconstruct",
-        str(rendered),
-        str(tmp_path / "killed"),
-    ]
-    for seconds in (1.2, 1.8, 2.6):
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        time.sleep(seconds)
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    subprocess.run(command, check=True, capture_output=True)
+KILLED_IN = """
+import os, signal, sys
+import epipole.api as api
+import epipole.sfm.pipeline as pipeline
+
+stage, images, out = sys.argv[1:]
+
+def die(*_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+def progress(event):
+    if event.stage == stage and 2 * event.done >= event.total:
+        die()
+
+if stage == "write":
+    pipeline.write_scene_ply = die  # the model is written, the rest is not
+if stage == "report":
+    api.render_report = die
+api.reconstruct(images, out, progress=progress)
+"""
+
+
+def test_killed_in_every_stage_it_goes_on_to_the_same_model(rendered, tmp_path):
+    reconstruct(rendered, tmp_path / "reference")
+    out = tmp_path / "killed"
+    for stage in ("read", "features", "match", "verify", "map", "write", "report"):
+        command = [sys.executable, "-c", KILLED_IN, stage, str(rendered), str(out)]
+        done = subprocess.run(command, check=False, capture_output=True)
+        assert done.returncode == -signal.SIGKILL, (stage, done.stderr.decode())
+    assert reconstruct(rendered, out).summary["num_registered"] == 6
     for name in ("cameras.bin", "images.bin", "points3D.bin"):
         a, b = (tmp_path / run / "sparse" / "0" / name for run in ("reference", "killed"))
         assert a.read_bytes() == b.read_bytes(), name
-    assert reference.summary["num_registered"] == 6
+
+
+WITH_LITTLE_ROOM = """
+import resource, signal, sys
+from epipole.api import reconstruct
+from epipole.errors import WorkspaceError
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), resource.RLIM_INFINITY))
+try:
+    reconstruct(*sys.argv[2:])
+except WorkspaceError as error:
+    print(error)
+    sys.exit(7)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
+@pytest.mark.parametrize("room", [1_000, 1_000_000])
+def test_where_files_cannot_grow_the_run_says_so_and_goes_on_later(rendered, tmp_path, room):
+    """A full disk as a program sees it: a write in the middle of a file fails. The limits stop detection and the database."""
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", WITH_LITTLE_ROOM, str(room), str(rendered), str(out)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 7, done.stdout + done.stderr
+    assert "cannot write" in done.stdout
+    assert not [p for p in out.rglob("*") if p.name.endswith(".tmp") or ".part" in p.name]
+    assert reconstruct(rendered, out).summary["num_registered"] == 6
