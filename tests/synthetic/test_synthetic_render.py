@@ -6,7 +6,7 @@ import pytest
 
 from epipole import _parallel
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.features import detect_features
 from epipole.synthetic import (
     Box,
@@ -102,3 +102,8 @@ def test_impossible_views_and_empty_scenes_raise():
         look_at((0, 0, 0), (0, 0, 3))
     with pytest.raises(ShapeError):
         SyntheticScene.of([])
+
+
+def test_no_views_raise():
+    with pytest.raises(ConfigError, match="at least 1"):
+        courtyard_views(0)

@@ -69,41 +69,50 @@ def height_at(x, y, amplitude, wavelength, seed):
 
 
 @kernel
-def _shade(kind, color, seed, x, y, z, footprint, light, rgb, scratch):
-    """Colour of the surface at (x, y, z) in [0, 1], for a pixel that covers `footprint` metres of it."""
+def _noise(seed, x, y, z, footprint, out):
+    """The smooth part of the rich texture, for a pixel that covers `footprint` metres of it."""
+    out[:] = 0.0
+    wavelength, weight = 1.3, 0.30
+    for octave in range(NUM_OCTAVES):
+        fade = min(1.0, max(0.0, 0.5 * wavelength / footprint - 1.0))
+        if fade <= 0.0:
+            break
+        _add_noise(x / wavelength, y / wavelength, z / wavelength, seed + octave, weight * fade, out)
+        wavelength *= 0.52
+        weight *= 0.86
+
+
+@kernel
+def _add_cells(seed, x, y, z, footprint, out):
+    """The part with hard edges: a quarter of hashed cells, in four sizes."""
+    # Cells stand askew, so that none lies along a wall.
+    p = 0.80 * x + 0.53 * y + 0.28 * z
+    q = -0.56 * x + 0.83 * y + 0.04 * z
+    r = -0.21 * x - 0.19 * y + 0.96 * z
+    size = 0.23
+    for n in range(NUM_CELLS):
+        fade = min(1.0, max(0.0, 0.25 * size / footprint - 1.0))
+        if fade <= 0.0:
+            break
+        h = _hash(
+            np.int64(math.floor(p / size)),
+            np.int64(math.floor(q / size)),
+            np.int64(math.floor(r / size)),
+            seed + 50 + n,
+        )
+        if (h & np.uint64(3)) == np.uint64(0):
+            for c in range(3):
+                value = float((h >> np.uint64(8 + 16 * c)) & np.uint64(0xFFFF)) / 32767.5 - 1.0
+                out[c] += 0.28 * fade * value
+        size *= 0.43
+
+
+@kernel
+def _add_color(color, texture, light, weight, rgb):
+    """Rgb += weight * the lit colour of a surface whose texture adds `texture` to its own colour."""
+    mean = (texture[0] + texture[1] + texture[2]) / 3.0
     for c in range(3):
-        rgb[c] = color[c]
-    if kind == RICH:
-        scratch[:] = 0.0
-        wavelength, weight = 1.3, 0.30
-        for octave in range(NUM_OCTAVES):
-            fade = min(1.0, max(0.0, 0.5 * wavelength / footprint - 1.0))
-            if fade <= 0.0:
-                break
-            _add_noise(x / wavelength, y / wavelength, z / wavelength, seed + octave, weight * fade, scratch)
-            wavelength *= 0.52
-            weight *= 0.86
-        size = 0.23
-        for n in range(NUM_CELLS):
-            fade = min(1.0, max(0.0, 0.25 * size / footprint - 1.0))
-            if fade > 0.0:
-                # Cells stand askew, so that none lies along a wall.
-                p = (0.80 * x + 0.53 * y + 0.28 * z) / size
-                q = (-0.56 * x + 0.83 * y + 0.04 * z) / size
-                r = (-0.21 * x - 0.19 * y + 0.96 * z) / size
-                h = _hash(
-                    np.int64(math.floor(p)), np.int64(math.floor(q)), np.int64(math.floor(r)), seed + 50 + n
-                )
-                if (h & np.uint64(3)) == np.uint64(0):
-                    for c in range(3):
-                        value = float((h >> np.uint64(8 + 16 * c)) & np.uint64(0xFFFF)) / 32767.5 - 1.0
-                        scratch[c] += 0.28 * fade * value
-            size *= 0.43
-        mean = (scratch[0] + scratch[1] + scratch[2]) / 3.0
-        for c in range(3):
-            rgb[c] += 0.6 * mean + 0.4 * scratch[c]
-    for c in range(3):
-        rgb[c] = min(1.0, max(0.0, rgb[c] * light))
+        rgb[c] += weight * min(1.0, max(0.0, (color[c] + 0.8 * mean + 0.2 * texture[c]) * light))
 
 
 @kernel
@@ -124,8 +133,8 @@ def _hit_plane(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def _hit_box(p, ox, oy, oz, dx, dy, dz, normal):
-    """Slabs (Kay and Kajiya 1986) in the box's own axes: turned by the angle p[6] about z."""
-    cos, sin = math.cos(p[6]), math.sin(p[6])
+    """Slabs (Kay and Kajiya 1986) in the box's own axes: turned about z by an angle of cosine p[7], sine p[8]."""
+    cos, sin = p[7], p[8]
     rx, ry = ox - p[0], oy - p[1]
     lx, ly, lz = cos * rx + sin * ry, -sin * rx + cos * ry, oz - p[2]
     ux, uy, uz = cos * dx + sin * dy, -sin * dx + cos * dy, dz
@@ -164,19 +173,25 @@ def _hit_sphere(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def _hit_height_field(p, ox, oy, oz, dx, dy, dz, seed, nearest, normal):
-    """March down to the first step below the ground, no farther than `nearest`, then halve by the secant rule."""
+    """March down to the first point below the ground, no farther than `nearest`, then halve by the secant rule.
+
+    The ground is never steeper than p[7], so that a step of gap / (fall + steepness * way) cannot cross it; steps
+    that short in the end are lengthened a little, for the secant needs a point below.
+    """
     if dz >= -1e-9:
         return math.inf
     top, bottom = p[2] + 1.4 * p[5], p[2] - 1.4 * p[5]
     first, last = max((top - oz) / dz, 1e-6), min((bottom - oz) / dz, nearest)
     if last <= first:
         return math.inf
-    step = (last - first) / MARCH_STEPS
+    closing, least = -dz + p[7] * math.sqrt(dx * dx + dy * dy), (last - first) / MARCH_STEPS / 8.0
     low, above = first, oz + first * dz - p[2] - height_at(ox + first * dx, oy + first * dy, p[5], p[6], seed)
-    for n in range(1, MARCH_STEPS + 1):
-        high = first + n * step
+    while low < last:
+        high = min(low + max(above / closing, least), last)
         below = oz + high * dz - p[2] - height_at(ox + high * dx, oy + high * dy, p[5], p[6], seed)
         if below > 0.0:
+            if high == last:
+                break
             low, above = high, below
             continue
         t = high
@@ -209,6 +224,8 @@ def _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial):
     """Nearest primitive along a ray and its distance; -1 for the sky."""
     best, hit = math.inf, -1
     for n in range(len(kinds)):
+        if _misses(params[n], dx, dy, dz):
+            continue
         if kinds[n] == PLANE:
             t = _hit_plane(params[n], ox, oy, oz, dx, dy, dz, trial)
         elif kinds[n] == BOX:
@@ -216,50 +233,197 @@ def _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial):
         elif kinds[n] == SPHERE:
             t = _hit_sphere(params[n], ox, oy, oz, dx, dy, dz, trial)
         else:
-            t = _hit_height_field(params[n], ox, oy, oz, dx, dy, dz, seeds[n], best, trial)
+            continue
         if t < best:
             best, hit = t, n
             normal[:] = trial
+    for n in range(len(kinds)):  # last: the march ends at what stands before the ground
+        if kinds[n] == HEIGHT_FIELD and not _misses(params[n], dx, dy, dz):
+            t = _hit_height_field(params[n], ox, oy, oz, dx, dy, dz, seeds[n], best, trial)
+            if t < best:
+                best, hit = t, n
+                normal[:] = trial
     return hit, best
 
 
 @kernel
+def _prepared(kinds, params, o):
+    """Parameters with what every ray from o would compute again.
+
+    From column 11: the centre from o, and |centre - o|^2 - R^2 for the ball of radius R that holds the primitive;
+    a box's cosine and sine in 7 and 8, the steepest slope of a ground in 7.
+    """
+    out = np.zeros((len(kinds), 15))
+    out[:, : params.shape[1]] = params
+    for n in range(len(kinds)):
+        p, radius_sq = params[n], 0.0
+        if kinds[n] == PLANE:
+            radius_sq = p[9] ** 2 + p[10] ** 2
+        elif kinds[n] == BOX:
+            out[n, 7], out[n, 8] = math.cos(p[6]), math.sin(p[6])
+            radius_sq = p[3] ** 2 + p[4] ** 2 + p[5] ** 2
+        elif kinds[n] == SPHERE:
+            radius_sq = p[3] ** 2
+        else:
+            # |d noise| <= 2 * 1.5 per cell along each axis, for the two octaves of `height_at`.
+            out[n, 7] = math.sqrt(2.0) * 3.0 * (1.0 + 0.35 * 2.7) * abs(p[5]) / p[6]
+            radius_sq = p[3] ** 2 + p[4] ** 2 + (1.4 * p[5]) ** 2
+        for c in range(3):
+            out[n, 11 + c] = p[c] - o[c]
+            out[n, 14] += out[n, 11 + c] ** 2
+        out[n, 14] -= 1.0001 * radius_sq
+    return out
+
+
+@kernel
+def _misses(p, dx, dy, dz):
+    """Whether a ray (unit direction) from outside passes by the ball around a primitive."""
+    along = p[11] * dx + p[12] * dy + p[13] * dz
+    return p[14] > 0.0 and (along < 0.0 or along * along < p[14])
+
+
+@kernel
+def _turned(motion, x, y, z, d):
+    """World direction d of a direction in camera coordinates."""
+    for c in range(3):
+        d[c] = motion[c] * x + motion[3 + c] * y + motion[6 + c] * z
+
+
+@kernel
+def _look_along_row(model, camera_params, motion, prepared, v, row):
+    """Rays of the pixels (-1, v) to (w, v) and what they meet; row: rays (camera coordinates), hits, surfaces.
+
+    A surface is the point (0:3), the normal (3:6) and the distance (6).
+    """
+    rays, hits, surfaces = row
+    kinds, params, seeds, o, d, normal, trial = prepared
+    for u in range(len(rays)):
+        rays[u, 0], rays[u, 1], rays[u, 2] = unproject_one(model, camera_params, u - 1.0, v)
+        hits[u] = -1
+        if rays[u, 2] == rays[u, 2]:
+            _turned(motion, rays[u, 0], rays[u, 1], rays[u, 2], d)
+            hits[u], t = _trace(kinds, params, seeds, o[0], o[1], o[2], d[0], d[1], d[2], normal, trial)
+            for c in range(3):
+                surfaces[u, c], surfaces[u, 3 + c] = o[c] + t * d[c], normal[c]
+            surfaces[u, 6] = t
+
+
+@kernel
+def _is_inside(above, here, below, u):
+    """Whether pixel u - 1 and its four neighbours meet one primitive, on one side of it."""
+    hit, normal = here[1][u], here[2][u, 3:6]
+    for hits, surfaces, n in (
+        (above[1], above[2], u),
+        (below[1], below[2], u),
+        (here[1], here[2], u - 1),
+        (here[1], here[2], u + 1),
+    ):
+        if hits[n] != hit:
+            return False
+        if normal[0] * surfaces[n, 3] + normal[1] * surfaces[n, 4] + normal[2] * surfaces[n, 5] < 0.9:
+            return False
+    return hit >= 0
+
+
+@kernel
+def _on_tangent_plane(surface, o, d):
+    """Distance along the ray (o, d) to the tangent plane of a surface; infinite where it runs along it."""
+    facing, way = 0.0, 0.0
+    for c in range(3):
+        facing += surface[3 + c] * d[c]
+        way += surface[3 + c] * (surface[c] - o[c])
+    return way / facing if abs(facing) > 1e-3 and way / facing > 0.0 else math.inf
+
+
+@kernel
+def _ray_beside(model, camera_params, motion, above, here, below, u, v, du, dv, d):
+    """World direction d of the ray of (u + du, v + dv), from the rays of the rows around; False where there is none.
+
+    Interpolation is exact to second order; at the rim of the lens, where a neighbour has no ray, the lens is asked.
+    """
+    x = here[u + 1, 0] + 0.5 * (du * (here[u + 2, 0] - here[u, 0]) + dv * (below[u + 1, 0] - above[u + 1, 0]))
+    y = here[u + 1, 1] + 0.5 * (du * (here[u + 2, 1] - here[u, 1]) + dv * (below[u + 1, 1] - above[u + 1, 1]))
+    z = here[u + 1, 2] + 0.5 * (du * (here[u + 2, 2] - here[u, 2]) + dv * (below[u + 1, 2] - above[u + 1, 2]))
+    size = math.sqrt(x * x + y * y + z * z)
+    if size == size:
+        x, y, z = x / size, y / size, z / size
+    else:
+        x, y, z = unproject_one(model, camera_params, u + du, v + dv)
+    _turned(motion, x, y, z, d)
+    return d[0] == d[0]
+
+
+@kernel
+def _light_on(light, normal, d):
+    """Brightness of a surface seen along d, and the cosine between both."""
+    facing = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
+    side = -1.0 if facing > 0.0 else 1.0
+    shine = side * (normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2])
+    return 0.62 + 0.38 * max(0.0, shine), abs(facing)
+
+
+@kernel
+def _row(width):
+    return np.empty((width + 2, 3)), np.empty(width + 2, np.int64), np.empty((width + 2, 7))
+
+
+@kernel
 def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, depth):
-    """Rows start..stop of a picture: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre."""
-    kinds, params, textures, colors, seeds, light = scene
-    normal, trial, scratch, color = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    ox = -(motion[0] * motion[9] + motion[3] * motion[10] + motion[6] * motion[11])
-    oy = -(motion[1] * motion[9] + motion[4] * motion[10] + motion[7] * motion[11])
-    oz = -(motion[2] * motion[9] + motion[5] * motion[10] + motion[8] * motion[11])
+    """Rows start..stop of a picture: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
+
+    Smooth texture is computed once a pixel, at the centre: it has no detail finer than two footprints. Edges of
+    cells are sampled four times; so are edges of things, while inside one the samples lie on the tangent plane of
+    the centre (exact but for terms of second order in the quarter of a pixel).
+    """
+    kinds, given, textures, colors, seeds, light = scene
+    normal, trial, d, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    smooth, texture = np.empty(3), np.empty(3)
+    for c in range(3):
+        o[c] = -(motion[c] * motion[9] + motion[3 + c] * motion[10] + motion[6 + c] * motion[11])
+    params = _prepared(kinds, given, o)
+    prepared = kinds, params, seeds, o, d, normal, trial
     spacing = 1.0 / camera_params[0]
+    above, here, below = _row(width), _row(width), _row(width)
+    _look_along_row(model, camera_params, motion, prepared, start - 1.0, here)
+    _look_along_row(model, camera_params, motion, prepared, start + 0.0, below)
     for v in range(start, stop):
+        above, here, below = here, below, above
+        _look_along_row(model, camera_params, motion, prepared, v + 1.0, below)
         for u in range(width):
-            for sample in range(5):
-                # The centre gives the depth; four points around it the colour.
-                du = 0.0 if sample == 4 else (0.25 if sample % 2 else -0.25)
-                dv = 0.0 if sample == 4 else (0.25 if sample // 2 else -0.25)
-                x, y, z = unproject_one(model, camera_params, u + du, v + dv)
-                if not x == x:
+            own, surface = here[1][u + 1], here[2][u + 1]
+            inside = _is_inside(above, here, below, u + 1)
+            if own >= 0:
+                depth[v, u] = surface[6] * here[0][u + 1, 2]
+                _turned(motion, here[0][u + 1, 0], here[0][u + 1, 1], here[0][u + 1, 2], d)
+                _, facing = _light_on(light, surface[3:6], d)
+                if textures[own] == RICH:
+                    covered = 0.6 * surface[6] * spacing / math.sqrt(max(facing, 0.05))
+                    _noise(seeds[own], surface[0], surface[1], surface[2], covered, smooth)
+            for sample in range(4):
+                du, dv = (0.25 if sample % 2 else -0.25), (0.25 if sample // 2 else -0.25)
+                if not _ray_beside(
+                    model, camera_params, motion, above[0], here[0], below[0], u, v, du, dv, d
+                ):
                     continue
-                dx = motion[0] * x + motion[3] * y + motion[6] * z
-                dy = motion[1] * x + motion[4] * y + motion[7] * z
-                dz = motion[2] * x + motion[5] * y + motion[8] * z
-                hit, t = _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial)
-                if sample == 4:
-                    depth[v, u] = t * z if hit >= 0 else math.nan
-                    continue
+                hit, t = own, math.inf
+                if inside:
+                    t = _on_tangent_plane(surface, o, d)
+                    normal[:] = surface[3:6]
+                if not t < math.inf:
+                    hit, t = _trace(kinds, params, seeds, o[0], o[1], o[2], d[0], d[1], d[2], normal, trial)
                 if hit < 0:
                     rgb[v, u, 0] += 0.25 * 0.62
                     rgb[v, u, 1] += 0.25 * 0.74
                     rgb[v, u, 2] += 0.25 * 0.88
                     continue
-                facing = normal[0] * dx + normal[1] * dy + normal[2] * dz
-                side = -1.0 if facing > 0.0 else 1.0
-                shine = side * (normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2])
-                footprint = 0.6 * t * spacing / math.sqrt(max(abs(facing), 0.05))
-                _shade(
-                    textures[hit], colors[hit], seeds[hit], ox + t * dx, oy + t * dy, oz + t * dz, footprint,
-                    0.62 + 0.38 * max(0.0, shine), color, scratch,
-                )  # fmt: skip
-                for c in range(3):
-                    rgb[v, u, c] += 0.25 * color[c]
+                brightness, facing = _light_on(light, normal, d)
+                texture[:] = 0.0
+                if textures[hit] == RICH:
+                    x, y, w = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
+                    covered = 0.6 * t * spacing / math.sqrt(max(facing, 0.05))
+                    if hit == own:
+                        texture[:] = smooth
+                    else:
+                        _noise(seeds[hit], x, y, w, covered, texture)
+                    _add_cells(seeds[hit], x, y, w, covered, texture)
+                _add_color(colors[hit], texture, brightness, 0.25, rgb[v, u])

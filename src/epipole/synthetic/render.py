@@ -36,7 +36,7 @@ def render(
         seed: of the noise.
     """
     height, width = camera.height, camera.width
-    rgb, depth = np.zeros((height, width, 3)), np.full((height, width), np.nan)
+    rgb, depth = np.zeros((height, width, 3), np.float32), np.full((height, width), np.nan)
     motion = np.concatenate([cam_from_world.rotation.ravel(), cam_from_world.translation])
     columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
     params = camera.padded_params()
@@ -45,9 +45,10 @@ def render(
             columns, int(camera.model), params, motion, start, stop, width, rgb, depth
         ),
         height,
-        32,
+        16,
     )
-    levels = 255.0 * rgb
+    levels = np.float32(255.0) * rgb
     if noise_sigma > 0:
-        levels += np.random.default_rng(seed).normal(0.0, noise_sigma, levels.shape)
+        random = np.random.default_rng(seed)
+        levels += np.float32(noise_sigma) * random.standard_normal(levels.shape, np.float32)
     return Rendering(np.clip(np.rint(levels), 0, 255).astype(np.uint8), depth)
