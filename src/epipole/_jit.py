@@ -10,6 +10,7 @@ import os
 import tempfile
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from inspect import unwrap
 from pathlib import Path
@@ -53,6 +54,21 @@ def cache_folder() -> Path:
         if os.access(folder, os.W_OK):
             return folder
     return Path(tempfile.mkdtemp(prefix="epipole-kernels-"))
+
+
+def is_compiled() -> bool:
+    """Whether this machine holds compiled kernels of this version."""
+    return _marker().is_file()
+
+
+def mark_compiled() -> None:
+    """Note that all kernels have been compiled and kept."""
+    with suppress(OSError):
+        _marker().touch()
+
+
+def _marker() -> Path:
+    return cache_folder() / "compiled"
 
 
 def kernel(

@@ -26,6 +26,7 @@ WORDS = {
     "video": "Taking frames",
     "read": "Reading headers",
     "features": "Finding features",
+    "compile": "Compiling kernels",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
     "map": "Placing images",
@@ -44,7 +45,9 @@ def progress_on_screen() -> Iterator[ProgressCallback]:
     )
     with Bars(*columns, console=Console(stderr=True)) as bars:
         tasks: dict[str, TaskID] = {}
-        if not kernels_are_compiled():
+        from epipole import _jit
+
+        if not _jit.is_compiled():
             bars.console.print(COMPILE_NOTE)
 
         def show(report: Progress) -> None:
@@ -53,13 +56,6 @@ def progress_on_screen() -> Iterator[ProgressCallback]:
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
 
         yield show
-
-
-def kernels_are_compiled() -> bool:
-    """Whether this machine holds compiled kernels of this version."""
-    from epipole._jit import cache_folder
-
-    return sum(1 for _ in cache_folder().rglob("*.nbc")) >= 60
 
 
 def show_reconstruction(result: ReconstructionResult) -> None:

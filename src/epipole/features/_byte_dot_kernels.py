@@ -141,6 +141,44 @@ def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile)
 
 
 @kernel
+def most_squared_length(descriptors):
+    """The largest sum of squares of a row of bytes."""
+    most = np.int32(0)
+    for i in range(len(descriptors)):
+        row, total = descriptors[i], np.int32(0)
+        for k in range(len(row)):
+            total += np.int32(row[k]) * np.int32(row[k])
+        most = max(most, total)
+    return most
+
+
+@kernel
+def pack_rows(descriptors, rows):
+    """Descriptors (n, 128) less 128, as `byte_top_two` takes them; the rows beyond n are those of zeros."""
+    for i in range(rows.shape[0] * ROWS):
+        out = rows[i // ROWS, i % ROWS]
+        for k in range(WIDTH):
+            out[k] = (
+                np.int8(np.int16(descriptors[i, k]) - np.int16(128))
+                if i < len(descriptors)
+                else np.int8(-128)
+            )
+
+
+@kernel
+def pack_columns(descriptors, columns, bias):
+    """Descriptors (m, 128) by fours of bytes, as `byte_top_two` takes them, and 128 times their sums; zeros beyond m."""
+    for j in range(columns.shape[0] * COLUMNS):
+        tile, lane, total = columns[j // COLUMNS], j % COLUMNS, np.uint32(0)
+        for step in range(STEPS):
+            for k in range(4):
+                value = descriptors[j, 4 * step + k] if j < len(descriptors) else np.uint8(0)
+                tile[step, lane, k] = value
+                total += np.uint32(value)
+        bias[j // COLUMNS, lane] = np.uint32(128) * total
+
+
+@kernel
 def byte_top_two(rows, columns, bias, best, second, best_column, column_best):
     """Best, second best and the best's column of every row; the best of every column.
 

@@ -25,3 +25,17 @@ class Features:
 
     def __repr__(self) -> str:
         return f"Features({len(self)} x {self.descriptors.shape[1]})"
+
+
+def in_order(
+    columns: Float32[np.ndarray, "n 4"], descriptors: UInt8[np.ndarray, "n d"], limit: int
+) -> Features:
+    """Features from columns x, y, diameter and angle: by falling size, then place; at most `limit`."""
+    order = np.lexsort((columns[:, 3], columns[:, 0], columns[:, 1], -columns[:, 2]))[:limit]
+    columns = columns[order]
+    return Features(
+        np.ascontiguousarray(columns[:, :2]),
+        columns[:, 2].copy(),
+        columns[:, 3].copy(),
+        np.ascontiguousarray(descriptors[order]),
+    )

@@ -50,23 +50,22 @@ def _fits_byte_dot(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether the processor multiplies bytes and no similarity is too large for the keys (root-SIFT's never is)."""
     if byte_kernels.LANES == 0 or len(b) > byte_kernels.MOST_COLUMNS:
         return False
-    longest = [float(np.einsum("ij,ij->i", d, d, dtype=np.uint32).max()) for d in (a, b)]
+    longest = [float(byte_kernels.most_squared_length(d)) for d in (a, b)]
     return longest[0] * longest[1] < float(byte_kernels.MOST_SIMILARITY) ** 2
 
 
 def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo:
     """Work: 128 * n * m byte products, 64 (or 32) an instruction; the similarities stay in registers."""
     n, m = len(a), len(b)
-    signed = np.full((-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), -128, np.int8)
-    signed.reshape(-1, byte_kernels.WIDTH)[:n] = (a ^ np.uint8(128)).view(np.int8)
-    padded = np.zeros((-(-m // byte_kernels.COLUMNS), byte_kernels.COLUMNS, byte_kernels.STEPS, 4), np.uint8)
-    padded.reshape(-1, byte_kernels.WIDTH)[:m] = b
-    bias = np.uint32(128) * padded.sum(axis=(2, 3), dtype=np.uint32)
-    best, second = np.empty(signed.shape[:2], np.uint32), np.empty(signed.shape[:2], np.uint32)
-    column, column_best = np.empty(signed.shape[:2], np.int32), np.zeros(padded.shape[:2], np.uint32)
+    rows = np.empty((-(-n // byte_kernels.ROWS), byte_kernels.ROWS, byte_kernels.WIDTH), np.int8)
+    columns = np.empty((-(-m // byte_kernels.COLUMNS), byte_kernels.STEPS, byte_kernels.COLUMNS, 4), np.uint8)
+    bias = np.empty((len(columns), byte_kernels.COLUMNS), np.uint32)
+    byte_kernels.pack_rows(a, rows)
+    byte_kernels.pack_columns(b, columns, bias)
+    best, second = np.empty(rows.shape[:2], np.uint32), np.empty(rows.shape[:2], np.uint32)
+    column, column_best = np.empty(rows.shape[:2], np.int32), np.zeros(bias.shape, np.uint32)
     byte_kernels.byte_top_two(
-        *(signed, np.ascontiguousarray(padded.transpose(0, 2, 1, 3)), bias),
-        *(best.ravel(), second.ravel(), column.ravel(), column_best),
+        *(rows, columns, bias, best.ravel(), second.ravel(), column.ravel(), column_best),
     )
     return column.ravel()[:n], best.ravel()[:n], second.ravel()[:n], column_best.ravel()[:m]
 

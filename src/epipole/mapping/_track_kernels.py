@@ -66,7 +66,7 @@ def _error_sq(rows, cams, k, x, y, z):
     m = cams.motion[i]
     c = cams.camera[i]
     u, v = project_one(
-        cams.model[c],
+        np.int64(cams.model[c]),
         cams.params[c],
         m[0] * x + m[1] * y + m[2] * z + m[9],
         m[3] * x + m[4] * y + m[5] * z + m[10],
@@ -157,7 +157,7 @@ def _polish(rows, cams, chosen, count, x, jac, jac_params):
             m = cams.motion[i]
             cam = cams.camera[i]
             u, v = project_with_jacobian_one(
-                cams.model[cam],
+                np.int64(cams.model[cam]),
                 cams.params[cam],
                 m[0] * x[0] + m[1] * x[1] + m[2] * x[2] + m[9],
                 m[3] * x[0] + m[4] * x[1] + m[5] * x[2] + m[10],
@@ -252,7 +252,7 @@ def triangulate_components(
     for n in range(start, stop):
         t = components[n]
         for _ in range(3):
-            count = 0
+            count = np.int64(0)  # a literal would compile the callees twice
             for k in range(offsets[t], offsets[t + 1]):
                 if cams.registered[rows.image[k]] and rows.point[k] < 0 and new_point_of_row[k] < 0:
                     free[count] = k

@@ -81,7 +81,7 @@ def _residual(obs, k, frames, sensors, models, params, x, y, z):
     b = r[3] * x + r[4] * y + r[5] * z + r[10]
     d = r[6] * x + r[7] * y + r[8] * z + r[11]
     u, v = project_one(
-        models[c],
+        np.int64(models[c]),
         params[c],
         q[0] * a + q[1] * b + q[2] * d + q[9],
         q[3] * a + q[4] * b + q[5] * d + q[10],
@@ -115,7 +115,7 @@ def _jacobians(obs, k, frames, sensors, models, params, point, frame_free, jac, 
     b = r[3] * x + r[4] * y + r[5] * z + r[10]
     d = r[6] * x + r[7] * y + r[8] * z + r[11]
     u, v = project_with_jacobian_one(
-        models[c],
+        np.int64(models[c]),
         params[c],
         q[0] * a + q[1] * b + q[2] * d + q[9],
         q[3] * a + q[4] * b + q[5] * d + q[10],

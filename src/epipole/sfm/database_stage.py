@@ -11,7 +11,7 @@ import numpy as np
 from epipole.errors import ConfigError
 from epipole.io.colmap_database import DatabaseContents, read_database
 from epipole.sfm.feature_stage import as_unit_arrays, read_picture
-from epipole.sfm.match_stage import BLOCK_PAIRS, stacked_matches
+from epipole.sfm.match_stage import pair_blocks, stacked_matches
 from epipole.sfm.photographs import ImageSet
 from epipole.workflow import Unit, digest
 
@@ -139,9 +139,8 @@ def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
 
 def match_units(source: DatabaseSource, matches: Matches, folder: Path) -> list[Unit]:
     """Units that hold the database's matches, in the blocks of the matching stage."""
-    pairs, units = sorted(matches), []
-    for number, start in enumerate(range(0, len(pairs), BLOCK_PAIRS)):
-        block = tuple(pairs[start : start + BLOCK_PAIRS])
+    units = []
+    for number, block in enumerate(pair_blocks(sorted(matches))):
         payload = GivenMatches(block, tuple(matches[p] for p in block))
         key = digest("database matches", FORMAT, block, source.fingerprint)
         units.append(Unit(folder / f"block_{number:05d}.npz", key, given_matches, payload))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -15,7 +16,7 @@ from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.sfm.photographs import ImageSet
 from epipole.workflow import Unit, digest, load
 
-FORMAT = 2
+FORMAT = 3
 """Raise when the meaning of the files changes."""
 THUMBNAIL_PX = 320
 
@@ -116,5 +117,10 @@ def as_unit_arrays(
 
 
 def load_features(path: Path) -> Features:
-    """The features of a unit's file."""
+    """The features of a unit's file; those of the last pictures asked for are kept in memory."""
+    return _remembered(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _remembered(path: Path, _mtime_ns: int) -> Features:
     return Features(**load(path, "pixels", "scale_px", "angle_rad", "descriptors"))

@@ -18,8 +18,9 @@ from epipole.scene import Cameras, ViewGraph
 from epipole.sfm.feature_stage import load_features
 from epipole.workflow import Unit, digest, load
 
-FORMAT = 1
-BLOCK_PAIRS = 8
+FORMAT = 2
+MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
+"""Pairs are cut into about this many blocks: enough to share out, few enough for the disk."""
 MIN_SCOUTS = 768
 
 
@@ -51,6 +52,12 @@ class PairWork:
     verification: RansacConfig
 
 
+def pair_blocks(pairs: Sequence[tuple[int, int]]) -> list[tuple[tuple[int, int], ...]]:
+    """The pairs in order, cut into blocks."""
+    size = max(1, min(MOST_BLOCK_PAIRS, -(-len(pairs) // MOST_BLOCKS)))
+    return [tuple(pairs[start : start + size]) for start in range(0, len(pairs), size)]
+
+
 def _units(
     todo: PairWork,
     folder: Path,
@@ -62,8 +69,7 @@ def _units(
     units = []
     single = [cameras[c] for c in range(len(cameras))]
     trusted = cameras.is_focal_trusted | cameras.is_constant
-    for number, start in enumerate(range(0, len(pairs), BLOCK_PAIRS)):
-        block = [(int(i), int(j)) for i, j in pairs[start : start + BLOCK_PAIRS]]
+    for number, block in enumerate(pair_blocks([(int(i), int(j)) for i, j in pairs])):
         members = sorted({i for pair in block for i in pair})
         camera_rows = sorted({int(camera_of_image[i]) for i in members})
         key = digest(
@@ -73,7 +79,7 @@ def _units(
             match_units[number].key if match_units is not None else "",
         )
         payload = MatchPayload(
-            tuple(block),
+            block,
             {i: feature_units[i].path for i in members},
             {i: single[camera_of_image[i]] for i in members},
             {i: bool(trusted[camera_of_image[i]]) for i in members},
@@ -129,7 +135,7 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
 def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     """Geometry of a block of matched pairs."""
     assert payload.match_file is not None
-    pixels = {i: load(path, "pixels")["pixels"] for i, path in payload.feature_files.items()}
+    pixels = {i: load_features(path).pixels for i, path in payload.feature_files.items()}
     stored = load(payload.match_file)
     found = []
     for n, (i, j) in enumerate(payload.pairs):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole import _parallel
+from epipole import _jit, _parallel
 from epipole.config import ReconstructConfig
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.colmap import write_colmap_model
@@ -82,6 +82,8 @@ def run_pipeline(
             database, images = _open_database(images, workspace, config)
         with timed(timings_s, "features"):
             images, features = _detect(images, workspace, config, progress, database)
+        with timed(timings_s, "compile"):
+            _wait_for(compiling, progress)
         with timed(timings_s, "match"):
             given = database.matches(images.names) if database is not None else {}
             pairs = _choose_pairs(images, features, config, given)
@@ -101,7 +103,6 @@ def run_pipeline(
                 folder = workspace.units / f"geometry{suffix}"
                 cameras, view_graph, notes = _verify(todo, matches, folder, config, progress)
             with timed(timings_s, "map"):
-                compiling.join()
                 mapped = map_images(images, cameras, view_graph, keypoints, colors, config.mapper, progress)
             return _Attempt(images, matches, cameras, view_graph, notes, mapped)
 
@@ -126,6 +127,15 @@ def run_pipeline(
         (*best.notes, *_warnings(images, mapped, reasons, config.mapper.sound_end_share)),
         timings_s,
     )
+
+
+def _wait_for(compiling: threading.Thread, progress: ProgressCallback) -> None:
+    if _jit.is_compiled():
+        compiling.join()
+        return
+    progress(Progress("compile", 0, 1))
+    compiling.join()
+    progress(Progress("compile", 1, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

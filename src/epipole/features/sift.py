@@ -1,0 +1,122 @@
+"""Scale-invariant features (Lowe, IJCV 2004): extrema of a scale space, their orientations and descriptors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from epipole.config import FeatureConfig
+from epipole.features import _scale_space_kernels as space
+from epipole.features import _sift_kernels as kernels
+from epipole.features.features import Features, in_order
+
+_SIGMA = 1.6
+"""Blur of the first level of every octave, in its pixels."""
+_CAMERA_SIGMA = 0.5
+"""Blur taken to be in the picture itself."""
+_LEAST_SIDE = 2 * space.BORDER + 2
+_MOST_EDGE = 10.0
+"""Largest ratio of principal curvatures: along edges a place is not known."""
+
+
+def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
+    """The largest SIFT features of a grey picture, as root-SIFT.
+
+    The first octave is of twice the picture's size. A pixel (x, y) of the picture is pixel (2 x, 2 y) there, so
+    that keypoints are not shifted. Work per pixel of an octave: five blurs of 11 to 27 taps along rows and
+    columns, then 27 comparisons for each of three levels.
+
+    Args:
+        grey: at least 16 pixels a side.
+        config: `max_features` and `contrast_threshold`.
+    """
+    octaves, limit = [], config.max_features
+    for number, levels in enumerate(_octaves(grey)):
+        extrema = _find_extrema(levels, config.contrast_threshold)
+        octaves.append(_Octave(levels[1 : 1 + space.SCALES], extrema, 0.5 * 2.0**number))
+    pixel = np.concatenate([np.full(len(o.extrema), o.pixel) for o in octaves])
+    sigma = np.concatenate([o.sigma() for o in octaves])
+    largest = np.argsort(-sigma * pixel, kind="stable")[:limit]
+    wanted = np.zeros(len(pixel), bool)
+    wanted[largest] = True
+    ends = np.cumsum([0, *(len(o.extrema) for o in octaves)])
+    parts = [_describe(o, wanted[a:b]) for o, a, b in zip(octaves, ends, ends[1:])]
+    columns, descriptors = (np.concatenate(c) for c in zip(*parts))
+    return in_order(columns, descriptors, limit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Octave:
+    """The inner levels of an octave, and the extrema in them."""
+
+    levels: tuple[Float32[np.ndarray, "h w"], ...]
+    extrema: Float32[np.ndarray, "n 4"]
+    """x, y and scale in the octave's units, and level."""
+    pixel: float
+    """Side of its pixels, in pixels of the picture."""
+
+    def sigma(self) -> np.ndarray:
+        """Scale of each extremum, in pixels of the octave."""
+        return _SIGMA * 2.0 ** (self.extrema[:, 2].astype(np.float64) / space.SCALES)
+
+
+def _octaves(grey: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
+    """Levels of octave after octave, each half the size of the one before."""
+    height, width = grey.shape
+    base = np.empty((2 * height, 2 * width), np.float32)
+    space.upsample(grey, base)
+    base = _blurred(base, np.sqrt(_SIGMA**2 - (2.0 * _CAMERA_SIGMA) ** 2))
+    steps = [_SIGMA * 2.0 ** (s / space.SCALES) for s in range(space.SCALES + 3)]
+    while min(base.shape) >= _LEAST_SIDE:
+        levels = [base]
+        for before, after in pairwise(steps):
+            levels.append(_blurred(levels[-1], np.sqrt(after**2 - before**2)))
+        yield tuple(levels)
+        base = np.empty((base.shape[0] // 2, base.shape[1] // 2), np.float32)
+        space.halve(levels[space.SCALES], base)
+
+
+def _blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    out = np.empty_like(image)
+    space.blur(image, _gaussian(sigma), out)
+    return out
+
+
+def _gaussian(sigma: float) -> Float32[np.ndarray, " r"]:
+    """Weights of the offsets 0, 1, ..., to four sigma; their number is odd."""
+    radius = int(np.ceil(4.0 * sigma))
+    offsets = np.arange(radius + radius % 2 + 1)
+    weights = np.exp(-0.5 * (offsets / sigma) ** 2) * (offsets <= radius)
+    return (weights / (2.0 * weights.sum() - weights[0])).astype(np.float32)
+
+
+def _find_extrema(levels: tuple[np.ndarray, ...], contrast_threshold: float) -> np.ndarray:
+    contrast = contrast_threshold / space.SCALES
+    found = np.empty((levels[0].size // 64 + 64, 4), np.float32)
+    count = space.find_extrema(levels, np.float32(0.5 * contrast), contrast, _MOST_EDGE, found)
+    if count > len(found):
+        found = np.empty((count, 4), np.float32)
+        space.find_extrema(levels, np.float32(0.5 * contrast), contrast, _MOST_EDGE, found)
+    return found[:count].copy()
+
+
+def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Columns x, y, diameter and angle of the oriented features of an octave, and their descriptors."""
+    extrema, sigma = octave.extrema[wanted], octave.sigma()[wanted]
+    most = kernels.MOST_ORIENTATIONS * len(extrema)
+    columns, descriptors = np.empty((most, 4), np.float32), np.empty((most, 128), np.uint8)
+    count = kernels.describe_all(octave.levels, extrema, sigma, octave.pixel, columns, descriptors)
+    return columns[:count], descriptors[:count]
+
+
+def root_sift(descriptors: Float32[np.ndarray, "n 128"]) -> UInt8[np.ndarray, "n 128"]:
+    """Square roots of L1-normalised SIFT, times 512, as bytes (Arandjelovic and Zisserman, CVPR 2012).
+
+    For descriptors from elsewhere; `detect_sift` gives them so.
+    """
+    values = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
+    return np.minimum(np.rint(512.0 * np.sqrt(values)), 255).astype(np.uint8)

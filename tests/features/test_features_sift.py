@@ -1,0 +1,129 @@
+"""Our SIFT against its definition, against OpenCV's, and against a turned picture."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, zoom
+from scipy.spatial import cKDTree
+
+from epipole.config import FeatureConfig
+from epipole.features import _scale_space_kernels as space
+from epipole.features import _sift_kernels as kernels
+from epipole.features import sift
+from epipole.features.features import Features
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """A texture rich at all scales."""
+    rng = np.random.default_rng(3)
+    layers = [
+        zoom(rng.normal(size=(n * 3 // 4, n)), 320 / n, order=1) / np.sqrt(n)
+        for n in (8, 16, 32, 80, 160, 320)
+    ]
+    total = sum(layer[:240, :320] for layer in layers)
+    total = (total - total.min()) / np.ptp(total)
+    return np.rint(255 * total).astype(np.uint8)
+
+
+def place(features: Features) -> np.ndarray:
+    """Position, log of the scale and direction in one space, so that equal features are near each other."""
+    turn = 4.0 * np.stack([np.cos(features.angle_rad), np.sin(features.angle_rad)], axis=1)
+    return np.column_stack([features.pixels, 8.0 * np.log2(features.scale_px), turn])
+
+
+def opencv_sift(grey: np.ndarray, config: FeatureConfig) -> Features:
+    detector = cv2.SIFT_create(0, contrastThreshold=config.contrast_threshold, enable_precise_upscale=True)
+    keypoints, descriptors = detector.detectAndCompute(grey, None)
+    columns = np.array([(*k.pt, k.size, np.deg2rad(k.angle)) for k in keypoints], np.float32)
+    return Features(columns[:, :2], columns[:, 2], columns[:, 3], sift.root_sift(descriptors))
+
+
+def cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    a, b = a.astype(float), b.astype(float)
+    return (a * b).sum(axis=1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+
+
+def test_finds_what_opencv_finds(picture):
+    config = FeatureConfig()
+    ours, theirs = sift.detect_sift(picture, config), opencv_sift(picture, config)
+    assert len(theirs) > 400
+    assert abs(len(ours) - len(theirs)) < 0.01 * len(theirs)
+    distance, nearest = cKDTree(place(theirs)).query(place(ours))
+    same = distance < 0.5
+    assert same.mean() > 0.98
+    assert np.abs(ours.pixels - theirs.pixels[nearest])[same].mean() < 2e-3
+    agreement = cosine(ours.descriptors, theirs.descriptors[nearest])[same]
+    assert np.median(agreement) > 0.99
+    assert np.percentile(agreement, 5) > 0.95  # OpenCV samples whole pixels around a rounded centre
+
+
+def test_a_turned_picture_has_the_turned_features(picture):
+    config = FeatureConfig()
+    upright, turned = sift.detect_sift(picture, config), sift.detect_sift(np.rot90(picture).copy(), config)
+    # rot90 takes (x, y) to (y, width - 1 - x), and directions by -90 degrees.
+    back = Features(
+        np.stack([picture.shape[1] - 1 - turned.pixels[:, 1], turned.pixels[:, 0]], axis=1),
+        turned.scale_px,
+        turned.angle_rad + np.float32(np.pi / 2),
+        turned.descriptors,
+    )
+    distance, nearest = cKDTree(place(upright)).query(place(back))
+    same = distance < 1.0
+    assert same.mean() > 0.85  # the doubled grid is not symmetric, so that weak features come and go
+    assert np.median(cosine(back.descriptors, upright.descriptors[nearest])[same]) > 0.99
+
+
+def test_largest_features_are_kept(picture):
+    everything = sift.detect_sift(picture, FeatureConfig(max_features=100_000))
+    few = sift.detect_sift(picture, FeatureConfig(max_features=100))
+    assert len(few) == 100
+    np.testing.assert_array_equal(few.scale_px, everything.scale_px[:100])
+    assert (np.diff(everything.scale_px) <= 0).all()
+
+
+def test_more_extrema_than_expected_are_all_kept():
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64)).astype(np.uint8)
+    levels = next(sift._octaves(noise))
+    found = sift._find_extrema(levels, 0.0001)
+    assert len(found) == space.find_extrema(
+        levels, np.float32(0), 0.0001 / 3, 10.0, np.empty((9999, 4), np.float32)
+    )
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.25, 3.1])
+def test_blur_is_gaussian(rng, sigma):
+    image = rng.random((31, 45)).astype(np.float32)
+    out = np.empty_like(image)
+    space.blur(image, sift._gaussian(sigma), out)
+    expected = gaussian_filter(image.astype(float), sigma, mode="mirror", radius=int(np.ceil(4 * sigma)))
+    np.testing.assert_allclose(out, expected, atol=1e-6)
+
+
+def test_blur_of_a_picture_smaller_than_the_window(rng):
+    image = rng.random((12, 12)).astype(np.float32)
+    out = np.empty_like(image)
+    space.blur(image, sift._gaussian(5.0), out)
+    np.testing.assert_allclose(
+        out, gaussian_filter(image.astype(float), 5.0, mode="mirror", radius=20), atol=1e-6
+    )
+
+
+def test_orientation_is_that_of_the_gradient():
+    y, x = np.mgrid[:60, :60].astype(np.float32)
+    for degrees in (0.0, 30.0, 100.0, 200.0, 355.0):
+        ramp = (np.cos(np.deg2rad(degrees)) * x + np.sin(np.deg2rad(degrees)) * y).astype(np.float32)
+        angles = np.empty(kernels.MOST_ORIENTATIONS)
+        assert kernels.find_orientations(ramp, 30.0, 30.0, 2.0, angles) == 1
+        difference = np.rad2deg(angles[0]) - degrees
+        assert (
+            abs((difference + 180) % 360 - 180) < 5.001
+        )  # half a bin: a ramp has no spread to interpolate in
+
+
+@pytest.mark.parametrize("size", [(16, 16), (16, 200), (17, 33)])
+def test_small_pictures_are_no_trouble(rng, size):
+    found = sift.detect_sift(rng.integers(0, 255, size).astype(np.uint8), FeatureConfig())
+    assert np.isfinite(found.pixels).all() and found.descriptors.shape[1] == 128
+    assert (found.pixels >= 0).all() and (found.pixels <= np.array(size[::-1]) - 1).all()
