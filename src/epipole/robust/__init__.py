@@ -9,4 +9,5 @@ from epipole.robust.estimate import estimate_fundamental_matrix as estimate_fund
 from epipole.robust.estimate import estimate_homography as estimate_homography
 from epipole.robust.pair_kind import PairKind as PairKind
 from epipole.robust.verify import PairGeometry as PairGeometry
+from epipole.robust.verify import find_guide as find_guide
 from epipole.robust.verify import verify_pair as verify_pair

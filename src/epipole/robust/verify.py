@@ -12,6 +12,7 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
 from epipole.geometry.epipolar import essential_from_fundamental, fundamental_from_essential
 from epipole.robust.estimate import (
+    Estimate,
     estimate_essential_matrix,
     estimate_fundamental_matrix,
     estimate_homography,
@@ -66,21 +67,19 @@ def verify_pair(
     failed = PairGeometry(PairKind.DEGENERATE, np.zeros(n, bool), nothing, blank, blank, blank, float("nan"))
     if n < config.min_inliers:
         return failed
-    if is_calibrated:
-        epipolar = estimate_essential_matrix(pixels1, pixels2, camera1, camera2, config)
-    else:
-        epipolar = estimate_fundamental_matrix(pixels1, pixels2, config)
+    epipolar, fundamental = _fit_epipolar(
+        pixels1, pixels2, camera1, camera2, is_calibrated=is_calibrated, config=config
+    )
     if not epipolar.success:
         return failed
     inliers = np.flatnonzero(epipolar.inlier_mask)
     p1, p2 = pixels1[inliers], pixels2[inliers]
-    plane = estimate_homography(p1, p2, replace(config, max_iterations=min(config.max_iterations, 500)))
+    most = min(config.max_iterations, 500)
+    plane = estimate_homography(p1, p2, replace(config, max_iterations=most, min_inlier_ratio=PLANAR_RATIO))
     if is_calibrated:
         kind, essential, motion = PairKind.GENERAL, epipolar.matrix, epipolar.motion
-        fundamental = fundamental_from_essential(essential, camera1.K, camera2.K)
-        fundamental = fundamental / np.linalg.norm(fundamental)
     else:
-        kind, fundamental = PairKind.UNCALIBRATED, epipolar.matrix
+        kind = PairKind.UNCALIBRATED
         essential, motion = _motion_of_guessed_focal(p1, p2, camera1, camera2, fundamental, config)
     pair = PairGeometry(
         kind,
@@ -91,7 +90,7 @@ def verify_pair(
         plane.matrix,
         _median_angle(p1, p2, camera1, camera2, motion),
     )
-    if np.median(np.linalg.norm(p2 - p1, axis=1)) < SAME_PICTURE_PX:
+    if _is_same_picture(p1, p2):
         return replace(pair, kind=PairKind.NO_MOTION, median_angle_rad=float("nan"))
     if plane.num_inliers < PLANAR_RATIO * len(inliers):
         return pair
@@ -100,6 +99,58 @@ def verify_pair(
         turned = Rigid3(rotation.matrix, np.zeros(3))
         return replace(pair, kind=PairKind.ROTATION, cam2_from_cam1=turned, median_angle_rad=float("nan"))
     return replace(pair, kind=PairKind.PLANAR) if is_calibrated else pair
+
+
+def find_guide(
+    pixels1: np.ndarray,
+    pixels2: np.ndarray,
+    camera1: Camera,
+    camera2: Camera,
+    *,
+    is_calibrated: bool,
+    config: RansacConfig,
+) -> Float64[np.ndarray, "3 3"] | None:
+    """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move.
+
+    Args:
+        pixels1: matches in image 1, (n, 2).
+        pixels2: the same in image 2.
+        camera1: the first camera.
+        camera2: the second camera.
+        is_calibrated: both focal lengths can be trusted.
+        config: threshold, number of inliers needed and seed.
+    """
+    if len(pixels1) < config.min_inliers:
+        return None
+    epipolar, fundamental = _fit_epipolar(
+        pixels1, pixels2, camera1, camera2, is_calibrated=is_calibrated, config=config
+    )
+    inliers = epipolar.inlier_mask
+    if not epipolar.success or _is_same_picture(pixels1[inliers], pixels2[inliers]):
+        return None
+    return fundamental
+
+
+def _fit_epipolar(
+    pixels1: np.ndarray,
+    pixels2: np.ndarray,
+    camera1: Camera,
+    camera2: Camera,
+    *,
+    is_calibrated: bool,
+    config: RansacConfig,
+) -> tuple[Estimate, np.ndarray]:
+    """E or F, and the fundamental matrix of length 1 in either case."""
+    if not is_calibrated:
+        epipolar = estimate_fundamental_matrix(pixels1, pixels2, config)
+        return epipolar, epipolar.matrix
+    epipolar = estimate_essential_matrix(pixels1, pixels2, camera1, camera2, config)
+    fundamental = fundamental_from_essential(epipolar.matrix, camera1.K, camera2.K)
+    return epipolar, fundamental / np.linalg.norm(fundamental)
+
+
+def _is_same_picture(p1: np.ndarray, p2: np.ndarray) -> bool:
+    return bool(np.median(np.linalg.norm(p2 - p1, axis=1)) < SAME_PICTURE_PX)
 
 
 def _motion_of_guessed_focal(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Int32
@@ -13,10 +14,12 @@ from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
-from epipole.robust import PairGeometry, PairKind, verify_pair
+from epipole.robust import PairKind, find_guide, verify_pair
 from epipole.scene import Cameras, ViewGraph
 from epipole.sfm.feature_stage import load_features
 from epipole.workflow import Unit, digest, load
+
+Result = TypeVar("Result")
 
 FORMAT = 2
 MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
@@ -126,10 +129,11 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
     matches = match_descriptors(first.descriptors[:scouts], second.descriptors[:scouts], config)
     if len(matches) < config.scout_min_matches:
         return matches
-    geometry = _verify(first.pixels, second.pixels, matches, i, j, payload)
-    if geometry.inlier_mask.sum() < config.scout_min_inliers or geometry.kind is PairKind.NO_MOTION:
+    needed = replace(payload.verification, min_inliers=config.scout_min_inliers)
+    guide = _of_matches(find_guide, first.pixels, second.pixels, matches, i, j, payload, needed)
+    if guide is None:
         return match_descriptors(first.descriptors, second.descriptors, config)
-    return match_along_epipolar_lines(first, second, geometry.fundamental, config.band_px, config)
+    return match_along_epipolar_lines(first, second, guide, config.band_px, config)
 
 
 def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
@@ -140,7 +144,9 @@ def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     found = []
     for n, (i, j) in enumerate(payload.pairs):
         matches = stored["matches"][stored["offsets"][n] : stored["offsets"][n + 1]]
-        geometry = _verify(pixels[i], pixels[j], matches, i, j, payload)
+        geometry = _of_matches(
+            verify_pair, pixels[i], pixels[j], matches, i, j, payload, payload.verification
+        )
         found.append((geometry, matches[geometry.inlier_mask]))
     inliers = [m for _, m in found]
     return {
@@ -157,16 +163,24 @@ def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     }
 
 
-def _verify(
-    pixels1: np.ndarray, pixels2: np.ndarray, matches: np.ndarray, i: int, j: int, payload: MatchPayload
-) -> PairGeometry:
-    return verify_pair(
+def _of_matches(
+    estimate: Callable[..., Result],
+    pixels1: np.ndarray,
+    pixels2: np.ndarray,
+    matches: np.ndarray,
+    i: int,
+    j: int,
+    payload: MatchPayload,
+    config: RansacConfig,
+) -> Result:
+    """`estimate` of the matches of images i and j; the pair's own seed makes it the same in any order of work."""
+    return estimate(
         pixels1[matches[:, 0]].astype(np.float64),
         pixels2[matches[:, 1]].astype(np.float64),
         payload.cameras[i],
         payload.cameras[j],
         is_calibrated=payload.is_trusted[i] and payload.is_trusted[j],
-        config=replace(payload.verification, seed=payload.verification.seed + 1_000_003 * i + j),
+        config=replace(config, seed=config.seed + 1_000_003 * i + j),
     )
 
 
