@@ -232,8 +232,7 @@ class _Solver:
         self.sensors = _rows(problem.cam_from_rig)
         self.layout = _lay_out(problem)
         self.has_unknowns = bool(self.layout.size or problem.point_free.any())
-        longest = int(np.diff(problem.offsets).max(initial=0))
-        self.max_blocks = 2 * longest + 1
+        self.eliminated = _room_for_elimination(len(problem.frame), len(problem.points_in_world))
         copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
         # Small problems stay in one piece: handing out a chunk costs as much as a few hundred observations.
         self.num_chunks = int(np.clip(len(problem.frame) // _CHUNK_OBSERVATIONS, 1, 16))
@@ -311,15 +310,7 @@ class _Solver:
         )
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.substitute_back(
-                self.observations,
-                a,
-                b,
-                *self._arguments(state),
-                *self._masks(),
-                *self._loss(),
-                damping,
-                step,
-                moved.points,
+                self.problem.offsets, a, b, state.points, self.eliminated, step, moved.points
             ),
             len(state.points),
             self.num_chunks,
@@ -340,7 +331,7 @@ class _Solver:
             s, g, rhs = np.zeros((n, n)), np.zeros(n), np.zeros(n)
             kernels.build_reduced_system(
                 *(self.observations, start, stop, *self._arguments(state), *self._masks(), *self._loss()),
-                *(damping, self.max_blocks, s, g, rhs),
+                *(damping, self.eliminated, s, g, rhs),
             )
             return s, g, rhs
 
@@ -382,6 +373,18 @@ class _Solver:
         robust = weight / (1.0 + squared)
         gradient = -robust[:, None] * (rotation @ residual[..., None])[..., 0]
         return 0.5 * float(np.log1p(squared).sum()), gradient, robust * self.has_prior
+
+
+def _room_for_elimination(num_observations: int, num_points: int) -> kernels.Eliminated:
+    return kernels.Eliminated(
+        np.empty((2 * num_observations, kernels.BLOCK, 3)),
+        np.empty(2 * num_observations, np.int64),
+        np.empty(2 * num_observations, np.int64),
+        np.empty(num_points, np.int64),
+        np.empty((num_points, 3, 3)),
+        np.empty((num_points, 3)),
+        np.empty((num_points, 3)),
+    )
 
 
 def _rows(motion: Rigid3) -> np.ndarray:
