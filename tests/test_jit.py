@@ -1,5 +1,6 @@
 """The kernels' decorator: lazy, cached on disk by the digest of all sources, safe about NaN."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -8,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
+from numba.core.errors import NumbaError
 
 import epipole
 from epipole import _jit
 from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel
+from epipole.sfm.warm_up import warm_up
 
 
 @kernel
@@ -144,3 +148,33 @@ def test_the_folder_follows_the_sources_of_all_kernels(tmp_path: Path) -> None:
     env = {"EPIPOLE_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path / "b")}
     # The same kernels: what else a room holds does not count.
     assert Path(run_python(code, **env)).name == names["a"]
+
+
+def test_a_kernel_that_allocates_has_to_say_so() -> None:
+    @kernel(allocates=True)
+    def room(n):
+        return np.empty(n)
+
+    @kernel
+    def room_unsaid(n):
+        return np.empty(n)
+
+    assert room(3).shape == (3,)
+    with pytest.raises(NumbaError):
+        room_unsaid(3)
+
+
+def test_kernels_that_borrow_their_arrays_return_none() -> None:
+    """A borrowed array that is returned would not be counted, and could be freed under its reader."""
+    warm_up()
+    package = Path(epipole.__file__).parent
+    seen = 0
+    for source in sorted(package.rglob("_*_kernels.py")):
+        name = ".".join(("epipole", *source.relative_to(package).with_suffix("").parts))
+        for function in vars(importlib.import_module(name)).values():
+            if not isinstance(function, Dispatcher) or function.targetoptions["_nrt"]:
+                continue
+            for overload in function.overloads.values():
+                seen += 1
+                assert "array" not in str(overload.signature.return_type), f"{name}.{function.__name__}"
+    assert seen > 10  # those called from Python; on a machine without compiled kernels, their callees too

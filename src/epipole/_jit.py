@@ -22,6 +22,7 @@ from numba.core import config
 from numba.core import event as numba_event
 
 _numba_config: Any = config
+_njit: Any = numba.njit  # its stubs lack `_nrt`
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # No nnan or ninf: `fastmath=True` makes isfinite() and isnan() lie. No contract or arcp either: they round
@@ -72,27 +73,37 @@ def _marker() -> Path:
 
 
 def kernel(
-    function: Function | None = None, *, inline: bool = False, extra_fastmath: frozenset[str] = frozenset()
+    function: Function | None = None,
+    *,
+    allocates: bool = False,
+    inline: bool = False,
+    extra_fastmath: frozenset[str] = frozenset(),
 ) -> Any:
     """Compile a function lazily as a serial, GIL-free, disk-cached kernel.
 
+    A kernel borrows its arrays: their references are not counted. Counting is an atomic operation for every
+    array that is looked at, row view or tuple field: it took half the time of bundle adjustment, and more where
+    two threads counted the same arrays.
+
     Args:
         function: the Python function (annotations are for readers; a type-checking wrapper is removed).
+        allocates: it makes or returns arrays, and has to count.
         inline: always inline into the calling kernel (small helpers that are called per item).
         extra_fastmath: flags beyond the safe set, for a measured reason (e.g. `reassoc` for a long dot product).
     """
     if function is None:
-        return lambda f: kernel(f, inline=inline, extra_fastmath=extra_fastmath)
+        return lambda f: kernel(f, allocates=allocates, inline=inline, extra_fastmath=extra_fastmath)
     previous = _numba_config.CACHE_DIR
     _numba_config.CACHE_DIR = str(cache_folder())
     try:
-        compiled = numba.njit(
+        compiled = _njit(
             unwrap(function),
             cache=True,
             nogil=True,
             error_model="numpy",
             fastmath=SAFE_FASTMATH | set(extra_fastmath),
             inline="always" if inline else "never",
+            _nrt=allocates,
         )
     finally:
         _numba_config.CACHE_DIR = previous

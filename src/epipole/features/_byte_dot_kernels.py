@@ -178,7 +178,7 @@ def pack_columns(descriptors, columns, bias):
         bias[j // COLUMNS, lane] = np.uint32(128) * total
 
 
-@kernel
+@kernel(allocates=True)
 def byte_top_two(rows, columns, bias, best, second, best_column, column_best):
     """Best, second best and the best's column of every row; the best of every column.
 

@@ -11,7 +11,7 @@ from epipole._jit import kernel
 LANES = 32
 
 
-@kernel
+@kernel(allocates=True)
 def top_two(block, rows, best, second, column_best):
     """Row-wise best and second best of block[:rows], and column_best = max over the rows seen so far."""
     cols = block.shape[1]

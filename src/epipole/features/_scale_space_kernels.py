@@ -15,7 +15,7 @@ BORDER = 5
 _REFINEMENTS = 5
 
 
-@kernel
+@kernel(allocates=True)
 def upsample(grey, out):
     """Twice the size: pixel (2 x, 2 y) of `out` is pixel (x, y) of `grey` / 255, the others lie halfway."""
     height, width = grey.shape
@@ -42,7 +42,7 @@ def halve(level, out):
             out[y, x] = level[2 * y, 2 * x]
 
 
-@kernel
+@kernel(allocates=True)
 def blur(level, weights, out):
     """Gaussian blur, columns then rows; beyond the rim the picture is mirrored.
 
@@ -86,7 +86,7 @@ def _mirrored(i, n):
     return i if i < n else period - i
 
 
-@kernel
+@kernel(allocates=True)
 def find_extrema(levels, threshold, least_contrast, most_edge, found):
     """Extrema of the differences of Gaussians among their 26 neighbours, refined to a fraction of a pixel.
 

@@ -40,7 +40,7 @@ def _direction(y, x):
     return angle if y >= np.float32(0.0) else -angle
 
 
-@kernel
+@kernel(allocates=True)
 def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
     """Orient and describe the extrema of one octave.
 
@@ -66,7 +66,7 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
     return count
 
 
-@kernel
+@kernel(allocates=True)
 def find_orientations(level, x, y, sigma, angles):
     """Peaks of the histogram of gradient directions around (x, y); up to len(angles), strongest first.
 
@@ -104,7 +104,7 @@ def find_orientations(level, x, y, sigma, angles):
     return _peaks(_smoothed(histogram), angles)
 
 
-@kernel
+@kernel(allocates=True)
 def _smoothed(histogram):
     n = len(histogram)
     out = np.empty(n, np.float32)
@@ -115,7 +115,7 @@ def _smoothed(histogram):
     return out
 
 
-@kernel
+@kernel(allocates=True)
 def _peaks(histogram, angles):
     """Local maxima by parabola through three bins, strongest first."""
     n, count = len(histogram), 0
@@ -137,7 +137,7 @@ def _peaks(histogram, angles):
     return count
 
 
-@kernel
+@kernel(allocates=True)
 def window_tables():
     """For the samples along one side of the window: Gaussian weight, lower cell, weights of it and the next."""
     n = SAMPLES * (CELLS + 1)
@@ -154,7 +154,7 @@ def window_tables():
     return gauss, cell, lower, upper
 
 
-@kernel
+@kernel(allocates=True)
 def describe(level, x, y, sigma, angle, tables, descriptor):
     """Root-SIFT descriptor of the turned window around (x, y), as bytes of length 512.
 
@@ -203,7 +203,7 @@ def describe(level, x, y, sigma, angle, tables, descriptor):
     _root(histogram, descriptor)
 
 
-@kernel
+@kernel(allocates=True)
 def _sample(level, x, y, step, angle, patch):
     """Bilinear samples on a grid turned by `angle` and centred at (x, y); the rim of the image goes on beyond."""
     height, width = level.shape

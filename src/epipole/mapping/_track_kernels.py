@@ -221,13 +221,14 @@ def _best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, be
             found, total = _collect_inliers(rows, cams, free, count, x, max_error_sq, chosen)
             if found > best or (found == best and total < best_total):
                 best, best_total = found, total
-                best_x[:] = x
+                for c in range(3):
+                    best_x[c] = x[c]
             if best == count and best_total < 0.25 * max_error_sq * count:
                 return best
     return best
 
 
-@kernel
+@kernel(allocates=True)
 def triangulate_components(
     rows,
     cams,

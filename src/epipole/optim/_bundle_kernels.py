@@ -279,7 +279,7 @@ def _point_terms(
     return count, 0.5 * cost
 
 
-@kernel
+@kernel(allocates=True)
 def build_reduced_system(
     obs,
     start,
@@ -309,6 +309,63 @@ def build_reduced_system(
     """
     jac, v, y = np.empty((2, 3)), np.empty((3, 3)), np.empty((BLOCK, 3))
     work = (np.empty((2, 6)), np.empty((2, 3)), np.empty((2, 8)))
+    return _eliminate(
+        obs,
+        start,
+        stop,
+        frames,
+        sensors,
+        models,
+        params,
+        points,
+        point_free,
+        frame_free,
+        frame_column,
+        camera_column,
+        free_params,
+        num_free,
+        loss,
+        scale_sq,
+        damping,
+        kept,
+        s,
+        g,
+        rhs,
+        jac,
+        work,
+        v,
+        y,
+    )
+
+
+@kernel
+def _eliminate(
+    obs,
+    start,
+    stop,
+    frames,
+    sensors,
+    models,
+    params,
+    points,
+    point_free,
+    frame_free,
+    frame_column,
+    camera_column,
+    free_params,
+    num_free,
+    loss,
+    scale_sq,
+    damping,
+    kept,
+    s,
+    g,
+    rhs,
+    jac,
+    work,
+    v,
+    y,
+):
     cost = 0.0
     for j in range(start, stop):
         own = slice(2 * obs.offsets[j], 2 * obs.offsets[j + 1])

@@ -135,7 +135,7 @@ def _gather(matches, sample, x1, x2):
         x2[k, 0], x2[k, 1], x2[k, 2] = matches[2, sample[k]], matches[3, sample[k]], 1.0
 
 
-@kernel
+@kernel(allocates=True)
 def _solve_essential(matches, sample, models, work):
     y1, y2, essentials, motions = np.empty((5, 3)), np.empty((5, 3)), np.empty((10, 9)), np.empty((4, 12))
     _gather(matches, sample, y1, y2)
@@ -148,7 +148,7 @@ def _solve_essential(matches, sample, models, work):
     return count
 
 
-@kernel
+@kernel(allocates=True)
 def _solve_fundamental(matches, sample, models, work):
     x1, x2, found = np.empty((7, 3)), np.empty((7, 3)), np.empty((3, 9))
     _gather(matches, sample, x1, x2)
@@ -159,14 +159,14 @@ def _solve_fundamental(matches, sample, models, work):
     return count
 
 
-@kernel
+@kernel(allocates=True)
 def _solve_homography(matches, sample, models):
     x1, x2 = np.empty((4, 3)), np.empty((4, 3))
     _gather(matches, sample, x1, x2)
     return 1 if homography_four_point(x1, x2, models[0]) else 0
 
 
-@kernel
+@kernel(allocates=True)
 def _solve_absolute_pose(points, rays, sample, models, work):
     y, x, found = np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 12))
     for k in range(3):
@@ -195,7 +195,7 @@ _specialize(
 )
 
 
-@kernel
+@kernel(allocates=True)
 def _score_motion(matches, motion, threshold_sq, bail_out):
     e = np.empty(9)
     essential_from_motion(motion, e)
@@ -225,7 +225,7 @@ _specialize(
 )
 
 
-@kernel
+@kernel(allocates=True)
 def _residuals_motion(matches, motion, out):
     e = np.empty(9)
     essential_from_motion(motion, e)
@@ -281,7 +281,7 @@ def _tangent_of_direction(t, basis):
         basis[1, i] = t[j] * basis[0, k] - t[k] * basis[0, j]
 
 
-@kernel
+@kernel(allocates=True)
 def _linearize_motion(matches, motion, threshold_sq, a, b):
     """E = [t]x R: the rotation from the left, t on the unit sphere."""
     e, a9, b9, d = np.empty(9), np.empty((9, 9)), np.empty(9), np.zeros((5, 9))
@@ -318,7 +318,7 @@ def rotate_left(phi, r, out):
         out[6 + j] = c + first * w + second * (x * v - y * u)
 
 
-@kernel
+@kernel(allocates=True)
 def _retract_direction(motion, delta, out):
     basis = np.empty((2, 3))
     rotate_left(delta, motion, out)
@@ -332,7 +332,7 @@ def _retract_direction(motion, delta, out):
         out[9 + i] *= norm
 
 
-@kernel
+@kernel(allocates=True)
 def _retract_motion(motion, delta, out):
     """exp(xi) @ motion to first order in the translation: xi = (rho, phi)."""
     rotate_left(delta[3:6], motion, out)
@@ -347,7 +347,7 @@ def _retract_motion(motion, delta, out):
     out[11] = c + first * w + second * (x * v - y * u) + delta[2]
 
 
-@kernel
+@kernel(allocates=True)
 def _linearize_fundamental(matches, model, threshold_sq, a, b):
     """F = U diag(1, s, 0) V^T with seven parameters (Bartoli and Sturm, PAMI 2004): U exp(u), V exp(v), s + d."""
     if model[27] < 0.0:
@@ -390,7 +390,7 @@ def _compose_fundamental(model):
             )
 
 
-@kernel
+@kernel(allocates=True)
 def _retract_fundamental(model, delta, out):
     transposed, turned = np.empty(9), np.empty(9)
     for which in range(2):
@@ -449,7 +449,7 @@ _specialize(
 )
 
 
-@kernel
+@kernel(allocates=True)
 def refine(problem, model, max_steps):
     """Levenberg-Marquardt on the truncated loss, from `model`, in place; returns the score reached."""
     size = degrees_of_freedom(problem)
@@ -529,7 +529,7 @@ def _iterations_needed(ratio, size, confidence, safety, least, most):
     return int(min(float(most), max(float(least), count)))
 
 
-@kernel
+@kernel(allocates=True)
 def ransac(problem, confidence, min_iterations, max_iterations, min_ratio, seed, best, residuals):
     """Write the best model into `best` (MODEL_SIZE) and its squared residuals into `residuals` (n).
 

@@ -55,7 +55,7 @@ def sampson_all(f, m, out):
         out[k] = e * e / (l0 * l0 + l1 * l1 + g0 * g0 + g1 * g1 + 1e-300)
 
 
-@kernel
+@kernel(allocates=True)
 def sampson_normal_equations(f, m, threshold_sq, a9, b9):
     """Gauss-Newton terms in the nine entries of F over the matches within the threshold; returns the score.
 
@@ -128,7 +128,7 @@ def transfer_all(h, m, out):
         out[k] = du * du + dv * dv
 
 
-@kernel
+@kernel(allocates=True)
 def transfer_normal_equations(h, m, threshold_sq, a9, b9):
     """Gauss-Newton terms in the nine entries of H (one too many: the damping holds the scale); the score."""
     a9[:, :] = 0.0
@@ -195,7 +195,7 @@ def reprojection_score(motion, model, params, points, pixels, threshold_sq, bail
     return total
 
 
-@kernel
+@kernel(allocates=True)
 def reprojection_normal_equations(motion, model, params, points, pixels, threshold_sq, a6, b6):
     """Gauss-Newton terms of exp(xi) @ cam_from_world over the points within the threshold; returns the score."""
     a6[:, :] = 0.0

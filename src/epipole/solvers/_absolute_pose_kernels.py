@@ -50,7 +50,7 @@ def p3p(rays, points, motions, w):
     return found
 
 
-@kernel
+@kernel(allocates=True)
 def p3p_workspace():
     """Arrays that `p3p` writes into."""
     return np.empty(5), np.empty(4), roots_workspace()
@@ -66,7 +66,7 @@ def _dot(p, i, j):
     return p[i, 0] * p[j, 0] + p[i, 1] * p[j, 1] + p[i, 2] * p[j, 2]
 
 
-@kernel
+@kernel(allocates=True)
 def _motion_from_depths(rays, points, s1, s2, s3, ca, cb, cg, a2, b2, c2, out):
     """Polish the depths on |s_i y_i - s_j y_j|^2 = |X_i - X_j|^2, then R, t from the two triangles."""
     for _ in range(3):

@@ -10,7 +10,7 @@ MOST_DEGREE = 10
 UNEVEN = 0.4871  # where intervals are cut: halves would meet roots that are whole numbers, zero first
 
 
-@kernel
+@kernel(allocates=True)
 def roots_workspace():
     """Arrays that `real_roots` writes into."""
     return np.empty((4, MOST_DEGREE + 2)), np.empty((MOST_DEGREE + 1, 3)), np.empty((MOST_DEGREE + 2, 4))

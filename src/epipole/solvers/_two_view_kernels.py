@@ -152,7 +152,7 @@ def essential_five_point(y1, y2, essentials, w):
     return found
 
 
-@kernel
+@kernel(allocates=True)
 def _essential_at_root(b, z, basis, out):
     """(x, y) from B(z) (x, y, 1)^T = 0 by the cross product of its two most independent rows; then E."""
     v = np.empty((3, 3))
@@ -182,7 +182,7 @@ def _essential_at_root(b, z, basis, out):
     return True
 
 
-@kernel
+@kernel(allocates=True)
 def five_point_workspace():
     """Arrays that `essential_five_point` writes into."""
     return (
@@ -234,7 +234,7 @@ def _det_rows(a, b, c):
     )
 
 
-@kernel
+@kernel(allocates=True)
 def seven_point_workspace():
     """Arrays that `fundamental_seven_point` writes into."""
     return np.empty((7, 9)), np.empty((2, 9)), np.empty(4), np.empty(4), roots_workspace()
@@ -259,7 +259,7 @@ def _projective_basis(x, out):
     return True
 
 
-@kernel
+@kernel(allocates=True)
 def homography_four_point(x1, x2, out):
     """H from four matches, x2 ~ H x1, through the projective bases of both quadrangles (HZ section 2.3).
 
@@ -292,7 +292,7 @@ def homography_four_point(x1, x2, out):
     return True
 
 
-@kernel
+@kernel(allocates=True)
 def svd3(m, u, s, v):
     """M (3 x 3) = u diag(s) v^T with proper rotations u, v and s0 >= s1 >= |s2|.
 
@@ -363,7 +363,7 @@ def is_in_front(motion, a, b):
     return ab * bt - bb * at > 0.0 and aa * bt - ab * at > 0.0
 
 
-@kernel
+@kernel(allocates=True)
 def motions_from_essential(e, y1, y2, motions):
     """Those of the four motions (R, t), |t| = 1, of E that put all matches in front (HZ result 9.19).
 

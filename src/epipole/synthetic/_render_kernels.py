@@ -236,17 +236,19 @@ def _trace(kinds, params, seeds, ox, oy, oz, dx, dy, dz, normal, trial):
             continue
         if t < best:
             best, hit = t, n
-            normal[:] = trial
+            for c in range(3):
+                normal[c] = trial[c]
     for n in range(len(kinds)):  # last: the march ends at what stands before the ground
         if kinds[n] == HEIGHT_FIELD and not _misses(params[n], dx, dy, dz):
             t = _hit_height_field(params[n], ox, oy, oz, dx, dy, dz, seeds[n], best, trial)
             if t < best:
                 best, hit = t, n
-                normal[:] = trial
+                for c in range(3):
+                    normal[c] = trial[c]
     return hit, best
 
 
-@kernel
+@kernel(allocates=True)
 def _prepared(kinds, params, o):
     """Parameters with what every ray from o would compute again.
 
@@ -362,12 +364,12 @@ def _light_on(light, normal, d):
     return 0.62 + 0.38 * max(0.0, shine), abs(facing)
 
 
-@kernel
+@kernel(allocates=True)
 def _row(width):
     return np.empty((width + 2, 3)), np.empty(width + 2, np.int64), np.empty((width + 2, 7))
 
 
-@kernel
+@kernel(allocates=True)
 def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, depth):
     """Rows start..stop of a picture: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
 
