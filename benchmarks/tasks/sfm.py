@@ -42,7 +42,7 @@ def prepare(name: str, data: Path, work: Path) -> SfmTask:
         FileNotFoundError: the set is not in the data folder.
         KeyError: there is no such set.
     """
-    folder = data / "sfm"
+    folder = data / ("slam" if name in HELD_OUT else "sfm")
     if not folder.is_dir():
         raise FileNotFoundError(f"no folder {folder}; say where the data are with --data or $EPIPOLE_DATA")
     return SETS[name](folder, work)
@@ -121,6 +121,43 @@ def _without_truth(
     return make
 
 
+def _kitti00(folder: Path, work: Path) -> SfmTask:
+    """Fifty grey frames of a car that drives forward (KITTI odometry 00, left camera)."""
+    source = folder / "kitti00_mono"
+    world_from_cam = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)
+    frames = [(source / f"{k:06d}.png", pose) for k, pose in enumerate(world_from_cam)]
+    fx, fy, cx, cy = map(float, np.loadtxt(source / "intrinsics.txt").ravel()[:4])
+    return _of_frames("kitti00", [f for f in frames if f[0].is_file()], (fx, fy, cx + 0.5, cy + 0.5), work)
+
+
+def _kitchen(folder: Path, work: Path) -> SfmTask:
+    """Every eighth frame of a hand-held RGB-D sequence (7-Scenes); its truth is good to a centimetre or so."""
+    source = folder / "7scenes"
+    pictures = sorted(source.glob("frame-*.color.jpg"))[::8]
+    frames = [(p, np.loadtxt(str(p).replace(".color.jpg", ".pose.txt"))[:3]) for p in pictures]
+    return _of_frames("kitchen", frames, (585.0, 585.0, 320.0, 240.0), work)
+
+
+def _of_frames(
+    name: str, frames: list[tuple[Path, np.ndarray]], params: tuple[float, ...], work: Path
+) -> SfmTask:
+    """A task of frames with known K and poses (world_from_cam, 3 x 4): linked, and the truth written, under `work`."""
+    images = work / name
+    images.mkdir(parents=True, exist_ok=True)
+    lines = [str(len(frames))]
+    for picture, pose in frames:
+        link = images / picture.name
+        if not link.exists():
+            link.symlink_to(picture.resolve())
+        rotation, center = pose[:, :3], pose[:, 3]
+        numbers = [*np.eye(3).ravel(), *rotation.T.ravel(), *(-rotation.T @ center)]
+        lines.append(" ".join([picture.name, *(f"{value:.12g}" for value in numbers)]))
+    truth = work / f"{name}_par.txt"
+    truth.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    names = tuple(picture.name for picture, _ in frames)
+    return SfmTask(name, images, names, "calibration", "PINHOLE", params, truth, "m")
+
+
 SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "fountain-P11": _strecha("fountain-P11"),
     "Herz-Jesus-P8": _strecha("Herz-Jesus-P8"),
@@ -129,4 +166,8 @@ SETS: dict[str, Callable[[Path, Path], SfmTask]] = {
     "sacre_coeur": _without_truth("sacre_coeur", "mapping", "EXIF where there is any"),
     "lund_gps": _without_truth("lund_gps", "images", "EXIF", has_gps=True),
     "temple_ring": _temple_ring,
+    "kitti00": _kitti00,
+    "kitchen": _kitchen,
 }
+HELD_OUT = ("kitti00", "kitchen")
+"""Sets that were not looked at while options were chosen."""
