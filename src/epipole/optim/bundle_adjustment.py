@@ -131,15 +131,13 @@ def adjust_bundle(problem: BundleProblem, config: BundleConfig | None = None) ->
     state = solver.initial_state()
     cost = initial = solver.cost(state)
     damping, growth, converged, iteration = config.initial_damping, 2.0, not solver.has_unknowns, 0
-    fallen = np.inf
     while not converged and iteration < config.max_iterations and np.isfinite(cost):
         iteration += 1
         candidate, predicted = solver.step(state, damping)
         after = solver.cost(candidate) if candidate is not None else np.inf
         gain = (cost - after) / predicted if predicted > 0 else -1.0
         if candidate is not None and after <= cost and gain > 0:
-            fallen, fell_before = cost - after, fallen
-            converged = min(fallen, _still_to_fall(fallen, fell_before)) <= config.function_tolerance * cost
+            converged = cost - after <= config.function_tolerance * cost
             state, cost = candidate, after
             damping *= max(1.0 / 10.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             growth = 2.0
@@ -157,14 +155,6 @@ def adjust_bundle(problem: BundleProblem, config: BundleConfig | None = None) ->
         time.perf_counter() - begin,
         converged,
     )
-
-
-def _still_to_fall(now: float, before: float) -> float:
-    """What a cost that fell by `before` and then by `now` has still to fall, if it goes on at this rate.
-
-    The sum of a geometric series; it spares the last step, which would only show that it was not needed.
-    """
-    return now * now / (before - now) if now < before < np.inf else np.inf
 
 
 def free_params_mask(

@@ -82,7 +82,7 @@ class IncrementalMapper:
         return True
 
     def finish(self) -> None:
-        """Adjust once more with a loss that ignores what is left of wrong matches.
+        """Adjust with a loss that ignores what is left of wrong matches, and again without those it gave up.
 
         Not earlier: a loss that falls back cannot pull a bent chain of images together when a loop closes.
         """
@@ -92,8 +92,9 @@ class IncrementalMapper:
             max_iterations=50,
             function_tolerance=1e-5,
         )
-        adjust_all(self.model, last, self._freedom(), self.priors)
-        self.model.filter(self.config.max_error_px, self._angle)
+        for _ in range(2):
+            adjust_all(self.model, last, self._freedom(), self.priors)
+            self.model.filter(self.config.max_error_px, self._angle)
 
     def grow(self, usable: np.ndarray, limit: int, progress: Progress | None = None) -> None:
         """Place images one by one until `limit` are registered or none fits any more."""
