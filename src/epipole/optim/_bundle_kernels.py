@@ -24,6 +24,44 @@ LEAST_CURVATURE = 0.7
 BLOCK = 8  # columns kept per block: six of a frame or up to eight of a camera
 
 
+class Scene(NamedTuple):
+    """Where everything is; motions are rows of nine rotation and three translation entries."""
+
+    frames: np.ndarray
+    """rig_from_world, (frames, 12)."""
+    sensors: np.ndarray
+    """cam_from_rig, (sensors, 12)."""
+    models: np.ndarray
+    params: np.ndarray
+    """Intrinsics, (cameras, 8)."""
+    points: np.ndarray
+    """In world coordinates, (points, 3)."""
+
+
+class Unknowns(NamedTuple):
+    """What may move, and in which column of the reduced system it stands."""
+
+    point_free: np.ndarray
+    frame_free: np.ndarray
+    """(frames, 6) of 0 and 1."""
+    frame_column: np.ndarray
+    """The first column of each frame; -1 for one that stays."""
+    camera_column: np.ndarray
+    free_params: np.ndarray
+    num_free: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """Room for one observation's Jacobians and one point's matrices."""
+
+    jac: np.ndarray
+    j_frame: np.ndarray
+    j_point: np.ndarray
+    j_params: np.ndarray
+    v: np.ndarray
+    y: np.ndarray
+
+
 class Eliminated(NamedTuple):
     """What is kept of the eliminated points. Point j owns the rows 2 offsets[j] to 2 offsets[j + 1] of its blocks."""
 
@@ -94,16 +132,16 @@ def _allow_for_curvature(kind, scale_sq, ru, rv, work):
 
 
 @kernel
-def _residual(obs, k, frames, sensors, models, params, x, y, z):
+def _residual(obs, k, scene, x, y, z):
     """Residual (ru, rv) of observation k of the point (x, y, z) in world coordinates."""
     f, s, c = obs.frame[k], obs.sensor[k], obs.camera[k]
-    r, q = frames[f], sensors[s]
+    r, q = scene.frames[f], scene.sensors[s]
     a = r[0] * x + r[1] * y + r[2] * z + r[9]
     b = r[3] * x + r[4] * y + r[5] * z + r[10]
     d = r[6] * x + r[7] * y + r[8] * z + r[11]
     u, v = project_one(
-        np.int64(models[c]),
-        params[c],
+        np.int64(scene.models[c]),
+        scene.params[c],
         q[0] * a + q[1] * b + q[2] * d + q[9],
         q[3] * a + q[4] * b + q[5] * d + q[10],
         q[6] * a + q[7] * b + q[8] * d + q[11],
@@ -112,37 +150,35 @@ def _residual(obs, k, frames, sensors, models, params, x, y, z):
 
 
 @kernel
-def total_cost(obs, start, stop, frames, sensors, models, params, points, loss, scale_sq):
+def total_cost(obs, start, stop, scene, loss, scale_sq):
     """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point fell behind a camera."""
-    total = 0.0
+    total, points = 0.0, scene.points
     for j in range(start, stop):
         for k in range(obs.offsets[j], obs.offsets[j + 1]):
-            ru, rv = _residual(
-                obs, k, frames, sensors, models, params, points[j, 0], points[j, 1], points[j, 2]
-            )
+            ru, rv = _residual(obs, k, scene, points[j, 0], points[j, 1], points[j, 2])
             rho, _ = robust_loss(loss, ru * ru + rv * rv, scale_sq)
             total += rho
     return 0.5 * total if total < math.inf else math.inf
 
 
 @kernel
-def _jacobians(obs, k, frames, sensors, models, params, point, frame_free, jac, work):
-    """Residual of observation k; work holds (d/d frame (2, 6), d/d point (2, 3), d/d params (2, 8))."""
-    j_frame, j_point, j_params = work
+def _jacobians(obs, k, j, scene, frame_free, scratch):
+    """Residual of observation k of point j; its derivatives go to j_frame (2, 6), j_point (2, 3), j_params (2, 8)."""
+    jac, j_frame, j_point = scratch.jac, scratch.j_frame, scratch.j_point
     f, s, c = obs.frame[k], obs.sensor[k], obs.camera[k]
-    r, q = frames[f], sensors[s]
-    x, y, z = point[0], point[1], point[2]
+    r, q = scene.frames[f], scene.sensors[s]
+    x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
     a = r[0] * x + r[1] * y + r[2] * z + r[9]
     b = r[3] * x + r[4] * y + r[5] * z + r[10]
     d = r[6] * x + r[7] * y + r[8] * z + r[11]
     u, v = project_with_jacobian_one(
-        np.int64(models[c]),
-        params[c],
+        np.int64(scene.models[c]),
+        scene.params[c],
         q[0] * a + q[1] * b + q[2] * d + q[9],
         q[3] * a + q[4] * b + q[5] * d + q[10],
         q[6] * a + q[7] * b + q[8] * d + q[11],
         jac,
-        j_params,
+        scratch.j_params,
     )
     for i in range(2):
         # d pixel / d x_rig
@@ -188,59 +224,34 @@ def _block_of(columns, sizes, count, column, size):
 
 
 @kernel
-def _point_terms(
-    obs,
-    j,
-    frames,
-    sensors,
-    models,
-    params,
-    points,
-    point_free,
-    frame_free,
-    frame_column,
-    camera_column,
-    free_params,
-    num_free,
-    loss,
-    scale_sq,
-    jac,
-    work,
-    w,
-    columns,
-    sizes,
-    v,
-    gp,
-    s,
-    g,
-):
+def _point_terms(obs, j, scene, unknowns, loss, scale_sq, scratch, w, columns, sizes, gp, s, g):
     """Accumulate V, g_p and the W blocks of point j; its blocks' own terms go straight into S (lower) and g.
 
     Returns the number of blocks and the cost.
     """
-    j_frame, j_point, j_params = work
+    j_frame, j_point, j_params, v = scratch.j_frame, scratch.j_point, scratch.j_params, scratch.v
     count, cost = 0, 0.0
     v[:, :] = 0.0
     gp[:] = 0.0
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
-        ru, rv = _jacobians(obs, k, frames, sensors, models, params, points[j], frame_free, jac, work)
+        ru, rv = _jacobians(obs, k, j, scene, unknowns.frame_free, scratch)
         rho, weight = robust_loss(loss, ru * ru + rv * rv, scale_sq)
         cost += rho
         if weight == 0.0:
             continue
-        ru, rv = _allow_for_curvature(loss, scale_sq, ru, rv, work)
+        ru, rv = _allow_for_curvature(loss, scale_sq, ru, rv, (j_frame, j_point, j_params))
         for a in range(3):
-            j_point[0, a] *= point_free[j]
-            j_point[1, a] *= point_free[j]
+            j_point[0, a] *= unknowns.point_free[j]
+            j_point[1, a] *= unknowns.point_free[j]
         for a in range(3):
             gp[a] += weight * (j_point[0, a] * ru + j_point[1, a] * rv)
             for b in range(a + 1):
                 v[a, b] += weight * (j_point[0, a] * j_point[0, b] + j_point[1, a] * j_point[1, b])
         f, c = obs.frame[k], obs.camera[k]
-        first_f, first_c, nc = frame_column[f], camera_column[c], num_free[c]
+        first_f, first_c, nc = unknowns.frame_column[f], unknowns.camera_column[c], unknowns.num_free[c]
         if nc > 0:
             for i in range(nc):  # gather the free parameters' columns to the front
-                p = free_params[c, i]
+                p = unknowns.free_params[c, i]
                 j_params[0, i], j_params[1, i] = j_params[0, p], j_params[1, p]
             for a in range(nc):
                 g[first_c + a] += weight * (j_params[0, a] * ru + j_params[1, a] * rv)
@@ -280,126 +291,37 @@ def _point_terms(
 
 
 @kernel(allocates=True)
-def build_reduced_system(
-    obs,
-    start,
-    stop,
-    frames,
-    sensors,
-    models,
-    params,
-    points,
-    point_free,
-    frame_free,
-    frame_column,
-    camera_column,
-    free_params,
-    num_free,
-    loss,
-    scale_sq,
-    damping,
-    kept,
-    s,
-    g,
-    rhs,
-):
+def build_reduced_system(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs):
     """S (lower triangle), gradient g and the points' part of the right-hand side, over the points start..stop.
 
     The damping is Marquardt's, on the diagonal of V here and of S by the caller. Returns the cost.
     """
-    jac, v, y = np.empty((2, 3)), np.empty((3, 3)), np.empty((BLOCK, 3))
-    work = (np.empty((2, 6)), np.empty((2, 3)), np.empty((2, 8)))
-    return _eliminate(
-        obs,
-        start,
-        stop,
-        frames,
-        sensors,
-        models,
-        params,
-        points,
-        point_free,
-        frame_free,
-        frame_column,
-        camera_column,
-        free_params,
-        num_free,
-        loss,
-        scale_sq,
-        damping,
-        kept,
-        s,
-        g,
-        rhs,
-        jac,
-        work,
-        v,
-        y,
+    scratch = Scratch(
+        np.empty((2, 3)),
+        np.empty((2, 6)),
+        np.empty((2, 3)),
+        np.empty((2, 8)),
+        np.empty((3, 3)),
+        np.empty((BLOCK, 3)),
     )
+    return _eliminate(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs, scratch)
 
 
 @kernel
-def _eliminate(
-    obs,
-    start,
-    stop,
-    frames,
-    sensors,
-    models,
-    params,
-    points,
-    point_free,
-    frame_free,
-    frame_column,
-    camera_column,
-    free_params,
-    num_free,
-    loss,
-    scale_sq,
-    damping,
-    kept,
-    s,
-    g,
-    rhs,
-    jac,
-    work,
-    v,
-    y,
-):
+def _eliminate(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs, scratch):
+    """The loop of `build_reduced_system`, apart from it so that it counts no references."""
+    v, y = scratch.v, scratch.y
     cost = 0.0
     for j in range(start, stop):
         own = slice(2 * obs.offsets[j], 2 * obs.offsets[j + 1])
         w, columns, sizes = kept.w[own], kept.column[own], kept.size[own]
         inverse, gp = kept.inverse[j], kept.gradient[j]
         count, this = _point_terms(
-            obs,
-            j,
-            frames,
-            sensors,
-            models,
-            params,
-            points,
-            point_free,
-            frame_free,
-            frame_column,
-            camera_column,
-            free_params,
-            num_free,
-            loss,
-            scale_sq,
-            jac,
-            work,
-            w,
-            columns,
-            sizes,
-            v,
-            gp,
-            s,
-            g,
+            obs, j, scene, unknowns, loss, scale_sq, scratch, w, columns, sizes, gp, s, g
         )
         cost += this
         kept.count[j] = -1
-        if point_free[j] == 0.0:
+        if unknowns.point_free[j] == 0.0:
             continue
         for a in range(3):
             kept.damp[j, a] = damping * v[a, a]

@@ -221,6 +221,10 @@ class _Solver:
         )
         self.sensors = _rows(problem.cam_from_rig)
         self.layout = _lay_out(problem)
+        self.unknowns = kernels.Unknowns(
+            *(problem.point_free, problem.frame_free, self.layout.frame_column, self.layout.camera_column),
+            *(self.layout.free_params, self.layout.num_free),
+        )
         self.has_unknowns = bool(self.layout.size or problem.point_free.any())
         self.eliminated = _room_for_elimination(len(problem.frame), len(problem.points_in_world))
         copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
@@ -241,8 +245,10 @@ class _Solver:
             self.problem.points_in_world.copy(),
         )
 
-    def _arguments(self, state: _State) -> tuple:
-        return state.frames, self.sensors, self.problem.camera_model, state.params, state.points
+    def _scene(self, state: _State) -> kernels.Scene:
+        return kernels.Scene(
+            state.frames, self.sensors, self.problem.camera_model, state.params, state.points
+        )
 
     def _loss(self) -> tuple[int, float]:
         return int(self.config.loss), float(self.config.loss_scale_px**2)
@@ -250,9 +256,7 @@ class _Solver:
     def cost(self, state: _State) -> float:
         """Half the robust sum of squares, priors included."""
         parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.total_cost(
-                self.observations, a, b, *self._arguments(state), *self._loss()
-            ),
+            lambda a, b, _: kernels.total_cost(self.observations, a, b, self._scene(state), *self._loss()),
             len(state.points),
             self.num_chunks,
         )
@@ -307,20 +311,13 @@ class _Solver:
         )
         return moved, float(sum(parts)) + 0.5 * float(step @ (damp * step - gradient))
 
-    def _masks(self) -> tuple:
-        p, layout = self.problem, self.layout
-        return (
-            *(p.point_free, p.frame_free, layout.frame_column, layout.camera_column),
-            *(layout.free_params, layout.num_free),
-        )
-
     def _reduced_system(self, state: _State, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         n = self.layout.size
 
         def build(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             s, g, rhs = np.zeros((n, n)), np.zeros(n), np.zeros(n)
             kernels.build_reduced_system(
-                *(self.observations, start, stop, *self._arguments(state), *self._masks(), *self._loss()),
+                *(self.observations, start, stop, self._scene(state), self.unknowns, *self._loss()),
                 *(damping, self.eliminated, s, g, rhs),
             )
             return s, g, rhs
