@@ -7,10 +7,11 @@ in another file has changed.
 
 import hashlib
 import os
+import sys
 import tempfile
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from inspect import unwrap
 from pathlib import Path
@@ -18,8 +19,14 @@ from time import perf_counter
 from typing import Any, TypeVar, cast
 
 import numba
+from llvmlite.binding import get_host_cpu_name
 from numba.core import config
 from numba.core import event as numba_event
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 _numba_config: Any = config
 _njit: Any = numba.njit  # its stubs lack `_nrt`
@@ -33,28 +40,67 @@ SAFE_FASTMATH = {"nsz"}
 
 @cache
 def cache_folder() -> Path:
-    """The folder of compiled kernels: `$EPIPOLE_CACHE_DIR` or the user's cache, by digest of the sources."""
-    package = Path(__file__).parent
-    digest = hashlib.sha256(numba.__version__.encode())
+    """The folder of compiled kernels: `$EPIPOLE_CACHE_DIR` or the user's cache, by what they depend on.
+
+    That is the sources, where they stand and since when, Python, Numba and the processor: what Numba itself
+    looks at, and the callees in other files that it does not.
+    """
+    package = Path(__file__).resolve().parent
+    digest = hashlib.sha256(
+        f"{numba.__version__} {sys.version_info[:2]} {package} {get_host_cpu_name()}".encode()
+    )
     for source in sorted([*package.rglob("_*_kernels.py"), Path(__file__)]):
+        digest.update(f"{source.stat().st_mtime_ns}".encode())
         digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
-    asked = os.environ.get("EPIPOLE_CACHE_DIR")
-    base = (
-        Path(asked) if asked else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "epipole"
-    )
-    for candidate in (
-        base,
-        Path(tempfile.gettempdir()) / f"epipole-{os.getuid() if hasattr(os, 'getuid') else 0}",
-    ):
-        folder = candidate / "kernels" / name
+    for base in (_users_cache(), Path(tempfile.gettempdir()) / f"epipole-{_user()}"):
+        if base is None:
+            continue
+        folder = base / "kernels" / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            # What stands here is run: nobody else may have put it.
+            is_ours = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
         except OSError:
             continue
-        if os.access(folder, os.W_OK):
+        if is_ours and os.access(folder, os.W_OK):
             return folder
     return Path(tempfile.mkdtemp(prefix="epipole-kernels-"))
+
+
+def _users_cache() -> Path | None:
+    if asked := os.environ.get("EPIPOLE_CACHE_DIR"):
+        return Path(asked)
+    if asked := os.environ.get("XDG_CACHE_HOME"):
+        return Path(asked) / "epipole"
+    try:
+        return Path.home() / ".cache" / "epipole"
+    except RuntimeError:  # a user without a home
+        return None
+
+
+def _user() -> int:
+    return os.getuid() if hasattr(os, "getuid") else 0
+
+
+@contextmanager
+def _alone_in_cache() -> Iterator[None]:
+    """Hold off other processes: Numba names a new file after those it has read of, and two could choose one name."""
+    with (cache_folder() / "lock").open("w") as stream:
+        if fcntl is not None:
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
+
+
+def _lock_saving(compiled: Any) -> None:
+    file = compiled._cache._cache_file
+    save = file.save
+
+    def save_alone(key: Any, data: Any) -> None:
+        with _alone_in_cache():
+            save(key, data)
+
+    file.save = save_alone
 
 
 def is_compiled() -> bool:
@@ -105,6 +151,7 @@ def kernel(
             inline="always" if inline else "never",
             _nrt=allocates,
         )
+        _lock_saving(compiled)
     finally:
         _numba_config.CACHE_DIR = previous
     return cast(Function, compiled)

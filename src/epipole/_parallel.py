@@ -30,7 +30,7 @@ def num_threads() -> int:
     if _num_threads is not None:
         return _num_threads
     asked = os.environ.get("EPIPOLE_NUM_THREADS", "")
-    return max(1, int(asked)) if asked.isdigit() else available_cpus()
+    return max(1, int(asked)) if asked.isdecimal() else available_cpus()
 
 
 def set_num_threads(count: int | None) -> None:

@@ -275,7 +275,8 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
         name, c = model.images.name[image], int(camera_of_image[image])
         rgb = undistort_image(read_rgb(out / "images" / name), model.cameras[c], pinholes[c])
         with atomic_write(target / "images" / name) as aside:
-            cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+            if not cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96]):
+                raise FileFormatError(target / "images" / name, "this format cannot be written")
         progress(Progress("undistort", n + 1, len(registered)))
     write_colmap_model(_without_distortion(model, pinholes), target / "sparse" / "0")
     return target

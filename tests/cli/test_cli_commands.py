@@ -37,6 +37,14 @@ def workspace(tmp_path_factory):
     return folder, names, views, printed
 
 
+def test_demo_leaves_other_peoples_folders_alone(tmp_path):
+    mine = tmp_path / "photographs" / "IMG_1.jpg"
+    mine.parent.mkdir()
+    mine.write_text("precious")
+    assert "holds no demo" in run("demo", tmp_path, expect=1)
+    assert mine.read_text() == "precious"
+
+
 def test_reconstruct_places_every_photograph_near_the_truth(workspace):
     folder, names, views, printed = workspace
     assert "8 of 8" in printed and "report.html" in printed

@@ -127,3 +127,10 @@ def test_small_pictures_are_no_trouble(rng, size):
     found = sift.detect_sift(rng.integers(0, 255, size).astype(np.uint8), FeatureConfig())
     assert np.isfinite(found.pixels).all() and found.descriptors.shape[1] == 128
     assert (found.pixels >= 0).all() and (found.pixels <= np.array(size[::-1]) - 1).all()
+
+
+def test_samples_beyond_the_rim_of_a_very_wide_level_stay_inside():
+    level = np.zeros((32, 32_800), np.float32)  # so wide that width - 1.001 rounds to width - 1
+    patch = np.empty((22, 22), np.float32)
+    kernels._sample.py_func(level, 32_794.0, 29.0, 1.5, 0.3, patch)  # Python would raise IndexError
+    assert (patch == 0).all()

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from photographs import CAMERA, neighbouring_views, render_to
+from PIL import Image
 
 from epipole.api import reconstruct
 from epipole.config import PairingConfig, ReconstructConfig
@@ -31,6 +32,36 @@ def test_empty_folder_and_no_folder(tmp_path):
         reconstruct(tmp_path / "empty", tmp_path / "out")
     with pytest.raises(NoModelError, match="does not exist"):
         reconstruct(tmp_path / "nowhere", tmp_path / "out2")
+
+
+def test_a_mistyped_folder_leaves_the_output_free(rendered, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for wrong in ("nowhere", "empty"):
+        with pytest.raises(NoModelError):
+            reconstruct(tmp_path / wrong, tmp_path / "out")
+    with pytest.raises(NoModelError, match="one picture"):  # the output is not the wrong folder's
+        reconstruct(copied(rendered, tmp_path / "right", 1), tmp_path / "out")
+
+
+def test_a_replaced_picture_replaces_its_copy(rendered, tmp_path):
+    folder = copied(rendered, tmp_path / "photographs", 5)
+    changed = folder / "view_02.jpg"
+    reconstruct(folder, tmp_path / "out")
+    changed.unlink()
+    shutil.copy(rendered / "view_05.jpg", changed)
+    reconstruct(folder, tmp_path / "out")
+    assert (tmp_path / "out" / "images" / "view_02.jpg").read_bytes() == changed.read_bytes()
+
+
+def test_avif_ends_with_a_model(rendered, tmp_path):
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    for path in sorted(rendered.iterdir())[:4]:
+        with Image.open(path) as picture:
+            picture.save(folder / f"{path.stem}.avif", quality=90)
+    result = reconstruct(folder, tmp_path / "out")
+    assert result.summary["num_registered"] == 4
+    assert (tmp_path / "out" / "images" / "view_00.avif").is_file()
 
 
 def test_one_image(rendered, tmp_path):
@@ -101,6 +132,7 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["precious.txt"]
     (tmp_path / "held").mkdir()
     (tmp_path / "held" / "epipole.json").write_text('{"format": 1, "source": "/elsewhere"}')
+    (tmp_path / "held" / "work").mkdir()
     with pytest.raises(WorkspaceError, match="holds the reconstruction of /elsewhere"):
         reconstruct(rendered, tmp_path / "held")
 

@@ -16,12 +16,13 @@ from epipole.errors import WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io.photographs import write_jpeg_with_exif
 from epipole.metrics import camera_errors
-from epipole.sfm.workspace import MARK
+from epipole.sfm.workspace import write_json
 from epipole.synthetic import courtyard, courtyard_views, render
 from epipole.workflow import Progress, ProgressCallback
 
 WIDTH, HEIGHT, FOCAL_35MM = 960, 640, 28.0
 NOISE_SIGMA = 2.0
+DEMO_MARK = "epipole-demo.json"
 MAX_RELATIVE_ERROR = 1e-3
 
 
@@ -57,11 +58,13 @@ def run_demo(out: Path, num_views: int) -> None:
     Raises:
         WorkspaceError: the folder holds something that is no demo, or the result misses the truth.
     """
-    photographs, model = out / "photographs", out / "model"
-    if out.exists() and any(out.iterdir()) and not (model / MARK).exists() and not photographs.exists():
+    photographs, model, mark = out / "photographs", out / "model", out / DEMO_MARK
+    if out.exists() and not mark.is_file() and (not out.is_dir() or any(out.iterdir())):
         raise WorkspaceError(f"{out} is not empty and holds no demo; choose another folder")
-    shutil.rmtree(out, ignore_errors=True)
+    for ours in (photographs, model):
+        shutil.rmtree(ours, ignore_errors=True)
     photographs.mkdir(parents=True)
+    write_json(mark, {"views": num_views})
     with progress_on_screen() as progress:
         truth = render_photographs(photographs, num_views, progress)
         result = reconstruct(photographs, model, progress=progress)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -138,6 +140,17 @@ def main(arguments: list[str] | None = None) -> None:
         _dispatch(given)
     except EpipoleError as error:
         print(f"epipole: {error}", file=sys.stderr)
+        sys.exit(1)
+    except BrokenPipeError:  # the reader of our output has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        print(
+            f"epipole: {error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}",
+            file=sys.stderr,
+        )
         sys.exit(1)
     except KeyboardInterrupt:
         note = "epipole: stopped. What was finished is kept; the same command goes on from there."

@@ -211,6 +211,10 @@ def _sample(level, x, y, step, angle, patch):
     n = len(patch)
     middle = np.float32(0.5 * (n - 1))
     most_x, most_y = np.float32(width - 1.001), np.float32(height - 1.001)
+    last_x, last_y = (
+        np.int32(width - 2),
+        np.int32(height - 2),
+    )  # a float32 rounds where pictures are very wide
     zero = np.float32(0.0)
     flat = level.ravel()
     for i in range(n):
@@ -223,7 +227,7 @@ def _sample(level, x, y, step, angle, patch):
             px = px if px > zero else zero
             py = py if py < most_y else most_y
             py = py if py > zero else zero
-            ix, iy = np.int32(px), np.int32(py)
+            ix, iy = min(np.int32(px), last_x), min(np.int32(py), last_y)
             fx, fy = px - np.float32(ix), py - np.float32(iy)
             k = iy * np.int32(width) + ix
             top = flat[k] + fx * (flat[k + 1] - flat[k])

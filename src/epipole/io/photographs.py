@@ -69,6 +69,10 @@ _FORMAT_OF_SUFFIX = {
     ".bmp": "BMP",
     ".ppm": "PPM",
     ".pgm": "PPM",
+    ".avif": "AVIF",
+    ".heic": "HEIF",
+    ".heif": "HEIF",
+    ".hif": "HEIF",
 }
 
 
@@ -248,7 +252,10 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         return
     pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
     lossy: dict[str, Any] = {"quality": 97, "subsampling": 0}
-    options = {"JPEG": lossy, "WEBP": {"lossless": True}}.get(target_format, {})
+    options = {
+        **dict.fromkeys(("JPEG", "AVIF", "HEIF"), lossy),
+        "WEBP": {"lossless": True},
+    }.get(target_format, {})
     if target_format not in ("BMP", "PPM"):
         options["exif"] = upright_exif(exif).tobytes()
     with atomic_write(target) as part:

@@ -73,6 +73,8 @@ def run_pipeline(
         ConfigError: options that do not fit the pictures.
     """
     timings_s: dict[str, float] = {}
+    if not source.exists():
+        raise NoModelError(f"{source} does not exist")
     workspace = open_workspace(out, str(source.resolve()))
     compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
     compiling.start()
@@ -187,8 +189,7 @@ def _read(
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
         return read_image_set(workspace.frames, config, timestamps_s=times, progress=progress)
     if not source.is_dir():
-        what = "is neither a folder of photographs nor a video" if source.exists() else "does not exist"
-        raise NoModelError(f"{source} {what}")
+        raise NoModelError(f"{source} is neither a folder of photographs nor a video")
     ignore = (workspace.root, *((config.masks,) if config.masks else ()))
     return read_image_set(source, config, ignore=ignore, progress=progress)
 
@@ -336,9 +337,9 @@ def _write_models(workspace: Workspace, images: ImageSet, mapped: Mapped) -> Non
     for model in mapped.models:
         registered |= model.is_registered()
     for image in np.flatnonzero(registered):
-        target = workspace.images / images.names[image]
-        if not target.is_file():
-            copy_or_rotate(images.folder / images.names[image], target)
+        source, target = images.folder / images.names[image], workspace.images / images.names[image]
+        if not target.is_file() or target.stat().st_mtime_ns < source.stat().st_mtime_ns:
+            copy_or_rotate(source, target)
 
 
 def _warnings(

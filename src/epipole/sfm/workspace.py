@@ -80,7 +80,7 @@ def _check_mark(root: Path, mark: Path, source: str) -> None:
         held = str(content["source"])
     except (ValueError, KeyError, TypeError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
-    if held != source:
+    if held != source and any(p for p in root.iterdir() if p.name != MARK):  # a mark alone holds nothing
         raise WorkspaceError(f"{root} holds the reconstruction of {held}; choose another output folder")
 
 

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -81,6 +82,11 @@ def run_units(
                 future.result()
                 done += 1
                 progress(Progress(stage, done, total))
+        except BrokenProcessPool as error:
+            raise WorkspaceError(
+                "the processes that share the work ended early: out of memory, or a script that starts them "
+                "outside `if __name__ == '__main__':`"
+            ) from error
         except BaseException:
             for future in futures:
                 future.cancel()
