@@ -263,7 +263,7 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
         The folder: `images/` and `sparse/0/`.
 
     Raises:
-        FileFormatError: there is no model, or a picture is missing.
+        FileFormatError: there is no model, a picture is missing, or its format cannot be written.
     """
     out = Path(out)
     model = read_colmap_model(find_model(out))
@@ -275,11 +275,21 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
         name, c = model.images.name[image], int(camera_of_image[image])
         rgb = undistort_image(read_rgb(out / "images" / name), model.cameras[c], pinholes[c])
         with atomic_write(target / "images" / name) as aside:
-            if not cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96]):
-                raise FileFormatError(target / "images" / name, "this format cannot be written")
+            _write_picture(aside, rgb, target / "images" / name)
         progress(Progress("undistort", n + 1, len(registered)))
     write_colmap_model(_without_distortion(model, pinholes), target / "sparse" / "0")
     return target
+
+
+def _write_picture(aside: Path, rgb: np.ndarray, final: Path) -> None:
+    try:
+        written = cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+    except cv2.error:  # an unknown suffix, HEIC's for one
+        written = False
+    if not written:
+        raise FileFormatError(
+            final, "pictures are not written in this format; convert yours to JPEG or PNG first"
+        )
 
 
 def _without_distortion(model: Reconstruction, pinholes: list) -> Reconstruction:

@@ -12,6 +12,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighbouring_views, render_to
 
+from epipole.api import _write_picture
+from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.metrics import camera_errors
@@ -127,3 +129,11 @@ def test_help_is_quick_and_loads_nothing_heavy():
         times.append(time.perf_counter() - begin)
     assert "reconstruct" in printed
     assert min(times) < 0.6
+
+
+def test_undistort_says_what_it_cannot_write(tmp_path):
+    rgb = np.zeros((8, 8, 3), np.uint8)
+    with pytest.raises(FileFormatError, match="convert yours"):
+        _write_picture(tmp_path / "a.heic", rgb, tmp_path / "a.heic")
+    _write_picture(tmp_path / "a.png", rgb, tmp_path / "a.png")
+    assert (tmp_path / "a.png").is_file()
