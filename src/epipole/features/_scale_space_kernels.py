@@ -48,7 +48,8 @@ def blur(level, weights, out):
 
     Args:
         level: (height, width), float32.
-        weights: of the offsets 0, 1, ..., an odd number of them (the last may be zero), float32.
+        weights: of the offsets 0, 1, ..., float32; an odd number of them, for offsets are taken in pairs (the last
+            weight may be zero).
         out: (height, width).
     """
     height, width = level.shape
@@ -156,7 +157,7 @@ def _of_three(high0, high1, high2, highest, low0, low1, low2, lowest):
 
 @kernel
 def _mark_extremes(here, high0, high1, high2, low0, low1, low2, threshold, is_extreme):
-    """Whether a pixel is the highest or lowest of its 27, and beyond the threshold."""
+    """Whether a pixel is the highest or lowest of its 27, and beyond the threshold; the rim is not to be asked."""
     for x in range(len(here)):
         high = high0[x] if high0[x] > high1[x] else high1[x]
         high = high2[x] if high2[x] > high else high

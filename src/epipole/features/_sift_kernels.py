@@ -211,10 +211,8 @@ def _sample(level, x, y, step, angle, patch):
     n = len(patch)
     middle = np.float32(0.5 * (n - 1))
     most_x, most_y = np.float32(width - 1.001), np.float32(height - 1.001)
-    last_x, last_y = (
-        np.int32(width - 2),
-        np.int32(height - 2),
-    )  # a float32 rounds where pictures are very wide
+    # Whole numbers too: in a very wide level a float32 rounds to the last column.
+    last_x, last_y = np.int32(width - 2), np.int32(height - 2)
     zero = np.float32(0.0)
     flat = level.ravel()
     for i in range(n):
