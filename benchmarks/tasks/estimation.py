@@ -1,0 +1,199 @@
+"""Problems of robust estimation with known answers: synthetic ones, and hand-clicked or surveyed photographs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import scipy.io
+
+from epipole.config import FeatureConfig
+from epipole.features import detect_features, match_descriptors
+from epipole.geometry import Rigid3
+from epipole.io import read_database
+from epipole.io.photographs import read_grey
+from epipole.io.truth import read_truth
+from epipole.synthetic.problems import absolute_pose_problem, two_view_problem
+
+Kind = Literal["relative_pose", "absolute_pose", "fundamental", "homography"]
+LEAST_MATCHES = 15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimationProblem:
+    """What a program is given, and the truth it is scored with."""
+
+    kind: Kind
+    first: np.ndarray
+    """Pixels in image 1 (n, 2), or points in the world (n, 3)."""
+    second: np.ndarray
+    """Pixels in image 2, or pixels of the points; integer coordinates are pixel centres."""
+    K: np.ndarray
+    """Of both cameras."""
+    size: tuple[int, int]
+    motion: Rigid3 | None = None
+    """cam2_from_cam1 (up to length) or cam_from_world."""
+    validation: np.ndarray | None = None
+    """True matches u1 v1 u2 v2, (m, 4)."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimationLimits:
+    """The same bounds for every program."""
+
+    max_error_px: float = 2.0
+    confidence: float = 0.9999
+    min_iterations: int = 100
+    max_iterations: int = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class EstimationTask:
+    """A family of problems; `problems(data, count)` makes at least `count` of them."""
+
+    name: str
+    kind: Kind
+    problems: Callable[[Path, int], list[EstimationProblem]]
+    limits: EstimationLimits = EstimationLimits()
+
+
+def _synthetic_relative(num_matches: int, outliers: float) -> Callable[[Path, int], list[EstimationProblem]]:
+    """General scenes with one pixel of noise."""
+
+    def make(_data: Path, count: int) -> list[EstimationProblem]:
+        out = []
+        for seed in range(count):
+            p = two_view_problem(num_matches, outliers, 1.0, seed)
+            size = (p.camera1.width, p.camera1.height)
+            out.append(
+                EstimationProblem(
+                    "relative_pose", p.pixels1, p.pixels2, p.camera1.K, size, p.cam2_from_cam1
+                )
+            )
+        return out
+
+    return make
+
+
+def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int], list[EstimationProblem]]:
+    """A camera anywhere, one pixel of noise."""
+
+    def make(_data: Path, count: int) -> list[EstimationProblem]:
+        out = []
+        for seed in range(count):
+            p = absolute_pose_problem(num_points, outliers, 1.0, seed)
+            size = (p.camera.width, p.camera.height)
+            out.append(
+                EstimationProblem("absolute_pose", p.points_in_world, p.pixels, p.camera.K, size, p.cam_from_world)
+            )
+        return out
+
+    return make
+
+
+def _shuffled(pairs: list[EstimationProblem], count: int) -> Iterator[EstimationProblem]:
+    """Every pair in as many orders of its matches as make `count` problems: samplers see other samples."""
+    for seed in range(-(-count // len(pairs))):
+        for pair in pairs:
+            order = np.random.default_rng(seed).permutation(len(pair.first))
+            yield replace(pair, first=pair.first[order], second=pair.second[order])
+
+
+def _clicked(kind: Literal["fundamental", "homography"]) -> Callable[[Path, int], list[EstimationProblem]]:
+    """Putative matches and hand-clicked true ones (kusvod2, homogr: Lebeda, Matas, Chum, BMVC 2012)."""
+
+    def make(data: Path, count: int) -> list[EstimationProblem]:
+        pairs = []
+        for file in sorted((data / "twoview" / kind).glob("*_pts.txt")):
+            putative = np.loadtxt(file)
+            clicked = scipy.io.loadmat(str(file).replace("_pts.txt", "_vpts.mat"))["validation"]["pts"][0, 0]
+            validation = np.ascontiguousarray(clicked[[0, 1, 3, 4]].T)
+            first, second = putative[:, :2].copy(), putative[:, 3:5].copy()
+            pairs.append(EstimationProblem(kind, first, second, np.eye(3), (0, 0), None, validation))
+        if kind == "homography":
+            pairs += [_graf(data / "twoview" / "graf", k) for k in (2, 3)]
+        return list(_shuffled(pairs, count))
+
+    return make
+
+
+def _graf(folder: Path, number: int) -> EstimationProblem:
+    """A wall painting from two sides, SIFT matches, truth known to a pixel (Mikolajczyk et al., IJCV 2005)."""
+    images = [read_grey(folder / f"img{k}.ppm") for k in (1, number)]
+    one, two = (detect_features(image, FeatureConfig()) for image in images)
+    matches = match_descriptors(one.descriptors, two.descriptors)
+    truth = np.loadtxt(folder / f"H1to{number}p")
+    height, width = images[0].shape
+    grid = np.stack(np.meshgrid(np.arange(40, width, 40.0), np.arange(40, height, 40.0)), axis=-1).reshape(-1, 2)
+    moved = np.c_[grid, np.ones(len(grid))] @ truth.T
+    moved = moved[:, :2] / moved[:, 2:]
+    inside = ((moved > 0) & (moved < (width, height))).all(axis=1)
+    return EstimationProblem(
+        "homography",
+        one.pixels[matches[:, 0]].astype(np.float64),
+        two.pixels[matches[:, 1]].astype(np.float64),
+        np.eye(3),
+        (width, height),
+        None,
+        np.c_[grid, moved][inside],
+    )
+
+
+def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
+    """All pairs of a set with surveyed cameras (Strecha et al., CVPR 2008) with the putative matches of the main job."""
+
+    def make(data: Path, count: int) -> list[EstimationProblem]:
+        folder = data / "sfm" / name
+        K = np.loadtxt(folder / "images" / "K.txt")
+        with tempfile.TemporaryDirectory() as out:
+            params = ",".join(str(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+            command = [str(Path(sys.executable).with_name("epipole")), "reconstruct", str(folder / "images"), out]
+            known = ["--camera-model", "PINHOLE", "--camera-params", params]
+            subprocess.run(command + known, check=True, capture_output=True)
+            found = read_database(Path(out) / "database.db")
+        K[:2, 2] -= 0.5  # the file has the picture's corner at (0, 0)
+        truth = read_truth(folder / "gt_dense_cameras")
+        row = {Path(n).stem: k for k, n in enumerate(truth.names)}
+        motion = [truth.cams_from_world[row[Path(n).stem]] for n in found.images.names]
+        camera = found.cameras[0]
+        pairs = []
+        for (i, j), matches in found.matches.items():
+            if len(matches) < LEAST_MATCHES:
+                continue
+            pixels = [
+                found.images.keypoints_of(image)[matches[:, side]].astype(np.float64)
+                for side, image in enumerate((i, j))
+            ]
+            size = (camera.width, camera.height)
+            truth_ij = motion[j] @ motion[i].inverse()
+            pairs.append(EstimationProblem("relative_pose", *pixels, K, size, truth_ij))
+        return list(_shuffled(pairs, count))
+
+    return make
+
+
+_OUTLIERS = (30, 50, 70)
+TASKS = {
+    task.name: task
+    for task in (
+        *(
+            EstimationTask(f"relative-{n}-{percent}", "relative_pose", _synthetic_relative(n, percent / 100))
+            for n in (500, 2000)
+            for percent in _OUTLIERS
+        ),
+        *(
+            EstimationTask(f"absolute-1000-{percent}", "absolute_pose", _synthetic_absolute(1000, percent / 100))
+            for percent in _OUTLIERS
+        ),
+        EstimationTask("fundamental-clicked", "fundamental", _clicked("fundamental")),
+        EstimationTask("homography-clicked", "homography", _clicked("homography")),
+        EstimationTask("relative-fountain-P11", "relative_pose", _surveyed("fountain-P11")),
+        EstimationTask("relative-Herz-Jesus-P8", "relative_pose", _surveyed("Herz-Jesus-P8")),
+    )
+}
