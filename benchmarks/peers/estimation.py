@@ -67,20 +67,20 @@ class Epipole(EstimationPeer):
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             c = camera(p)
-            found = robust.estimate_essential_matrix(p.first, p.second, c, c, config(limits))
-            return (found.motion.rotation, found.motion.translation) if found.success else None
+            found = robust.estimate_relative_pose(p.first, p.second, c, c, config(limits))
+            return (found.model.rotation, found.model.translation) if found.success else None
 
         def absolute(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found = robust.estimate_absolute_pose(p.first, p.second, camera(p), config(limits))
-            return (found.motion.rotation, found.motion.translation) if found.success else None
+            return (found.model.rotation, found.model.translation) if found.success else None
 
         def fundamental(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found = robust.estimate_fundamental_matrix(p.first, p.second, config(limits))
-            return found.matrix if found.success else None
+            return found.model if found.success else None
 
         def homography(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found = robust.estimate_homography(p.first, p.second, config(limits))
-            return found.matrix if found.success else None
+            return found.model if found.success else None
 
         return {
             "relative_pose": relative,

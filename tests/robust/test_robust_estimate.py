@@ -15,6 +15,7 @@ from epipole.robust import (
     estimate_essential_matrix,
     estimate_fundamental_matrix,
     estimate_homography,
+    estimate_relative_pose,
     verify_pair,
 )
 
@@ -37,13 +38,13 @@ def two_views(rng, count=600, outliers=0.4, noise_px=0.7, motion=None, plane=Fal
 @pytest.mark.parametrize("outliers", [0.0, 0.3, 0.6])
 def test_essential_matrix_finds_motion_and_inliers(rng, outliers):
     x1, x2, truth, motion, _ = two_views(rng, outliers=outliers)
-    found = estimate_essential_matrix(x1, x2, CAMERA, CAMERA, RansacConfig(max_error_px=3))
+    found = estimate_relative_pose(x1, x2, CAMERA, CAMERA, RansacConfig(max_error_px=3))
     assert found.success
     assert (found.inlier_mask & truth).sum() > 0.97 * truth.sum()
-    turn = Rotation3(found.motion.rotation @ motion.rotation.T).angle_rad()
+    turn = Rotation3(found.model.rotation @ motion.rotation.T).angle_rad()
     direction = motion.translation / np.linalg.norm(motion.translation)
     assert np.rad2deg(turn) < 0.2
-    assert np.rad2deg(np.arccos(np.clip(direction @ found.motion.translation, -1, 1))) < 1.0
+    assert np.rad2deg(np.arccos(np.clip(direction @ found.model.translation, -1, 1))) < 1.0
 
 
 def test_fundamental_matrix_explains_the_inliers(rng):
@@ -57,8 +58,8 @@ def test_fundamental_matrix_explains_the_inliers(rng):
     x2[:200] = rng.uniform(0, 800, (200, 2))
     found = estimate_fundamental_matrix(x1, x2, RansacConfig(max_error_px=2))
     assert found.success
-    assert np.linalg.matrix_rank(found.matrix, tol=1e-9) == 2
-    assert np.median(sampson_error(found.matrix, exact1[200:], exact2[200:])) < 0.15
+    assert np.linalg.matrix_rank(found.model, tol=1e-9) == 2
+    assert np.median(sampson_error(found.model, exact1[200:], exact2[200:])) < 0.15
 
 
 def test_homography_is_near_the_truth(rng):
@@ -69,7 +70,7 @@ def test_homography_is_near_the_truth(rng):
     x2[:200] = rng.uniform(0, 800, (200, 2))
     found = estimate_homography(exact1, x2)
     assert found.success
-    error = np.linalg.norm(from_homogeneous(to_homogeneous(exact1) @ found.matrix.T) - exact2, axis=1)
+    error = np.linalg.norm(from_homogeneous(to_homogeneous(exact1) @ found.model.T) - exact2, axis=1)
     assert error.mean() < 0.2
 
 
@@ -92,7 +93,7 @@ def test_absolute_pose_for_every_camera_model(rng, model):
     pixels[:150] = rng.uniform(0, 800, (150, 2))
     found = estimate_absolute_pose(points, pixels, camera)
     assert found.success
-    assert np.abs((found.motion @ motion.inverse()).log()).max() < 5e-3
+    assert np.abs((found.model @ motion.inverse()).log()).max() < 5e-3
 
 
 def test_failures_are_data(rng):
@@ -121,7 +122,7 @@ def test_same_seed_same_answer_and_inputs_untouched(rng):
     _parallel.set_num_threads(1)
     second = estimate_essential_matrix(x1, x2, CAMERA, CAMERA, RansacConfig(seed=3))
     _parallel.set_num_threads(None)
-    np.testing.assert_array_equal(first.matrix, second.matrix)
+    np.testing.assert_array_equal(first.model, second.model)
     np.testing.assert_array_equal(x1, before[0])
     np.testing.assert_array_equal(x2, before[1])
 

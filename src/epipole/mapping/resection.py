@@ -56,7 +56,7 @@ def refine_resection(
     """Refine a resection (and its focal length) over its inliers with a Cauchy loss; None if it diverges."""
     inliers = np.flatnonzero(estimate.inlier_mask)
     n = len(inliers)
-    start = Rigid3(estimate.motion.rotation[None], estimate.motion.translation[None])
+    start = Rigid3(estimate.model.rotation[None], estimate.model.translation[None])
     zeros = np.zeros(n, np.int32)
     problem = BundleProblem(
         start,

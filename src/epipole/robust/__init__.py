@@ -1,13 +1,14 @@
 """Robust estimation: the LO-RANSAC loop, its estimators, and the verification of pairs."""
 
 from epipole.config import RansacConfig as RansacConfig
+from epipole.robust.absolute_pose import estimate_absolute_pose as estimate_absolute_pose
 from epipole.robust.estimate import Estimate as Estimate
 from epipole.robust.estimate import Reason as Reason
-from epipole.robust.estimate import estimate_absolute_pose as estimate_absolute_pose
-from epipole.robust.estimate import estimate_essential_matrix as estimate_essential_matrix
-from epipole.robust.estimate import estimate_fundamental_matrix as estimate_fundamental_matrix
-from epipole.robust.estimate import estimate_homography as estimate_homography
 from epipole.robust.pair_kind import PairKind as PairKind
+from epipole.robust.two_view import estimate_essential_matrix as estimate_essential_matrix
+from epipole.robust.two_view import estimate_fundamental_matrix as estimate_fundamental_matrix
+from epipole.robust.two_view import estimate_homography as estimate_homography
+from epipole.robust.two_view import estimate_relative_pose as estimate_relative_pose
 from epipole.robust.verify import PairGeometry as PairGeometry
 from epipole.robust.verify import find_guide as find_guide
 from epipole.robust.verify import verify_pair as verify_pair

@@ -1,43 +1,54 @@
-"""Robust estimators: one call each, on plain arrays, with a result that says why it failed."""
+"""What every robust estimator returns, and the way from arrays through the robust loop to it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_points, require_same_length
-from epipole.cameras import Camera
+from epipole._checks import as_float_array
 from epipole.config import RansacConfig
-from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
-from epipole.robust import _ransac_kernels as kernels
+from epipole.errors import ShapeError
+from epipole.robust import _loop_kernels as loop
+from epipole.robust._contract_kernels import MODEL_SIZE
+
+Model = TypeVar("Model")
+
+SINGULAR = 1e-11
+"""Eigenvalue of the scaled information matrix below which the items leave the model undetermined."""
 
 
 class Reason(StrEnum):
     """Why an estimate failed, or that it did not."""
 
     OK = "ok"
-    TOO_FEW = "fewer matches than the model has unknowns"
-    NO_MODEL = "no sample of the matches gave a model"
-    TOO_FEW_INLIERS = "too few matches agree with any model"
+    TOO_FEW = "fewer items than the model needs"
+    NO_MODEL = "no sample of the items gave a model"
+    TOO_FEW_INLIERS = "too few items agree with any model"
+    DEGENERATE = "the items leave the model undetermined (a line, a plane, no motion, repeated items)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class Estimate(Generic[Model]):
     """What every robust estimator returns; a failure is data."""
 
+    model: Model
+    """NaN where nothing was found; of a degenerate estimate, one of those that fit."""
     reason: Reason
     inlier_mask: Bool[np.ndarray, " n"]
     residuals_px: Float64[np.ndarray, " n"]
-    """Sampson distance, transfer error or reprojection error; infinite where not defined."""
+    """Sampson distance, transfer error or reprojection error, in the unit of the threshold; infinite where not defined."""
     num_iterations: int
-    matrix: Float64[np.ndarray, "3 3"]
-    """E, F or H, unit norm (x2^T F x1 = 0; x2 ~ H x1); NaN for a pose alone and for failures."""
-    motion: Rigid3
-    """cam2_from_cam1 with |t| = 1, or cam_from_world; NaN where the model has none."""
+    score: float
+    """MSAC: the sum of squared residuals, each at most the threshold squared; infinite where nothing was found."""
+    noise_px: float
+    """Standard deviation of one coordinate of the inliers' noise, corrected for the cut at the threshold."""
+    covariance: Float64[np.ndarray, "d d"]
+    """First-order covariance of the model's parameters (each estimator says which); infinite where undetermined."""
 
     @property
     def success(self) -> bool:
@@ -46,176 +57,170 @@ class Estimate:
 
     @property
     def num_inliers(self) -> int:
-        """Matches that agree with the model."""
+        """Items that agree with the model."""
         return int(self.inlier_mask.sum())
 
     def __repr__(self) -> str:
         return f"Estimate({self.reason.value}, {self.num_inliers} of {len(self.inlier_mask)} inliers)"
 
 
-_NO_MOTION = Rigid3(np.full((3, 3), np.nan), np.full(3, np.nan))
-_NO_MATRIX = np.full((3, 3), np.nan)
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What the loop found, before the public model is made of it."""
+
+    reason: Reason
+    raw: np.ndarray
+    """(MODEL_SIZE,), as the problem's kernels keep it."""
+    residuals: np.ndarray
+    """In the caller's order and unit."""
+    inlier_mask: np.ndarray
+    num_iterations: int
+    score: float
+    noise: float
+    covariance: np.ndarray
+    """Of the kernels' own step parameters."""
+
+    def estimate(self, model: Model, covariance: np.ndarray | None = None) -> Estimate[Model]:
+        """The public result with this model, and this covariance in place of the kernels'."""
+        return Estimate(
+            model,
+            self.reason,
+            self.inlier_mask,
+            self.residuals,
+            self.num_iterations,
+            self.score,
+            self.noise,
+            self.covariance if covariance is None else covariance,
+        )
 
 
-def estimate_essential_matrix(
-    pixels1: Any, pixels2: Any, camera1: Camera, camera2: Camera, config: RansacConfig | None = None
-) -> Estimate:
-    """Relative pose of two calibrated cameras: five points, then truncated Sampson error.
+def random_order(usable: np.ndarray, config: RansacConfig) -> np.ndarray:
+    """Indices of the usable items in the order that the loop tests them."""
+    indices = np.flatnonzero(usable)
+    return np.random.default_rng(config.seed).permutation(indices)
 
-    Args:
-        pixels1: matches in image 1, (n, 2).
-        pixels2: the same in image 2.
-        camera1: any model; points outside its half space in front are outliers.
-        camera2: any model.
-        config: `max_error_px` is divided by the mean focal length.
 
-    Returns:
-        `matrix` = E, `motion` = cam2_from_cam1 with |t| = 1 (the length cannot be known).
+def checked_quality(quality: Any, n: int) -> np.ndarray | None:
+    """One finite number per item, or None.
+
+    Raises:
+        ShapeError: another shape, or NaN.
     """
-    config = config or RansacConfig()
-    y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
-    require_same_length(pixels1=y1, pixels2=y2)
-    scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
-
-    def finish(model: np.ndarray) -> tuple[np.ndarray, Rigid3]:
-        motion = Rigid3(model[:9].reshape(3, 3).copy(), model[9:12].copy())
-        essential = essential_from_cam2_from_cam1(motion)
-        return essential / np.linalg.norm(essential), motion
-
-    return _run_matches(kernels.EssentialProblem, y1, y2, scale_px, 5, config, finish)
+    if quality is None:
+        return None
+    out = as_float_array(quality, "quality", finite=True)
+    if out.shape != (n,):
+        raise ShapeError(f"quality must be ({n},), one number per item, got {out.shape}")
+    return out
 
 
-def estimate_fundamental_matrix(pixels1: Any, pixels2: Any, config: RansacConfig | None = None) -> Estimate:
-    """Fundamental matrix between pixels (n, 2): seven points, then truncated Sampson error; `matrix` = F."""
-    config = config or RansacConfig()
-    (q1, t1), (q2, t2), scale_px = _normalized(pixels1, pixels2)
-
-    def finish(model: np.ndarray) -> tuple[np.ndarray, Rigid3]:
-        fundamental = t2.T @ model[:9].reshape(3, 3) @ t1
-        return fundamental / np.linalg.norm(fundamental), _NO_MOTION
-
-    return _run_matches(kernels.FundamentalProblem, q1, q2, scale_px, 7, config, finish)
-
-
-def estimate_homography(pixels1: Any, pixels2: Any, config: RansacConfig | None = None) -> Estimate:
-    """Homography between pixels (n, 2): four points, then truncated transfer error; `matrix` = H, x2 ~ H x1."""
-    config = config or RansacConfig()
-    (q1, t1), (q2, t2), scale_px = _normalized(pixels1, pixels2)
-
-    def finish(model: np.ndarray) -> tuple[np.ndarray, Rigid3]:
-        homography = np.linalg.solve(t2, model[:9].reshape(3, 3) @ t1)
-        return homography / np.linalg.norm(homography), _NO_MOTION
-
-    return _run_matches(kernels.HomographyProblem, q1, q2, scale_px, 4, config, finish)
-
-
-def estimate_absolute_pose(
-    points_in_world: Any, pixels: Any, camera: Camera, config: RansacConfig | None = None
-) -> Estimate:
-    """Pose of a calibrated camera: P3P, then truncated reprojection error in pixels of the true camera model.
-
-    Args:
-        points_in_world: (n, 3).
-        pixels: where the camera saw them, (n, 2).
-        camera: any model.
-        config: `max_error_px` in pixels.
-
-    Returns:
-        `motion` = cam_from_world.
-    """
-    config = config or RansacConfig()
-    points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
-    n = require_same_length(points_in_world=points, pixels=pixels)
-    rays = camera.unproject(pixels)
-    usable = np.flatnonzero(np.isfinite(rays).all(axis=1) & np.isfinite(points).all(axis=1))
-    if len(usable) < 3:
-        return _failure(Reason.TOO_FEW, n)
-    problem = kernels.AbsolutePoseProblem(
-        np.ascontiguousarray(points[usable].T),
-        np.ascontiguousarray(rays[usable]),
-        np.ascontiguousarray(pixels[usable].T),
-        int(camera.model),
-        camera.padded_params(),
-        float(config.max_error_px**2),
+def failed(reason: Reason, n: int, freedom: int, num_iterations: int = 0) -> Found:
+    """Nothing was found."""
+    return Found(
+        reason,
+        np.full(MODEL_SIZE, np.nan),
+        np.full(n, np.inf),
+        np.zeros(n, bool),
+        num_iterations,
+        np.inf,
+        np.nan,
+        np.full((freedom, freedom), np.inf),
     )
-    model, residuals, iterations = _run(problem, len(usable), config)
-    if model is None:
-        return _failure(Reason.NO_MODEL, n, iterations)
-    motion = Rigid3(model[:9].reshape(3, 3).copy(), model[9:12].copy())
-    return _result(n, usable, np.sqrt(residuals), config, iterations, _NO_MATRIX, motion)
 
 
-def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[np.ndarray, "n 2"]:
-    """Where the rays of pixels (n, 2) cross the plane z = 1 before the camera; NaN where they do not."""
-    rays = camera.unproject(as_points(pixels, name, 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(rays[:, 2:] > 1e-3, rays[:, :2] / rays[:, 2:], np.nan)
+def run_loop(
+    problem: Any,
+    order: np.ndarray,
+    n: int,
+    scale_px: float,
+    config: RansacConfig,
+    quality: np.ndarray | None,
+) -> Found:
+    """Robustly fit a problem whose column k is the caller's item order[k].
 
-
-def _normalized(
-    pixels1: Any, pixels2: Any
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray], float]:
-    """Both images centred and divided by one common length, so that one threshold serves both."""
-    p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
-    require_same_length(pixels1=p1, pixels2=p2)
-    finite = np.isfinite(p1).all(axis=1) & np.isfinite(p2).all(axis=1)
-    if not finite.any():
-        return (p1, np.eye(3)), (p2, np.eye(3)), 1.0
-    c1, c2 = p1[finite].mean(axis=0), p2[finite].mean(axis=0)
-    spread = max(float(np.std(p1[finite])), float(np.std(p2[finite])), 1e-9) * np.sqrt(2.0)
-    out = []
-    for p, c in ((p1, c1), (p2, c2)):
-        t = np.array([[1 / spread, 0, -c[0] / spread], [0, 1 / spread, -c[1] / spread], [0, 0, 1]])
-        out.append(((p - c) / spread, t))
-    return out[0], out[1], spread
-
-
-def _run_matches(
-    kind: Any, q1: np.ndarray, q2: np.ndarray, scale_px: float, least: int, config: RansacConfig, finish: Any
-) -> Estimate:
-    n = len(q1)
-    usable = np.flatnonzero(np.isfinite(q1).all(axis=1) & np.isfinite(q2).all(axis=1))
-    if len(usable) < least:
-        return _failure(Reason.TOO_FEW, n)
-    matches = np.ascontiguousarray(np.concatenate([q1[usable], q2[usable]], axis=1).T)
-    problem = kind(matches, float((config.max_error_px / scale_px) ** 2))
-    model, residuals, iterations = _run(problem, len(usable), config)
-    if model is None:
-        return _failure(Reason.NO_MODEL, n, iterations)
-    matrix, motion = finish(model)
-    return _result(n, usable, np.sqrt(residuals) * scale_px, config, iterations, matrix, motion)
-
-
-def _run(problem: Any, n: int, config: RansacConfig) -> tuple[np.ndarray | None, np.ndarray, int]:
-    model, residuals = np.zeros(kernels.MODEL_SIZE), np.full(n, np.inf)
-    score, iterations = kernels.ransac(
+    Args:
+        problem: of a type with an implementation of the contract.
+        order: (m,), the items in the problem.
+        n: number of the caller's items.
+        scale_px: the unit of the problem's residuals in the caller's unit.
+        config: threshold in the caller's unit.
+        quality: (n,) for PROSAC, or None.
+    """
+    m = len(order)
+    size, freedom = loop.sizes(problem)
+    if m < size:
+        return failed(Reason.TOO_FEW, n, freedom)
+    ranking = np.zeros(0, np.int64)
+    if quality is not None:
+        ranking = np.argsort(-quality[order], kind="stable")
+    raw, residuals = np.zeros(MODEL_SIZE), np.full(m, np.inf)
+    information = np.zeros((freedom, freedom))
+    threshold_sq = (config.max_error_px / scale_px) ** 2
+    score, iterations = loop.ransac(
         problem,
+        float(threshold_sq),
         config.confidence,
         config.min_iterations,
         config.max_iterations,
-        min(1.0, max(config.min_inlier_ratio, config.min_inliers / n)),
-        config.seed,
-        model,
+        min(1.0, max(config.min_inlier_ratio, config.min_inliers / m)),
+        np.uint64(config.seed % 2**64),
+        ranking,
+        raw,
         residuals,
+        information,
     )
-    return (model if np.isfinite(score) else None), residuals, int(iterations)
+    if not np.isfinite(score):
+        return failed(Reason.NO_MODEL, n, freedom, int(iterations))
+    out = np.full(n, np.inf)
+    out[order] = np.sqrt(residuals) * scale_px
+    inlier_mask = out < config.max_error_px
+    num_inliers = int(inlier_mask.sum())
+    size_of_residual = loop.numbers_per_residual(problem)
+    noise = untruncated_noise(out[inlier_mask], config.max_error_px, size_of_residual, freedom)
+    covariance, determined = invert_information(information, noise / scale_px)
+    if num_inliers < config.min_inliers:
+        reason = Reason.TOO_FEW_INLIERS
+    else:
+        reason = Reason.OK if determined else Reason.DEGENERATE
+    return Found(
+        reason, raw, out, inlier_mask, int(iterations), float(score) * scale_px**2, noise, covariance
+    )
 
 
-def _result(
-    n: int,
-    usable: np.ndarray,
-    residuals: np.ndarray,
-    config: RansacConfig,
-    iterations: int,
-    matrix: np.ndarray,
-    motion: Rigid3,
-) -> Estimate:
-    residuals_px = np.full(n, np.inf)
-    residuals_px[usable] = residuals
-    inlier_mask = residuals_px < config.max_error_px
-    reason = Reason.OK if inlier_mask.sum() >= config.min_inliers else Reason.TOO_FEW_INLIERS
-    return Estimate(reason, inlier_mask, residuals_px, iterations, matrix, motion)
+def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedom: int) -> float:
+    """Standard deviation of a coordinate from the residuals below a threshold.
+
+    With k = threshold / sigma, the mean square of a normal variable cut at k is 1 - 2 k phi(k) / (2 Phi(k) - 1), and
+    that of a coordinate of a two-dimensional one 1 - (k^2 / 2) / (exp(k^2 / 2) - 1), in units of sigma^2.
+    """
+    unknowns = size * len(residuals) - freedom
+    if unknowns <= 0:
+        return float("nan")
+    mean_square = float((residuals**2).sum()) / unknowns
+    sigma = np.sqrt(mean_square)
+    for _ in range(20):
+        half = 0.5 * (threshold / max(sigma, 1e-9 * threshold)) ** 2
+        if half > 50.0:
+            break
+        if size == 1:
+            inside = math.erf(math.sqrt(half))
+            kept = 1.0 - 2.0 * np.sqrt(half / np.pi) * np.exp(-half) / inside
+        else:
+            kept = 1.0 - half / np.expm1(half)
+        # Noise as wide as the threshold cannot be told from no model at all: at most the threshold itself.
+        sigma = min(np.sqrt(mean_square / max(kept, 1e-3)), threshold)
+    return float(sigma)
 
 
-def _failure(reason: Reason, n: int, iterations: int = 0) -> Estimate:
-    return Estimate(reason, np.zeros(n, bool), np.full(n, np.inf), iterations, _NO_MATRIX, _NO_MOTION)
+def invert_information(information: np.ndarray, sigma: float) -> tuple[np.ndarray, bool]:
+    """(sigma^2 (J^T J)^-1, whether it exists); infinite if not."""
+    diagonal = np.einsum("ii->i", information)
+    root = np.sqrt(np.maximum(diagonal, 0.0))
+    nothing = np.full(information.shape, np.inf)
+    if not (root > 0).all() or not np.isfinite(information).all():
+        return nothing, False
+    scaled = information / np.outer(root, root)
+    values, vectors = np.linalg.eigh(scaled)
+    if values[0] < SINGULAR:
+        return nothing, False
+    return sigma**2 * ((vectors / values) @ vectors.T) / np.outer(root, root), True

@@ -10,14 +10,18 @@ from jaxtyping import Bool, Float64
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
-from epipole.geometry.epipolar import essential_from_fundamental, fundamental_from_essential
-from epipole.robust.estimate import (
-    Estimate,
-    estimate_essential_matrix,
+from epipole.geometry.epipolar import (
+    essential_from_cam2_from_cam1,
+    essential_from_fundamental,
+    fundamental_from_essential,
+)
+from epipole.robust.estimate import Estimate
+from epipole.robust.pair_kind import PairKind
+from epipole.robust.two_view import (
     estimate_fundamental_matrix,
     estimate_homography,
+    estimate_relative_pose,
 )
-from epipole.robust.pair_kind import PairKind
 
 SAME_PICTURE_PX = 0.75
 """A median shift of matches below this means that the camera did not move."""
@@ -77,7 +81,8 @@ def verify_pair(
     most = min(config.max_iterations, 500)
     plane = estimate_homography(p1, p2, replace(config, max_iterations=most, min_inlier_ratio=PLANAR_RATIO))
     if is_calibrated:
-        kind, essential, motion = PairKind.GENERAL, epipolar.matrix, epipolar.motion
+        motion = epipolar.model
+        kind, essential = PairKind.GENERAL, essential_from_cam2_from_cam1(motion) / np.sqrt(2.0)
     else:
         kind = PairKind.UNCALIBRATED
         essential, motion = _motion_of_guessed_focal(p1, p2, camera1, camera2, fundamental, config)
@@ -87,7 +92,7 @@ def verify_pair(
         motion,
         essential,
         fundamental,
-        plane.matrix,
+        plane.model,
         _median_angle(p1, p2, camera1, camera2, motion),
     )
     if _is_same_picture(p1, p2):
@@ -143,9 +148,10 @@ def _fit_epipolar(
     """E or F, and the fundamental matrix of length 1 in either case."""
     if not is_calibrated:
         epipolar = estimate_fundamental_matrix(pixels1, pixels2, config)
-        return epipolar, epipolar.matrix
-    epipolar = estimate_essential_matrix(pixels1, pixels2, camera1, camera2, config)
-    fundamental = fundamental_from_essential(epipolar.matrix, camera1.K, camera2.K)
+        return epipolar, epipolar.model
+    epipolar = estimate_relative_pose(pixels1, pixels2, camera1, camera2, config)
+    essential = essential_from_cam2_from_cam1(epipolar.model)
+    fundamental = fundamental_from_essential(essential, camera1.K, camera2.K)
     return epipolar, fundamental / np.linalg.norm(fundamental)
 
 
@@ -163,9 +169,9 @@ def _motion_of_guessed_focal(
 ) -> tuple[np.ndarray, Rigid3]:
     """E of the inliers of F under the guessed focal lengths, with a threshold that forgives the guess."""
     loose = replace(config, max_error_px=3.0 * config.max_error_px, max_iterations=200)
-    estimate = estimate_essential_matrix(p1, p2, camera1, camera2, loose)
+    estimate = estimate_relative_pose(p1, p2, camera1, camera2, loose)
     essential = essential_from_fundamental(fundamental, camera1.K, camera2.K)
-    return essential / np.linalg.norm(essential), estimate.motion
+    return essential / np.linalg.norm(essential), estimate.model
 
 
 def _median_angle(p1: np.ndarray, p2: np.ndarray, camera1: Camera, camera2: Camera, motion: Rigid3) -> float:

@@ -244,7 +244,7 @@ class IncrementalMapper:
             model.set_params(params)
         rows, points = model.points_in_sight(image)
         refined = refine_resection(model.points[points], model.row_pixel[rows], estimate, camera, focal=False)
-        model.register(image, estimate.motion if refined is None else refined[0])
+        model.register(image, estimate.model if refined is None else refined[0])
         return True
 
     def triangulate_around(self, image: int) -> None:

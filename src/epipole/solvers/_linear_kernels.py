@@ -6,6 +6,13 @@ from epipole._jit import kernel
 
 
 @kernel
+def copy_numbers(source, target):
+    """The numbers of source to the front of target. (`target[:] = source` takes Numba half a second to compile.)"""
+    for k in range(len(source)):
+        target[k] = source[k]
+
+
+@kernel
 def solve_spd(a, b, n):
     """Solve a x = b for symmetric positive definite a (n x n) by Cholesky, in place; False if not definite."""
     for j in range(n):

@@ -174,3 +174,48 @@ def _isolated_roots(poly, degree, quotients, steps, bound, stack, roots):
             stack[waiting] = (low, middle, before, changes)
             waiting += 1
     return count
+
+
+@kernel
+def cubic_roots(c3, c2, c1, c0, roots):
+    """All real roots of c3 x^3 + c2 x^2 + c1 x + c0 (unsorted, a double one twice); returns their number.
+
+    Viete's trigonometric form for three, Cardano's for one, then Newton's method (Press et al. 2007, section 5.6).
+    Where c3 vanishes against the others the roots are those of the quadratic.
+    """
+    biggest = max(abs(c3), abs(c2), abs(c1), abs(c0))
+    if not (biggest > 0.0 and biggest < np.inf):
+        return 0
+    if abs(c3) < 1e-14 * biggest:
+        if abs(c2) < 1e-14 * biggest:
+            if abs(c1) < 1e-14 * biggest:
+                return 0
+            roots[0] = -c0 / c1
+            return 1
+        discriminant = c1 * c1 - 4.0 * c2 * c0
+        if discriminant < 0.0:
+            return 0
+        q = -0.5 * (c1 + math.copysign(math.sqrt(discriminant), c1))
+        roots[0] = q / c2
+        roots[1] = c0 / q if q != 0.0 else 0.0
+        return 2
+    a, b, c = c2 / c3, c1 / c3, c0 / c3
+    q, r = (a * a - 3.0 * b) / 9.0, (2.0 * a * a * a - 9.0 * a * b + 27.0 * c) / 54.0
+    if r * r < q * q * q:
+        angle, root = math.acos(r / math.sqrt(q * q * q)), -2.0 * math.sqrt(q)
+        for k in range(3):
+            roots[k] = root * math.cos((angle + 2.0 * math.pi * (k - 1)) / 3.0) - a / 3.0
+        count = 3
+    else:
+        s = -math.copysign((abs(r) + math.sqrt(r * r - q * q * q)) ** (1.0 / 3.0), r)
+        roots[0] = s + (q / s if s != 0.0 else 0.0) - a / 3.0
+        count = 1
+    for k in range(count):
+        x = roots[k]
+        for _ in range(2):
+            slope = (3.0 * x + 2.0 * a) * x + b
+            if slope == 0.0:
+                break
+            x -= (((x + a) * x + b) * x + c) / slope
+        roots[k] = x
+    return count

@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.solvers._linear_kernels import null_space, reduce_rows, symmetric_eigen
-from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
+from epipole.solvers._polynomial_kernels import cubic_roots, real_roots, roots_workspace
 
 # Monomials of degree <= 3 in x, y, z in Nister's order: x3 y3 x2y xy2 x2z x2 y2z y2 xyz xy | xz2 xz x yz2 yz y z3 z2 z 1.
 _CUBICS = [
@@ -205,7 +205,7 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
 
     Assumption: coordinates of order one. Writes up to three matrices (k, 9); returns k.
     """
-    a, basis, poly, roots, root_work = w
+    a, basis, roots = w
     for k in range(7):
         for i in range(3):
             for j in range(3):
@@ -213,11 +213,13 @@ def fundamental_seven_point(x1, x2, fundamentals, w):
     null_space(a, basis)
     f, g = basis[0], basis[1]
     # det(f + s g) = c0 + c1 s + c2 s^2 + c3 s^3, each coefficient a sum over rows taken from f or g.
-    poly[0] = _det_rows(f, f, f)
-    poly[1] = _det_rows(g, f, f) + _det_rows(f, g, f) + _det_rows(f, f, g)
-    poly[2] = _det_rows(f, g, g) + _det_rows(g, f, g) + _det_rows(g, g, f)
-    poly[3] = _det_rows(g, g, g)
-    count = real_roots(poly, root_work, roots)
+    count = cubic_roots(
+        _det_rows(g, g, g),
+        _det_rows(f, g, g) + _det_rows(g, f, g) + _det_rows(g, g, f),
+        _det_rows(g, f, f) + _det_rows(f, g, f) + _det_rows(f, f, g),
+        _det_rows(f, f, f),
+        roots,
+    )
     for k in range(count):
         norm = math.sqrt(1.0 + roots[k] * roots[k])
         for i in range(9):
@@ -237,7 +239,7 @@ def _det_rows(a, b, c):
 @kernel(allocates=True)
 def seven_point_workspace():
     """Arrays that `fundamental_seven_point` writes into."""
-    return np.empty((7, 9)), np.empty((2, 9)), np.empty(4), np.empty(4), roots_workspace()
+    return np.empty((7, 9)), np.empty((2, 9)), np.empty(3)
 
 
 @kernel

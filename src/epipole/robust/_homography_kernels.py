@@ -1,0 +1,223 @@
+"""Homographies for the robust loop.
+
+Model: H row by row, |H| = 1, with positive third coordinates for the points in front. Residual: the distance
+|H x1 - x2| in image 2. Points that H moves through infinity are as far as can be.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows, gather
+from epipole.robust._contract_kernels import implement
+from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._two_view_kernels import homography_four_point
+
+
+class HomographyProblem(NamedTuple):
+    """Matches of order one, rows u1, v1, u2, v2."""
+
+    matches: np.ndarray
+    """(4, n)."""
+
+
+@kernel(extra_fastmath=REASSOC)
+def transfer_agreeing(h, m, threshold_sq, start, stop):
+    """Number of matches start..stop with a squared transfer error below the threshold."""
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]
+    count = 0
+    for k in range(start, stop):
+        a, b = m[0, k], m[1, k]
+        w = h6 * a + h7 * b + h8
+        u, v = h0 * a + h1 * b + h2 - w * m[2, k], h3 * a + h4 * b + h5 - w * m[3, k]
+        count += 1 if w > 0.0 and u * u + v * v < threshold_sq * w * w else 0
+    return count
+
+
+@kernel(extra_fastmath=REASSOC)
+def _score_block(h, m, threshold_sq, start, stop):
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]
+    total = 0.0
+    for k in range(start, stop):
+        a, b = m[0, k], m[1, k]
+        w = h6 * a + h7 * b + h8
+        u, v = h0 * a + h1 * b + h2 - w * m[2, k], h3 * a + h4 * b + h5 - w * m[3, k]
+        r = (u * u + v * v) / (w * w + 1e-300)
+        total += r if w > 0.0 and r < threshold_sq else threshold_sq
+    return total
+
+
+@kernel
+def transfer_score(h, m, threshold_sq, bail_out):
+    """MSAC score of a homography; stops once it exceeds bail_out."""
+    n, total = m.shape[1], 0.0
+    for start in range(0, n, BLOCK):
+        total += _score_block(h, m, threshold_sq, start, min(start + BLOCK, n))
+        if total > bail_out:
+            return total
+    return total
+
+
+@kernel
+def transfer_residuals(h, m, out):
+    """Squared transfer error of every match; infinite beyond infinity."""
+    for k in range(m.shape[1]):
+        a, b = m[0, k], m[1, k]
+        w = h[6] * a + h[7] * b + h[8]
+        u = h[0] * a + h[1] * b + h[2] - w * m[2, k]
+        v = h[3] * a + h[4] * b + h[5] - w * m[3, k]
+        out[k] = (u * u + v * v) / (w * w) if w > 0.0 else math.inf
+
+
+@kernel(extra_fastmath=REASSOC)
+def _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows):
+    """x1 / w (rows 0:3), the same times u' (3:6) and v' (6:9), and the residuals (9, 10), zero where truncated."""
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]
+    total = 0.0
+    for k in range(start, stop):
+        a, b = m[0, k], m[1, k]
+        w = h6 * a + h7 * b + h8
+        inverse = 1.0 / (w if w > 0.0 else 1.0)
+        u, v = (h0 * a + h1 * b + h2) * inverse, (h3 * a + h4 * b + h5) * inverse
+        du, dv = u - m[2, k], v - m[3, k]
+        r = du * du + dv * dv
+        is_in = w > 0.0 and r < threshold_sq
+        total += r if is_in else threshold_sq
+        keep, i = (math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0), k - start
+        x, y, z = keep * a * inverse, keep * b * inverse, keep * inverse
+        rows[0, i], rows[1, i], rows[2, i] = x, y, z
+        rows[3, i], rows[4, i], rows[5, i] = -u * x, -u * y, -u * z
+        rows[6, i], rows[7, i], rows[8, i] = -v * x, -v * y, -v * z
+        rows[9, i], rows[10, i] = keep * du, keep * dv
+    return total
+
+
+@kernel(allocates=True)
+def transfer_normal_equations(h, m, threshold_sq, soft_sq, a, b):
+    """Gauss-Newton terms in the nine entries of H, its length held; returns the score.
+
+    du/dh = (p, 0, -u' p), dv/dh = (0, p, -v' p) with p = x1 / w.
+    """
+    rows = np.empty((11, BLOCK))
+    a[:, :] = 0.0
+    b[:] = 0.0
+    n, total = m.shape[1], 0.0
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        count = stop - start
+        total += _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows)
+        for i in range(3):
+            b[i] += dot_rows(rows[i], rows[9], count)
+            b[3 + i] += dot_rows(rows[i], rows[10], count)
+            b[6 + i] += dot_rows(rows[3 + i], rows[9], count) + dot_rows(rows[6 + i], rows[10], count)
+            for j in range(3):
+                pair = dot_rows(rows[i], rows[j], count)
+                a[i, j] += pair
+                a[3 + i, 3 + j] += pair
+                a[6 + i, j] += dot_rows(rows[3 + i], rows[j], count)
+                a[6 + i, 3 + j] += dot_rows(rows[6 + i], rows[j], count)
+                a[6 + i, 6 + j] += dot_rows(rows[3 + i], rows[3 + j], count) + dot_rows(
+                    rows[6 + i], rows[6 + j], count
+                )
+    # One parameter too many: the scale of H changes nothing; a penalty on it leaves the other steps as they are.
+    weight = (a[0, 0] + a[4, 4] + a[8, 8]) / 3.0
+    for i in range(9):
+        for j in range(i + 1):
+            a[i, j] += weight * h[i] * h[j]
+            a[j, i] = a[i, j]
+    return total
+
+
+@kernel
+def retract_matrix(model, delta, out):
+    """Model + delta, of length one."""
+    norm = 0.0
+    for i in range(9):
+        out[i] = model[i] + delta[i]
+        norm += out[i] * out[i]
+    norm = 1.0 / math.sqrt(norm)
+    for i in range(9):
+        out[i] *= norm
+
+
+def _sample_size(problem):
+    return np.int64(4)
+
+
+def _num_items(problem):
+    return problem.matches.shape[1]
+
+
+def _degrees_of_freedom(problem):
+    return np.int64(9)
+
+
+def _workspace(problem):
+    return np.empty((4, 3)), np.empty((4, 3))
+
+
+def _solve_sample(problem, sample, models, work):
+    x1, x2 = work
+    gather(problem.matches, sample, x1, x2)
+    if not homography_four_point(x1, x2, models[0]):
+        return 0
+    h = models[0]
+    if h[6] * x1[0, 0] + h[7] * x1[0, 1] + h[8] < 0.0:
+        for i in range(9):
+            h[i] = -h[i]
+    return 1
+
+
+def _agreeing(problem, model, threshold_sq, start, stop):
+    return transfer_agreeing(model, problem.matches, threshold_sq, start, stop)
+
+
+def _settle(problem, sample, model, settled, work):
+    copy_numbers(model, settled[0])
+    return 1
+
+
+def _score(problem, model, threshold_sq, bail_out):
+    return transfer_score(model, problem.matches, threshold_sq, bail_out)
+
+
+def _residuals_sq(problem, model, threshold_sq, out):
+    transfer_residuals(model, problem.matches, out)
+
+
+def _residual_size(problem):
+    return np.int64(2)
+
+
+def _near(problem, model, threshold_sq):
+    residuals = np.empty(problem.matches.shape[1])
+    transfer_residuals(model, problem.matches, residuals)
+    return HomographyProblem(columns_within(problem.matches, residuals, threshold_sq))
+
+
+def _linearize(problem, model, threshold_sq, soft_sq, a, b):
+    return transfer_normal_equations(model, problem.matches, threshold_sq, soft_sq, a, b)
+
+
+def _retract(problem, model, delta, out):
+    retract_matrix(model, delta, out)
+
+
+implement(
+    HomographyProblem,
+    sample_size=_sample_size,
+    num_items=_num_items,
+    degrees_of_freedom=_degrees_of_freedom,
+    workspace=_workspace,
+    solve_sample=_solve_sample,
+    agreeing=_agreeing,
+    settle=_settle,
+    score=_score,
+    residuals_sq=_residuals_sq,
+    near=_near,
+    residual_size=_residual_size,
+    linearize=_linearize,
+    retract=_retract,
+)

@@ -1,0 +1,342 @@
+"""The one robust loop: hypothesise, test, verify, optimise locally; for whatever problem it is given.
+
+Samples are uniform, or PROSAC's (Chum and Matas, CVPR 2005) where items are ranked. A model must first pass
+Wald's sequential test on a few items (Matas and Chum, ICCV 2005); survivors get an MSAC score (Torr and
+Zisserman, CVIU 2000). Good ones are optimised on the truncated loss (Chum, Matas, Kittler, DAGM 2003; Lebeda,
+Matas, Chum, BMVC 2012), from a wide threshold to the asked one.
+"""
+
+import math
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.robust._contract_kernels import (
+    MODEL_SIZE,
+    MOST_FREEDOM,
+    MOST_MODELS,
+    agreeing,
+    degrees_of_freedom,
+    linearize,
+    near,
+    num_items,
+    residual_size,
+    residuals_sq,
+    retract,
+    sample_size,
+    score,
+    settle,
+    solve_sample,
+    workspace,
+)
+from epipole.solvers._linear_kernels import copy_numbers, solve_spd
+
+# Whole numbers are passed as np.int64: Numba compiles a function anew for every literal one.
+WIDE_STEPS, LOCAL_STEPS, FINAL_STEPS = 4, 8, 30
+WIDE = 2.0  # the threshold's factor at the start of local optimisation
+NEAR = 3.0  # items beyond this many thresholds take no part in it
+PROMISING = 0.8  # of the best sample's gain: worth a local optimisation too
+TEST_BLOCK, MOST_TESTED = 32, 512
+SOFT, POLISH_STEPS, MEDIAN_BINS = 2.4, 10, 256  # Cauchy's scale in noises: 95 % efficient for Gaussian ones
+POLISH_SLACK = 1.1  # polishing minimises another cost; a score that rises more was a step astray
+LOG_REJECT = 7.0  # a good model is rejected with a probability of about exp(-7)
+
+
+@kernel(allocates=True)
+def refine(problem, model, threshold_sq, max_steps):
+    """Levenberg-Marquardt on the truncated loss, from `model`, in place; returns the score reached."""
+    size = degrees_of_freedom(problem)
+    a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
+    damped, step = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
+    tried = np.empty(MODEL_SIZE)
+    damping = 1e-6
+    current = linearize(problem, model, threshold_sq, math.inf, a, b)
+    for _ in range(max_steps):
+        if not current < math.inf:
+            break
+        for i in range(size):
+            step[i] = -b[i]
+            for j in range(size):
+                damped[i, j] = a[i, j]
+            damped[i, i] += damping * a[i, i] + 1e-15
+        if not solve_spd(damped, step, size):
+            damping = max(100.0 * damping, 1e-4)
+            continue
+        copy_numbers(model, tried)
+        retract(problem, model, step, tried)
+        after = score(problem, tried, threshold_sq, current)
+        if after < current:
+            gain = current - after
+            copy_numbers(tried, model)
+            damping = max(0.1 * damping, 1e-9)
+            if gain < 1e-4 * threshold_sq:
+                return after
+            current = linearize(problem, model, threshold_sq, math.inf, a, b)
+        else:
+            damping = max(100.0 * damping, 1e-4)
+            if damping > 1e3:
+                break
+    return current
+
+
+@kernel(allocates=True)
+def noise_variance(residuals, threshold_sq, size):
+    """Variance of one coordinate of the noise, from the median residual of the inliers (Rousseeuw and Leroy 1987).
+
+    The median of r^2 is 0.455 variances for residuals of one number, 1.386 for two.
+    """
+    counts, inliers = np.zeros(MEDIAN_BINS, np.int64), 0
+    for k in range(len(residuals)):
+        if residuals[k] < threshold_sq:
+            counts[min(int(MEDIAN_BINS * math.sqrt(residuals[k] / threshold_sq)), MEDIAN_BINS - 1)] += 1
+            inliers += 1
+    half, place = 0.5 * inliers, 0
+    while place < MEDIAN_BINS - 1 and counts[place] < half:
+        half -= counts[place]
+        place += 1
+    root = (place + (half / counts[place] if counts[place] > 0 else 0.5)) / MEDIAN_BINS
+    return root * root * threshold_sq / (0.455 if size == 1 else 1.386)
+
+
+@kernel(allocates=True)
+def polish(problem, model, threshold_sq, residuals):
+    """Iteratively reweighted least squares with Cauchy's weights at the scale of the noise, in place.
+
+    Truncation weighs every inlier alike. Where most are better than the threshold says this listens to them, and
+    where the noise fills the threshold it changes little.
+    """
+    size = degrees_of_freedom(problem)
+    a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
+    tried, best = np.empty(MODEL_SIZE), np.empty(MODEL_SIZE)
+    copy_numbers(model, best)
+    before = score(problem, model, threshold_sq, math.inf)
+    soft_sq = SOFT * SOFT * noise_variance(residuals, threshold_sq, residual_size(problem))
+    soft_sq = max(soft_sq, 1e-6 * threshold_sq)
+    for _ in range(POLISH_STEPS):
+        linearize(problem, model, threshold_sq, soft_sq, a, b)
+        length = 0.0
+        for i in range(size):
+            length += b[i] * b[i] / (a[i, i] + 1e-300)
+            b[i] = -b[i]
+            a[i, i] += 1e-9 * a[i, i] + 1e-15
+        if not solve_spd(a, b, size):
+            break
+        copy_numbers(model, tried)
+        retract(problem, model, b, tried)
+        copy_numbers(tried, model)
+        if length < 1e-8 * soft_sq:
+            break
+    after = score(problem, model, threshold_sq, math.inf)
+    if not after < POLISH_SLACK * before:
+        copy_numbers(best, model)
+        return before
+    return after
+
+
+@kernel(allocates=True)
+def optimize_locally(problem, model, threshold_sq):
+    """Refine with a wide threshold, then with the asked one, on the items near the model; returns its score."""
+    items = near(problem, model, NEAR * NEAR * threshold_sq)
+    refine(items, model, WIDE * WIDE * threshold_sq, np.int64(WIDE_STEPS))
+    refine(items, model, threshold_sq, np.int64(LOCAL_STEPS))
+    return score(problem, model, threshold_sq, math.inf)
+
+
+@kernel
+def next_random(state):
+    """splitmix64 (Steele, Lea, Flood, OOPSLA 2014)."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel
+def draw(state, n, size, sample):
+    """`size` different numbers below n."""
+    for k in range(size):
+        fresh = False
+        while not fresh:
+            sample[k] = np.int64(next_random(state) % np.uint64(n))
+            fresh = True
+            for j in range(k):
+                if sample[j] == sample[k]:
+                    fresh = False
+
+
+@kernel
+def _passes(problem, model, threshold_sq, share, test):
+    """Wald's test of `share` of inliers against the chance agreement seen so far.
+
+    test = (agreements, items) of the models rejected so far.
+    """
+    chance = (test[0] + 1.0) / (test[1] + 50.0)
+    if chance >= 0.8 * share:
+        return True
+    for_in, for_out = math.log(chance / share), math.log((1.0 - chance) / (1.0 - share))
+    evidence, agreed, stop = 0.0, 0, min(num_items(problem), MOST_TESTED)
+    for start in range(0, stop, TEST_BLOCK):
+        end = min(start + TEST_BLOCK, stop)
+        count = agreeing(problem, model, threshold_sq, start, end)
+        agreed += count
+        evidence += count * for_in + (end - start - count) * for_out
+        if evidence > LOG_REJECT:
+            test[0] += agreed
+            test[1] += end
+            return False
+    return True
+
+
+@kernel
+def _share_within(problem, model, threshold_sq, residuals):
+    residuals_sq(problem, model, threshold_sq, residuals)
+    count = 0
+    for k in range(len(residuals)):
+        if residuals[k] < threshold_sq:
+            count += 1
+    return count / len(residuals)
+
+
+@kernel
+def _iterations_needed(share, size, confidence, least, most):
+    """log(1 - confidence) / log(1 - share^size) samples hold one of inliers alone (Fischler and Bolles 1981)."""
+    miss = 1.0 - share**size
+    if miss <= 0.0:
+        return least
+    if miss >= 1.0:
+        return most
+    count = math.log(1.0 - confidence) / math.log(miss)
+    return int(min(float(most), max(float(least), count)))
+
+
+@kernel
+def _iterations_needed_ranked(ranking, residuals, threshold_sq, size, confidence, least, most):
+    """The fewest samples that any number of the best items asks for (PROSAC's maximality, section 2.2).
+
+    Among the n best, inliers must be more than chance gives a wrong model (5 % of the items, plus three deviations).
+    """
+    fewest, inliers = most, 0
+    for n in range(len(ranking)):
+        if residuals[ranking[n]] < threshold_sq:
+            inliers += 1
+        count = n + 1.0
+        if inliers > size + 0.05 * count + 3.0 * math.sqrt(0.05 * count):
+            fewest = min(fewest, _iterations_needed(inliers / count, size, confidence, least, most))
+    return fewest
+
+
+@kernel
+def _draw_ranked(state, ranking, progress, iteration, size, sample):
+    """PROSAC's sample: from a set of the best items that grows until it holds all (Chum and Matas 2005, section 2.1).
+
+    progress = (size of the set, T_n, T'_n).
+    """
+    n = len(ranking)
+    while iteration > progress[2] and progress[0] < n:
+        after = progress[1] * (progress[0] + 1.0) / (progress[0] + 1.0 - size)
+        progress[2] += math.ceil(after - progress[1])
+        progress[1] = after
+        progress[0] += 1.0
+    best = int(progress[0])
+    if iteration <= progress[2] and best > size:
+        draw(state, best - 1, size - 1, sample)
+        sample[size - 1] = best - 1
+    else:
+        draw(state, best, size, sample)
+    for k in range(size):
+        sample[k] = ranking[sample[k]]
+
+
+@kernel(allocates=True)
+def _start_of_ranked(n, size):
+    """(m, T_m, T'_m) for T_N = 200,000 samples over all items."""
+    progress = np.array([float(size), 200000.0, 1.0])
+    for i in range(size):
+        progress[1] *= (size - i) / (n - i)
+    return progress
+
+
+@kernel(allocates=True)
+def ransac(
+    problem,
+    threshold_sq,
+    confidence,
+    min_iterations,
+    max_iterations,
+    min_share,
+    seed,
+    ranking,
+    best,
+    residuals,
+    information,
+):
+    """Write the best model, the squared residuals (n) and the information matrix J^T J of its inliers.
+
+    Samples are uniform, or PROSAC's if `ranking` holds the items, best first. Returns (score, iterations); the score
+    is infinite if no model was found.
+    """
+    n, size = num_items(problem), sample_size(problem)
+    state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
+    state[0] = seed
+    work, test, progress = workspace(problem), np.zeros(2), _start_of_ranked(n, size)
+    models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
+    worst = n * threshold_sq
+    best_score, best_gain, share, iteration = math.inf, 0.0, 0.0, 0
+    # A smaller share of inliers than this would count as failure: no need to search for it.
+    needed = _iterations_needed(min_share, size, confidence, min_iterations, max_iterations)
+    while iteration < needed:
+        iteration += 1
+        if len(ranking) > 0:
+            _draw_ranked(state, ranking, progress, iteration, size, sample)
+        else:
+            draw(state, n, size, sample)
+        for k in range(solve_sample(problem, sample, models, work)):
+            if share > 0.0 and not _passes(problem, models[k], threshold_sq, share, test):
+                continue
+            for c in range(settle(problem, sample, models[k], settled, work)):
+                model = settled[c]
+                gain = worst - score(problem, model, threshold_sq, worst - PROMISING * best_gain)
+                if gain <= PROMISING * best_gain:
+                    continue
+                best_gain = max(best_gain, gain)
+                this = optimize_locally(problem, model, threshold_sq)
+                if this < best_score:
+                    best_score = this
+                    copy_numbers(model, best)
+                    share = _share_within(problem, model, threshold_sq, residuals)
+                    enough = _iterations_needed(share, size, confidence, min_iterations, max_iterations)
+                    if len(ranking) > 0:
+                        ranked = _iterations_needed_ranked(
+                            ranking, residuals, threshold_sq, size, confidence, min_iterations, max_iterations
+                        )
+                        enough = min(enough, ranked)
+                    needed = min(needed, enough)
+    if best_score < math.inf:
+        refine(problem, best, threshold_sq, np.int64(FINAL_STEPS))
+        residuals_sq(problem, best, threshold_sq, residuals)
+        best_score = polish(problem, best, threshold_sq, residuals)
+        residuals_sq(problem, best, threshold_sq, residuals)
+        _inform(problem, best, threshold_sq, information)
+    return best_score, iteration
+
+
+@kernel(allocates=True)
+def _inform(problem, model, threshold_sq, information):
+    a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
+    linearize(problem, model, threshold_sq, math.inf, a, b)
+    for i in range(len(information)):
+        for j in range(len(information)):
+            information[i, j] = a[i, j]
+
+
+@kernel
+def sizes(problem):
+    """(items in a sample, degrees of freedom)."""
+    return sample_size(problem), degrees_of_freedom(problem)
+
+
+@kernel
+def numbers_per_residual(problem):
+    """1 or 2."""
+    return residual_size(problem)

@@ -1,0 +1,216 @@
+"""Robust estimators between two pictures: homography, fundamental and essential matrix, relative pose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._checks import as_points, require_same_length
+from epipole.cameras import Camera
+from epipole.config import RansacConfig
+from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
+from epipole.robust._fundamental_kernels import FundamentalProblem, derivatives_of_fundamental
+from epipole.robust._homography_kernels import HomographyProblem
+from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+
+Matrix3 = Float64[np.ndarray, "3 3"]
+
+
+def estimate_relative_pose(
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    config: RansacConfig | None = None,
+    *,
+    quality: Any = None,
+) -> Estimate[Rigid3]:
+    """Relative pose of two calibrated cameras: five points (Nister, PAMI 2004), then truncated Sampson error.
+
+    The score asks that points lie in front of both cameras. A plane has two solutions, of which the better one
+    comes; a pure rotation leaves the direction undetermined (a wide covariance, or `Reason.DEGENERATE`).
+
+    Args:
+        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels2: the same in image 2.
+        camera1: any model; rays more than 89.9 degrees off the axis are outliers.
+        camera2: any model.
+        config: `max_error_px` is divided by the mean focal length.
+        quality: (n,), higher is better; good matches are then tried first (PROSAC).
+
+    Returns:
+        `model` = cam2_from_cam1 with |t| = 1 (the length cannot be known); `covariance` (6, 6) of xi in
+        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found = _fit_motion(pixels1, pixels2, camera1, camera2, config or RansacConfig(), quality)
+    motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
+    return found.estimate(motion, _twist_covariance(found))
+
+
+def estimate_essential_matrix(
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    config: RansacConfig | None = None,
+    *,
+    quality: Any = None,
+) -> Estimate[Matrix3]:
+    """Essential matrix of two calibrated cameras, y2^T E y1 = 0, |E| = 1: that of `estimate_relative_pose`.
+
+    Args:
+        pixels1: matches in image 1, (n, 2).
+        pixels2: the same in image 2.
+        camera1: any model.
+        camera2: any model.
+        config: `max_error_px` is divided by the mean focal length.
+        quality: (n,), higher is better (PROSAC).
+
+    Returns:
+        `model` = E; `covariance` (6, 6) as for the relative pose.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found = estimate_relative_pose(pixels1, pixels2, camera1, camera2, config, quality=quality)
+    essential = essential_from_cam2_from_cam1(found.model) / np.sqrt(2.0)  # |[t]x R| = sqrt(2) |t|
+    return Estimate(
+        essential,
+        found.reason,
+        found.inlier_mask,
+        found.residuals_px,
+        found.num_iterations,
+        found.score,
+        found.noise_px,
+        found.covariance,
+    )
+
+
+def estimate_fundamental_matrix(
+    pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
+) -> Estimate[Matrix3]:
+    """Fundamental matrix, x2^T F x1 = 0, |F| = 1: seven points, then truncated Sampson error.
+
+    Matches must be seen from the same side of the epipolar lines (the oriented constraint of Chum, Werner and
+    Matas, ICPR 2004). On a plane F is undetermined.
+
+    Args:
+        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels2: the same in image 2.
+        config: threshold in pixels.
+        quality: (n,), higher is better (PROSAC).
+
+    Returns:
+        `model` = F; `covariance` (9, 9) of its entries, row by row, of rank seven.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config or RansacConfig(), quality)
+    model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
+    norm = np.linalg.norm(model)
+    entries = np.kron(t2.T, t1.T) / norm  # vec(T2^T F T1), row by row
+    return found.estimate(model / norm, _projected(entries @ _entries_of_fundamental(found.raw), model, found))
+
+
+def estimate_homography(
+    pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
+) -> Estimate[Matrix3]:
+    """Homography, x2 ~ H x1, |H| = 1: four points, then the truncated transfer error in image 2.
+
+    Args:
+        pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
+        pixels2: the same in image 2.
+        config: threshold in pixels.
+        quality: (n,), higher is better (PROSAC).
+
+    Returns:
+        `model` = H; `covariance` (9, 9) of its entries, row by row, of rank eight (first order; noise in image 2,
+        or the sum of both pictures' as seen there).
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config or RansacConfig(), quality)
+    back = np.linalg.inv(t2)
+    model = back @ found.raw[:9].reshape(3, 3) @ t1
+    norm = np.linalg.norm(model)
+    return found.estimate(model / norm, _projected(np.kron(back, t1.T) / norm, model, found))
+
+
+def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[np.ndarray, "n 2"]:
+    """Where the rays of pixels (n, 2) cross the plane z = 1 before the camera; NaN where they do not."""
+    rays = camera.unproject(as_points(pixels, name, 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(rays[:, 2:] > 1e-3, rays[:, :2] / rays[:, 2:], np.nan)
+
+
+def _fit_motion(
+    pixels1: Any, pixels2: Any, camera1: Camera, camera2: Camera, config: RansacConfig, quality: Any
+) -> Found:
+    y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
+    n = require_same_length(pixels1=y1, pixels2=y2)
+    scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
+    matches = np.concatenate([y1, y2], axis=1)
+    order = random_order(np.isfinite(matches).all(axis=1), config)
+    problem = RelativePoseProblem(np.ascontiguousarray(matches[order].T))
+    return run_loop(problem, order, n, scale_px, config, checked_quality(quality, n))
+
+
+def _fit_pixels(
+    kind: Any, pixels1: Any, pixels2: Any, config: RansacConfig, quality: Any
+) -> tuple[Found, np.ndarray, np.ndarray]:
+    """Fit in coordinates centred and divided by one common length, so that one threshold serves both pictures."""
+    p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
+    n = require_same_length(pixels1=p1, pixels2=p2)
+    matches = np.concatenate([p1, p2], axis=1)
+    order = random_order(np.isfinite(matches).all(axis=1), config)
+    usable = matches[order]
+    center, spread = np.zeros(4), 1.0
+    if len(usable):
+        center = usable.mean(axis=0)
+        deviation = usable.std(axis=0)
+        spread = max(float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9)
+    problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
+    found = run_loop(problem, order, n, spread, config, checked_quality(quality, n))
+    t1, t2 = (
+        np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
+        for u, v in (center[:2], center[2:])
+    )
+    return found, t1, t2
+
+
+def _twist_covariance(found: Found) -> np.ndarray:
+    """From (rotation, step of t in its tangent plane) to xi of exp(xi) @ motion: t + dt = t + rho + phi x t."""
+    t = found.raw[9:12]
+    if not (np.isfinite(found.covariance).all() and np.isfinite(t).all()):
+        return np.full((6, 6), np.inf)
+    basis = np.empty((2, 3))
+    tangent_of_direction(t, basis)
+    lift = np.zeros((6, 5))
+    lift[3:, :3] = np.eye(3)
+    lift[:3, 3:] = basis.T
+    lift[:3, :3] = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])  # -(phi x t) = [t]x phi
+    return lift @ found.covariance @ lift.T
+
+
+def _entries_of_fundamental(raw: np.ndarray) -> np.ndarray:
+    """(9, 7): derivatives of the entries of F by its seven parameters."""
+    d = np.zeros((7, 9))
+    derivatives_of_fundamental(raw, d)
+    return d.T / np.sqrt(1.0 + raw[27] ** 2)
+
+
+def _projected(jacobian: np.ndarray, model: np.ndarray, found: Found) -> np.ndarray:
+    """Covariance of the entries of model / |model| from that of the parameters."""
+    if not np.isfinite(found.covariance).all():
+        return np.full((9, 9), np.inf)
+    unit = model.ravel() / np.linalg.norm(model)
+    across = (np.eye(9) - np.outer(unit, unit)) @ jacobian
+    return across @ found.covariance @ across.T
