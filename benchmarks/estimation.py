@@ -37,7 +37,9 @@ def main() -> None:
     for name in arguments.task:
         task = TASKS[name]
         seconds, errors = _measure(task, arguments, console)
-        report = {"task": name, "limits": vars_of(task), "machine": describe_machine(1)} | summarise(task, seconds, errors)
+        report = {"task": name, "limits": vars_of(task), "machine": describe_machine(1)} | summarise(
+            task, seconds, errors
+        )
         arguments.results.mkdir(parents=True, exist_ok=True)
         file = arguments.results / f"estimation_{name}.json"
         file.write_text(json.dumps(report, indent=1) + "\n")
@@ -143,7 +145,9 @@ def summarise(
     return {"problems": len(next(iter(errors.values()))), "programs": rows}
 
 
-def ratios(our_s: np.ndarray, their_s: np.ndarray, ours: np.ndarray, theirs: np.ndarray) -> dict[str, list[float]]:
+def ratios(
+    our_s: np.ndarray, their_s: np.ndarray, ours: np.ndarray, theirs: np.ndarray
+) -> dict[str, list[float]]:
     """Ratio, lower and upper bound (95 %) of median time, median error and 90 % error; problems are resampled."""
     rng = np.random.default_rng(0)
     chosen = rng.integers(len(ours), size=(RESAMPLES, len(ours)))

@@ -118,8 +118,12 @@ class Fastpose(EstimationPeer):
             "absolute_pose": lambda p, limits: motion(
                 e.estimate_absolute_pose(p.second, p.first, camera=p.K, **options(limits))
             ),
-            "fundamental": lambda p, limits: e.estimate_fundamental(p.first, p.second, **options(limits))[0]["F"],
-            "homography": lambda p, limits: e.estimate_homography(p.first, p.second, **options(limits))[0]["H"],
+            "fundamental": lambda p, limits: e.estimate_fundamental(p.first, p.second, **options(limits))[0][
+                "F"
+            ],
+            "homography": lambda p, limits: e.estimate_homography(p.first, p.second, **options(limits))[0][
+                "H"
+            ],
         }
 
 
@@ -147,7 +151,9 @@ class Poselib(EstimationPeer):
             return {"model": "PINHOLE", "width": p.size[0], "height": p.size[1], "params": params}
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
-            found, _ = poselib.estimate_relative_pose(p.first, p.second, camera(p), camera(p), options(limits), {})
+            found, _ = poselib.estimate_relative_pose(
+                p.first, p.second, camera(p), camera(p), options(limits), {}
+            )
             return found.R, found.t
 
         def absolute(p: EstimationProblem, limits: EstimationLimits) -> Model:
@@ -157,8 +163,12 @@ class Poselib(EstimationPeer):
         return {
             "relative_pose": relative,
             "absolute_pose": absolute,
-            "fundamental": lambda p, limits: poselib.estimate_fundamental(p.first, p.second, options(limits), {})[0],
-            "homography": lambda p, limits: poselib.estimate_homography(p.first, p.second, options(limits), {})[0],
+            "fundamental": lambda p, limits: poselib.estimate_fundamental(
+                p.first, p.second, options(limits), {}
+            )[0],
+            "homography": lambda p, limits: poselib.estimate_homography(
+                p.first, p.second, options(limits), {}
+            )[0],
         }
 
 
@@ -239,7 +249,9 @@ class Pycolmap(EstimationPeer):
             return pycolmap.Camera(model="PINHOLE", width=p.size[0], height=p.size[1], params=params)
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
-            found = pycolmap.estimate_essential_matrix(p.first, p.second, camera(p), camera(p), options(limits))
+            found = pycolmap.estimate_essential_matrix(
+                p.first, p.second, camera(p), camera(p), options(limits)
+            )
             if found is None:
                 return None
             motion = found["cam2_from_cam1"]

@@ -74,9 +74,7 @@ def _synthetic_relative(num_matches: int, outliers: float) -> Callable[[Path, in
             p = two_view_problem(num_matches, outliers, 1.0, seed)
             size = (p.camera1.width, p.camera1.height)
             out.append(
-                EstimationProblem(
-                    "relative_pose", p.pixels1, p.pixels2, p.camera1.K, size, p.cam2_from_cam1
-                )
+                EstimationProblem("relative_pose", p.pixels1, p.pixels2, p.camera1.K, size, p.cam2_from_cam1)
             )
         return out
 
@@ -92,7 +90,9 @@ def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int
             p = absolute_pose_problem(num_points, outliers, 1.0, seed)
             size = (p.camera.width, p.camera.height)
             out.append(
-                EstimationProblem("absolute_pose", p.points_in_world, p.pixels, p.camera.K, size, p.cam_from_world)
+                EstimationProblem(
+                    "absolute_pose", p.points_in_world, p.pixels, p.camera.K, size, p.cam_from_world
+                )
             )
         return out
 
@@ -146,7 +146,9 @@ def _graf(folder: Path, number: int) -> EstimationProblem:
     """A wall painting from two sides, SIFT matches, truth known to a pixel (Mikolajczyk et al., IJCV 2005)."""
     truth = np.loadtxt(folder / f"H1to{number}p")
     height, width = read_grey(folder / "img1.ppm").shape
-    grid = np.stack(np.meshgrid(np.arange(40, width, 40.0), np.arange(40, height, 40.0)), axis=-1).reshape(-1, 2)
+    grid = np.stack(np.meshgrid(np.arange(40, width, 40.0), np.arange(40, height, 40.0)), axis=-1).reshape(
+        -1, 2
+    )
     moved = np.c_[grid, np.ones(len(grid))] @ truth.T
     moved = moved[:, :2] / moved[:, 2:]
     inside = ((moved > 0) & (moved < (width, height))).all(axis=1)
@@ -168,7 +170,12 @@ def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
         K = np.loadtxt(folder / "images" / "K.txt")
         with tempfile.TemporaryDirectory() as out:
             params = ",".join(str(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-            command = [str(Path(sys.executable).with_name("epipole")), "reconstruct", str(folder / "images"), out]
+            command = [
+                str(Path(sys.executable).with_name("epipole")),
+                "reconstruct",
+                str(folder / "images"),
+                out,
+            ]
             known = ["--camera-model", "PINHOLE", "--camera-params", params]
             subprocess.run(command + known, check=True, capture_output=True)
             found = read_database(Path(out) / "database.db")
@@ -203,7 +210,9 @@ TASKS = {
             for percent in _OUTLIERS
         ),
         *(
-            EstimationTask(f"absolute-1000-{percent}", "absolute_pose", _synthetic_absolute(1000, percent / 100))
+            EstimationTask(
+                f"absolute-1000-{percent}", "absolute_pose", _synthetic_absolute(1000, percent / 100)
+            )
             for percent in _OUTLIERS
         ),
         EstimationTask("fundamental-clicked", "fundamental", _clicked("fundamental")),

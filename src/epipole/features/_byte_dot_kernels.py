@@ -122,7 +122,7 @@ def _emit_tile(builder, address, tile):
 
 
 @intrinsic
-def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile):  # noqa: ARG001
+def tile_top_two(_context, rows, columns, bias, best, second, column_best, tile):
     """One tile, all arrays given by address.
 
     rows (ROWS, 128) signed bytes, columns (STEPS, COLUMNS, 4) bytes, bias (COLUMNS,): 128 * sum(b);

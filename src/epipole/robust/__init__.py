@@ -10,5 +10,7 @@ from epipole.robust.two_view import estimate_fundamental_matrix as estimate_fund
 from epipole.robust.two_view import estimate_homography as estimate_homography
 from epipole.robust.two_view import estimate_relative_pose as estimate_relative_pose
 from epipole.robust.verify import PairGeometry as PairGeometry
+from epipole.robust.verify import PairMatches as PairMatches
 from epipole.robust.verify import find_guide as find_guide
 from epipole.robust.verify import verify_pair as verify_pair
+from epipole.robust.verify import verify_pairs as verify_pairs

@@ -134,11 +134,19 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
         total += r if is_in else threshold_sq
         keep = math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0
         scale, i = keep * inverse, k - start
-        wx, wy, wz = (m[6, k] - u * m[3, k]) * scale, (m[7, k] - u * m[4, k]) * scale, (m[8, k] - u * m[5, k]) * scale
+        wx, wy, wz = (
+            (m[6, k] - u * m[3, k]) * scale,
+            (m[7, k] - u * m[4, k]) * scale,
+            (m[8, k] - u * m[5, k]) * scale,
+        )
         rows[0, i] = keep * u
         rows[1, i], rows[2, i], rows[3, i] = wx, wy, wz
         rows[4, i], rows[5, i], rows[6, i] = gy * wz - gz * wy, gz * wx - gx * wz, gx * wy - gy * wx
-        wx, wy, wz = (m[9, k] - v * m[3, k]) * scale, (m[10, k] - v * m[4, k]) * scale, (m[11, k] - v * m[5, k]) * scale
+        wx, wy, wz = (
+            (m[9, k] - v * m[3, k]) * scale,
+            (m[10, k] - v * m[4, k]) * scale,
+            (m[11, k] - v * m[5, k]) * scale,
+        )
         rows[7, i] = keep * v
         rows[8, i], rows[9, i], rows[10, i] = wx, wy, wz
         rows[11, i], rows[12, i], rows[13, i] = gy * wz - gz * wy, gz * wx - gx * wz, gx * wy - gy * wx

@@ -102,3 +102,28 @@ def sampson_agreeing(f, m, threshold_sq, start, stop):
         e = c * l0 + d * l1 + l2
         count += 1 if e * e < threshold_sq * (l0 * l0 + l1 * l1 + g0 * g0 + g1 * g1) else 0
     return count
+
+
+@kernel
+def median(values, count):
+    """The median of the first `count` numbers, which are put in another order (Hoare's selection, 1961)."""
+    low, high, middle = 0, count - 1, count // 2
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            break
+    return values[middle]

@@ -64,9 +64,7 @@ def _line_sense(model, x1, x2):
     l0 = model[0] * x1[0] + model[1] * x1[1] + model[2] * x1[2]
     l1 = model[3] * x1[0] + model[4] * x1[1] + model[5] * x1[2]
     l2 = model[6] * x1[0] + model[7] * x1[1] + model[8] * x1[2]
-    return (
-        (e1 * x2[2] - e2 * x2[1]) * l0 + (e2 * x2[0] - e0 * x2[2]) * l1 + (e0 * x2[1] - e1 * x2[0]) * l2
-    )
+    return (e1 * x2[2] - e2 * x2[1]) * l0 + (e2 * x2[0] - e0 * x2[2]) * l1 + (e0 * x2[1] - e1 * x2[0]) * l2
 
 
 @kernel(extra_fastmath=REASSOC)

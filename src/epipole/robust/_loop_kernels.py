@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
+from epipole.robust._block_kernels import median
 from epipole.robust._contract_kernels import (
     MODEL_SIZE,
     MOST_FREEDOM,
@@ -37,7 +38,11 @@ WIDE = 2.0  # the threshold's factor at the start of local optimisation
 NEAR = 3.0  # items beyond this many thresholds take no part in it
 PROMISING = 0.8  # of the best sample's gain: worth a local optimisation too
 TEST_BLOCK, MOST_TESTED = 32, 512
-SOFT, POLISH_STEPS, MEDIAN_BINS = 2.4, 10, 256  # Cauchy's scale in noises: 95 % efficient for Gaussian ones
+SOFT, REACH = (
+    3.0,
+    1.5,
+)  # Cauchy's scale in deviations of the noise; the farthest item of the polish in thresholds
+POLISH_STEPS = 10
 POLISH_SLACK = 1.1  # polishing minimises another cost; a score that rises more was a step astray
 LOG_REJECT = 7.0  # a good model is rejected with a probability of about exp(-7)
 
@@ -85,35 +90,31 @@ def noise_variance(residuals, threshold_sq, size):
 
     The median of r^2 is 0.455 variances for residuals of one number, 1.386 for two.
     """
-    counts, inliers = np.zeros(MEDIAN_BINS, np.int64), 0
+    inliers, count = np.empty(len(residuals)), 0
     for k in range(len(residuals)):
         if residuals[k] < threshold_sq:
-            counts[min(int(MEDIAN_BINS * math.sqrt(residuals[k] / threshold_sq)), MEDIAN_BINS - 1)] += 1
-            inliers += 1
-    half, place = 0.5 * inliers, 0
-    while place < MEDIAN_BINS - 1 and counts[place] < half:
-        half -= counts[place]
-        place += 1
-    root = (place + (half / counts[place] if counts[place] > 0 else 0.5)) / MEDIAN_BINS
-    return root * root * threshold_sq / (0.455 if size == 1 else 1.386)
+            inliers[count] = residuals[k]
+            count += 1
+    return median(inliers, count) / (0.455 if size == 1 else 1.386) if count > 0 else threshold_sq
 
 
 @kernel(allocates=True)
 def polish(problem, model, threshold_sq, residuals):
-    """Iteratively reweighted least squares with Cauchy's weights at the scale of the noise, in place.
+    """Iteratively reweighted least squares at the scale of the noise, in place; returns the score.
 
-    Truncation weighs every inlier alike. Where most are better than the threshold says this listens to them, and
-    where the noise fills the threshold it changes little.
+    Truncation at the threshold weighs every inlier alike and drops good items where the noise is wide (at two
+    deviations: a tenth of the accuracy). Here items count up to three deviations of the noise, with Cauchy's
+    weights, which hardly touch Gaussian noise and listen less to the tail where most items are better than that.
     """
     size = degrees_of_freedom(problem)
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
-    tried, best = np.empty(MODEL_SIZE), np.empty(MODEL_SIZE)
-    copy_numbers(model, best)
-    before = score(problem, model, threshold_sq, math.inf)
-    soft_sq = SOFT * SOFT * noise_variance(residuals, threshold_sq, residual_size(problem))
-    soft_sq = max(soft_sq, 1e-6 * threshold_sq)
+    tried, before = np.empty(MODEL_SIZE), np.empty(MODEL_SIZE)
+    copy_numbers(model, before)
+    score_before = score(problem, model, threshold_sq, math.inf)
+    noise_sq = max(noise_variance(residuals, threshold_sq, residual_size(problem)), 1e-6 * threshold_sq)
+    reach_sq = min(max(9.0 * noise_sq, threshold_sq), REACH * REACH * threshold_sq)
     for _ in range(POLISH_STEPS):
-        linearize(problem, model, threshold_sq, soft_sq, a, b)
+        linearize(problem, model, reach_sq, SOFT * SOFT * noise_sq, a, b)
         length = 0.0
         for i in range(size):
             length += b[i] * b[i] / (a[i, i] + 1e-300)
@@ -124,12 +125,12 @@ def polish(problem, model, threshold_sq, residuals):
         copy_numbers(model, tried)
         retract(problem, model, b, tried)
         copy_numbers(tried, model)
-        if length < 1e-8 * soft_sq:
+        if length < 1e-8 * noise_sq:
             break
     after = score(problem, model, threshold_sq, math.inf)
-    if not after < POLISH_SLACK * before:
-        copy_numbers(best, model)
-        return before
+    if not after < POLISH_SLACK * score_before:
+        copy_numbers(before, model)
+        return score_before
     return after
 
 

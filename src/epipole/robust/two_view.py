@@ -116,7 +116,9 @@ def estimate_fundamental_matrix(
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
     entries = np.kron(t2.T, t1.T) / norm  # vec(T2^T F T1), row by row
-    return found.estimate(model / norm, _projected(entries @ _entries_of_fundamental(found.raw), model, found))
+    return found.estimate(
+        model / norm, _projected(entries @ _entries_of_fundamental(found.raw), model, found)
+    )
 
 
 def estimate_homography(
@@ -176,7 +178,9 @@ def _fit_pixels(
     if len(usable):
         center = usable.mean(axis=0)
         deviation = usable.std(axis=0)
-        spread = max(float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9)
+        spread = max(
+            float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9
+        )
     problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
     found = run_loop(problem, order, n, spread, config, checked_quality(quality, n))
     t1, t2 = (

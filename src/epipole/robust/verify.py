@@ -1,34 +1,57 @@
-"""Verification of a pair of images: which model explains its matches, and what that says about depth."""
+"""Verification of pairs of images: which model explains their matches, and what that says about depth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from epipole import _parallel
+from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
+from epipole.geometry import Rigid3
 from epipole.geometry.epipolar import (
-    essential_from_cam2_from_cam1,
     essential_from_fundamental,
     fundamental_from_essential,
 )
-from epipole.robust.estimate import Estimate
+from epipole.robust import _pair_kernels as kernels
+from epipole.robust._contract_kernels import MODEL_SIZE
 from epipole.robust.pair_kind import PairKind
-from epipole.robust.two_view import (
-    estimate_fundamental_matrix,
-    estimate_homography,
-    estimate_relative_pose,
-)
 
-SAME_PICTURE_PX = 0.75
-"""A median shift of matches below this means that the camera did not move."""
-PLANAR_RATIO = 0.8
-"""A homography that explains this share of the epipolar inliers makes the pair planar or rotating."""
-ROTATION_RATIO = 0.9
-"""A pure rotation that explains this share of the inliers makes the pair rotating."""
+PLANE_SHARE = 0.7
+"""A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
+PLANE_ITERATIONS = 500
+GUESS_FACTOR, GUESS_ITERATIONS = 3.0, 200
+"""A guessed focal length is forgiven a threshold this many times as wide."""
+STILL_PX = 0.75
+"""A median shift of matches below this leaves no epipolar line worth following."""
+_KINDS = {
+    kernels.GENERAL: PairKind.GENERAL,
+    kernels.PLANAR: PairKind.PLANAR,
+    kernels.ROTATION: PairKind.ROTATION,
+    kernels.NO_MOTION: PairKind.NO_MOTION,
+    kernels.DEGENERATE: PairKind.DEGENERATE,
+}
+_CHUNKS = 256
+_WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches:
+    """Matched pixels of two images and their cameras."""
+
+    pixels1: Float64[np.ndarray, "n 2"]
+    pixels2: Float64[np.ndarray, "n 2"]
+    camera1: Camera
+    camera2: Camera
+    is_calibrated: bool = True
+    """Both focal lengths can be trusted; else they are guesses, and a fundamental matrix is fitted."""
+    seed: int = 0
+    """Added to the configuration's: a pair keeps its answer in whatever list it stands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,162 +67,215 @@ class PairGeometry:
     homography: Float64[np.ndarray, "3 3"]
     median_angle_rad: float
     """Median angle between the rays of inliers in front of both cameras; NaN where there is no motion."""
+    noise_px: float
+    """Standard deviation of the matches, from the epipolar residuals."""
+    costs: Float64[np.ndarray, 4]
+    """Torr's GRIC of epipolar geometry, plane, rotation and no motion, lower is better; NaN where nothing was found."""
+
+    @property
+    def explanation(self) -> str:
+        """In words, why the pair is of this kind."""
+        if self.kind is PairKind.DEGENERATE:
+            return f"too few of {len(self.inlier_mask)} matches agree with any geometry"
+        order = np.argsort(self.costs)
+        margin = float(self.costs[order[1]] - self.costs[order[0]])
+        words = (
+            f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches with {self.noise_px:.2f} px of noise best "
+            f"(by {margin:.0f} over {_WORDS[order[1]]})"
+        )
+        if np.isfinite(self.median_angle_rad):
+            return f"{words}; rays meet at {np.degrees(self.median_angle_rad):.1f} degrees"
+        return f"{words}; there is no depth in it"
+
+
+def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = None) -> list[PairGeometry]:
+    """Name what each pair is: general, planar, rotation only, no motion, or degenerate.
+
+    An essential (or fundamental) matrix is fitted robustly; a homography, a rotation and the resting camera compete
+    with it over its inliers by the geometric robust information criterion (Torr, PhilTrans A 1998), with the noise
+    estimated from the matches. Pairs are spread over the threads; the answers do not depend on their number.
+
+    Args:
+        pairs: matches and cameras.
+        config: threshold in pixels, inliers needed, and seed.
+
+    Raises:
+        ShapeError: the pixels of a pair do not fit.
+    """
+    config = config or RansacConfig()
+    parts = _parallel.map_chunks(lambda a, b, _: _verify(pairs[a:b], config), len(pairs), _CHUNKS)
+    return [geometry for part in parts for geometry in part]
 
 
 def verify_pair(
-    pixels1: np.ndarray,
-    pixels2: np.ndarray,
+    pixels1: Any,
+    pixels2: Any,
     camera1: Camera,
     camera2: Camera,
     *,
     is_calibrated: bool,
-    config: RansacConfig,
+    config: RansacConfig | None = None,
 ) -> PairGeometry:
-    """Fit E (calibrated) or F, then H and a rotation, and name what the pair is.
-
-    Args:
-        pixels1: matches in image 1, (n, 2).
-        pixels2: the same in image 2.
-        camera1: the first camera; a guess of the focal length will do where not calibrated.
-        camera2: the second camera.
-        is_calibrated: both focal lengths can be trusted.
-        config: threshold, number of inliers needed and seed.
-    """
-    n = len(pixels1)
-    nothing = Rigid3(np.full((3, 3), np.nan), np.full(3, np.nan))
-    blank = np.full((3, 3), np.nan)
-    failed = PairGeometry(PairKind.DEGENERATE, np.zeros(n, bool), nothing, blank, blank, blank, float("nan"))
-    if n < config.min_inliers:
-        return failed
-    epipolar, fundamental = _fit_epipolar(
-        pixels1, pixels2, camera1, camera2, is_calibrated=is_calibrated, config=config
-    )
-    if not epipolar.success:
-        return failed
-    inliers = np.flatnonzero(epipolar.inlier_mask)
-    p1, p2 = pixels1[inliers], pixels2[inliers]
-    most = min(config.max_iterations, 500)
-    plane = estimate_homography(p1, p2, replace(config, max_iterations=most, min_inlier_ratio=PLANAR_RATIO))
-    if is_calibrated:
-        motion = epipolar.model
-        kind, essential = PairKind.GENERAL, essential_from_cam2_from_cam1(motion) / np.sqrt(2.0)
-    else:
-        kind = PairKind.UNCALIBRATED
-        essential, motion = _motion_of_guessed_focal(p1, p2, camera1, camera2, fundamental, config)
-    pair = PairGeometry(
-        kind,
-        epipolar.inlier_mask,
-        motion,
-        essential,
-        fundamental,
-        plane.model,
-        _median_angle(p1, p2, camera1, camera2, motion),
-    )
-    if _is_same_picture(p1, p2):
-        return replace(pair, kind=PairKind.NO_MOTION, median_angle_rad=float("nan"))
-    if plane.num_inliers < PLANAR_RATIO * len(inliers):
-        return pair
-    rotation, share = _fit_rotation(p1, p2, camera1, camera2, config.max_error_px)
-    if share >= ROTATION_RATIO:
-        turned = Rigid3(rotation.matrix, np.zeros(3))
-        return replace(pair, kind=PairKind.ROTATION, cam2_from_cam1=turned, median_angle_rad=float("nan"))
-    return replace(pair, kind=PairKind.PLANAR) if is_calibrated else pair
+    """`verify_pairs` of one pair."""
+    return verify_pairs([PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)], config)[0]
 
 
 def find_guide(
-    pixels1: np.ndarray,
-    pixels2: np.ndarray,
+    pixels1: Any,
+    pixels2: Any,
     camera1: Camera,
     camera2: Camera,
     *,
     is_calibrated: bool,
     config: RansacConfig,
 ) -> Float64[np.ndarray, "3 3"] | None:
-    """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move.
+    """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move."""
+    pair = PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)
+    packed = _pack([pair], config)
+    epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
+    inliers = epipolar.residuals_px < config.max_error_px
+    if epipolar.iterations[0] < 0 or inliers.sum() < config.min_inliers:
+        return None
+    shift = packed.pixels[2:, inliers] - packed.pixels[:2, inliers]
+    if np.median(np.hypot(shift[0], shift[1])) < STILL_PX:
+        return None
+    return _matrices(pair, 0, epipolar, motions)[1]
 
-    Args:
-        pixels1: matches in image 1, (n, 2).
-        pixels2: the same in image 2.
-        camera1: the first camera.
-        camera2: the second camera.
-        is_calibrated: both focal lengths can be trusted.
-        config: threshold, number of inliers needed and seed.
-    """
-    if len(pixels1) < config.min_inliers:
-        return None
-    epipolar, fundamental = _fit_epipolar(
-        pixels1, pixels2, camera1, camera2, is_calibrated=is_calibrated, config=config
+
+def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeometry]:
+    packed = _pack(pairs, config)
+    n = len(pairs)
+    calibrated = np.array([pair.is_calibrated for pair in pairs], bool)
+    epipolar, motions = _fit_epipolar(packed, calibrated, config)
+    inliers = epipolar.residuals_px < config.max_error_px
+    if not calibrated.all():
+        loose = _search(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
+        kernels.fit_motions(packed, ~calibrated, inliers, loose, motions)
+    planes = _room(packed)
+    plane_search = _search(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
+    kernels.fit_homographies(packed, inliers, plane_search, planes)
+    verdicts = kernels.Verdicts(
+        np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)
     )
-    inliers = epipolar.inlier_mask
-    if not epipolar.success or _is_same_picture(pixels1[inliers], pixels2[inliers]):
-        return None
-    return fundamental
+    freedom = np.where(calibrated, 5.0, 7.0)
+    kernels.judge(packed, freedom, _search(config), epipolar, planes, motions, verdicts)
+    return [
+        _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, verdicts)
+        for p, pair in enumerate(pairs)
+    ]
 
 
 def _fit_epipolar(
-    pixels1: np.ndarray,
-    pixels2: np.ndarray,
-    camera1: Camera,
-    camera2: Camera,
-    *,
-    is_calibrated: bool,
-    config: RansacConfig,
-) -> tuple[Estimate, np.ndarray]:
-    """E or F, and the fundamental matrix of length 1 in either case."""
-    if not is_calibrated:
-        epipolar = estimate_fundamental_matrix(pixels1, pixels2, config)
-        return epipolar, epipolar.model
-    epipolar = estimate_relative_pose(pixels1, pixels2, camera1, camera2, config)
-    essential = essential_from_cam2_from_cam1(epipolar.model)
-    fundamental = fundamental_from_essential(essential, camera1.K, camera2.K)
-    return epipolar, fundamental / np.linalg.norm(fundamental)
+    packed: kernels.Pairs, calibrated: np.ndarray, config: RansacConfig
+) -> tuple[kernels.Fits, kernels.Fits]:
+    """What explains each pair, E where calibrated and F elsewhere; and the motions of calibrated pairs."""
+    finite = np.isfinite(packed.pixels).all(axis=0)
+    epipolar, motions, search = _room(packed), _room(packed), _search(config)
+    if not calibrated.all():
+        kernels.fit_fundamentals(packed, ~calibrated, finite, search, epipolar)
+    if calibrated.any():
+        kernels.fit_motions(packed, calibrated, finite, search, motions)
+        of_calibrated = np.repeat(calibrated, np.diff(packed.offsets))
+        np.copyto(epipolar.residuals_px, motions.residuals_px, where=of_calibrated)
+        np.copyto(epipolar.iterations, motions.iterations, where=calibrated)
+    return epipolar, motions
 
 
-def _is_same_picture(p1: np.ndarray, p2: np.ndarray) -> bool:
-    return bool(np.median(np.linalg.norm(p2 - p1, axis=1)) < SAME_PICTURE_PX)
+def _pack(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
+    columns = []
+    for pair in pairs:
+        p1, p2 = as_points(pair.pixels1, "pixels1", 2), as_points(pair.pixels2, "pixels2", 2)
+        require_same_length(pixels1=p1, pixels2=p2)
+        columns.append(np.concatenate([p1, p2], axis=1))
+    cameras = list({id(c): c for pair in pairs for c in (pair.camera1, pair.camera2)}.values())
+    row = {id(camera): k for k, camera in enumerate(cameras)}
+    return kernels.Pairs(
+        np.ascontiguousarray(np.concatenate(columns).T),
+        np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64),
+        np.array([row[id(pair.camera1)] for pair in pairs], np.int64),
+        np.array([row[id(pair.camera2)] for pair in pairs], np.int64),
+        np.array([int(c.model) for c in cameras], np.int64),
+        np.stack([c.padded_params() for c in cameras]),
+        np.array([c.focal_px for c in cameras]),
+        np.array([(config.seed + pair.seed) % 2**64 for pair in pairs], np.uint64),
+    )
 
 
-def _motion_of_guessed_focal(
-    p1: np.ndarray,
-    p2: np.ndarray,
-    camera1: Camera,
-    camera2: Camera,
-    fundamental: np.ndarray,
-    config: RansacConfig,
-) -> tuple[np.ndarray, Rigid3]:
-    """E of the inliers of F under the guessed focal lengths, with a threshold that forgives the guess."""
-    loose = replace(config, max_error_px=3.0 * config.max_error_px, max_iterations=200)
-    estimate = estimate_relative_pose(p1, p2, camera1, camera2, loose)
-    essential = essential_from_fundamental(fundamental, camera1.K, camera2.K)
-    return essential / np.linalg.norm(essential), estimate.model
+def _room(packed: kernels.Pairs) -> kernels.Fits:
+    n = len(packed.seed)
+    return kernels.Fits(
+        np.full((n, MODEL_SIZE), np.nan),
+        np.full(packed.pixels.shape[1], np.inf),
+        np.zeros((n, 5)),
+        np.full(n, -1, np.int64),
+    )
 
 
-def _median_angle(p1: np.ndarray, p2: np.ndarray, camera1: Camera, camera2: Camera, motion: Rigid3) -> float:
-    if not np.isfinite(motion.translation).all():
-        return float("nan")
-    rays1, rays2 = camera1.unproject(p1), camera2.unproject(p2)
-    _, depth1, depth2 = triangulate_two_view(motion, rays1, rays2)
-    cosine = np.clip(((rays1 @ motion.rotation.T) * rays2).sum(axis=1), -1.0, 1.0)
-    in_front = (depth1 > 0) & (depth2 > 0)
-    return float(np.median(np.arccos(cosine[in_front]))) if in_front.any() else float("nan")
+def _search(
+    config: RansacConfig, factor: float = 1.0, most: int | None = None, share: float | None = None
+) -> kernels.Search:
+    most = config.max_iterations if most is None else min(most, config.max_iterations)
+    return kernels.Search(
+        float(factor * config.max_error_px),
+        float(config.confidence),
+        min(config.min_iterations, most),
+        most,
+        config.min_inliers,
+        float(config.min_inlier_ratio if share is None else share),
+    )
 
 
-def _fit_rotation(
-    p1: np.ndarray, p2: np.ndarray, camera1: Camera, camera2: Camera, max_error_px: float
-) -> tuple[Rotation3, float]:
-    """The rotation that best turns rays 1 into rays 2 (Kabsch 1976), reweighted; and the share it explains."""
-    rays1, rays2 = camera1.unproject(p1), camera2.unproject(p2)
-    usable = np.isfinite(rays1).all(axis=1) & np.isfinite(rays2).all(axis=1)
-    if usable.sum() < 2:
-        return Rotation3.identity(), 0.0
-    weights = usable.astype(float)
-    rays1, rays2 = np.nan_to_num(rays1), np.nan_to_num(rays2)
-    within = usable
-    rotation = Rotation3.identity()
-    for _ in range(8):
-        rotation = Rotation3.nearest((rays2 * weights[:, None]).T @ rays1)
-        error_px = np.linalg.norm(camera2.project(rotation.apply(rays1)) - p2, axis=1)
-        error_px = np.where(np.isfinite(error_px), error_px, np.inf)
-        within = usable & (error_px < max_error_px)
-        weights = usable / (1.0 + (error_px / max_error_px) ** 2)
-    return rotation, float(within.mean())
+def _in_pixels(fits: kernels.Fits, p: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The fitted matrix and the maps of both pictures' pixels to its coordinates."""
+    u1, v1, u2, v2, s = fits.frame[p]
+    t1, t2 = (np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1]]) for u, v in ((u1, v1), (u2, v2)))
+    return fits.raw[p, :9].reshape(3, 3), t1, t2
+
+
+def _matrices(
+    pair: PairMatches, p: int, epipolar: kernels.Fits, motions: kernels.Fits
+) -> tuple[np.ndarray, np.ndarray]:
+    """(E, F), of length one."""
+    if pair.is_calibrated:
+        essential = motions.raw[p, 12:21].reshape(3, 3)
+        fundamental = fundamental_from_essential(essential, pair.camera1.K, pair.camera2.K)
+    else:
+        inner, t1, t2 = _in_pixels(epipolar, p)
+        fundamental = t2.T @ inner @ t1
+        essential = essential_from_fundamental(fundamental, pair.camera1.K, pair.camera2.K)
+    return essential / np.linalg.norm(essential), fundamental / np.linalg.norm(fundamental)
+
+
+def _geometry(
+    pair: PairMatches,
+    p: int,
+    offsets: np.ndarray,
+    inliers: np.ndarray,
+    epipolar: kernels.Fits,
+    planes: kernels.Fits,
+    motions: kernels.Fits,
+    verdicts: kernels.Verdicts,
+) -> PairGeometry:
+    kind = _KINDS[int(verdicts.kind[p])]
+    blank = np.full((3, 3), np.nan)
+    own = inliers[offsets[p] : offsets[p + 1]].copy()
+    essential, fundamental, homography = blank, blank, blank
+    motion = Rigid3(blank, np.full(3, np.nan))
+    if kind is PairKind.DEGENERATE:
+        own[:] = False
+    else:
+        essential, fundamental = _matrices(pair, p, epipolar, motions)
+        motion = Rigid3(motions.raw[p, :9].reshape(3, 3).copy(), motions.raw[p, 9:12].copy())
+        if planes.iterations[p] >= 0:
+            inner, t1, t2 = _in_pixels(planes, p)
+            homography = np.linalg.solve(t2, inner @ t1)
+            homography = homography / np.linalg.norm(homography)
+    if kind is PairKind.ROTATION:
+        motion = Rigid3(verdicts.rotation[p].reshape(3, 3).copy(), np.zeros(3))
+    if not pair.is_calibrated and kind in (PairKind.GENERAL, PairKind.PLANAR):
+        # A plane seen by unknown lenses still has the F that was found; nothing says what its motion is.
+        kind = PairKind.UNCALIBRATED
+    return PairGeometry(
+        *(kind, own, motion, essential, fundamental, homography),
+        *(float(verdicts.median_angle_rad[p]), float(verdicts.noise_px[p]), verdicts.cost[p].copy()),
+    )

@@ -14,7 +14,7 @@ from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
-from epipole.robust import PairKind, find_guide, verify_pair
+from epipole.robust import PairKind, PairMatches, find_guide, verify_pairs
 from epipole.scene import Cameras, ViewGraph
 from epipole.sfm.feature_stage import load_features
 from epipole.workflow import Unit, digest, load
@@ -130,7 +130,14 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
     if len(matches) < config.scout_min_matches:
         return matches
     needed = replace(payload.verification, min_inliers=config.scout_min_inliers)
-    guide = _of_matches(find_guide, first.pixels, second.pixels, matches, i, j, payload, needed)
+    guide = find_guide(
+        first.pixels[matches[:, 0]].astype(np.float64),
+        second.pixels[matches[:, 1]].astype(np.float64),
+        payload.cameras[i],
+        payload.cameras[j],
+        is_calibrated=payload.is_trusted[i] and payload.is_trusted[j],
+        config=replace(needed, seed=needed.seed + _seed(i, j)),
+    )
     if guide is None:
         return match_descriptors(first.descriptors, second.descriptors, config)
     return match_along_epipolar_lines(first, second, guide, config.band_px, config)
@@ -141,13 +148,22 @@ def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     assert payload.match_file is not None
     pixels = {i: load_features(path).pixels for i, path in payload.feature_files.items()}
     stored = load(payload.match_file)
-    found = []
-    for n, (i, j) in enumerate(payload.pairs):
-        matches = stored["matches"][stored["offsets"][n] : stored["offsets"][n + 1]]
-        geometry = _of_matches(
-            verify_pair, pixels[i], pixels[j], matches, i, j, payload, payload.verification
+    putative = [
+        stored["matches"][stored["offsets"][n] : stored["offsets"][n + 1]] for n in range(len(payload.pairs))
+    ]
+    pairs = [
+        PairMatches(
+            pixels[i][matches[:, 0]].astype(np.float64),
+            pixels[j][matches[:, 1]].astype(np.float64),
+            payload.cameras[i],
+            payload.cameras[j],
+            payload.is_trusted[i] and payload.is_trusted[j],
+            _seed(i, j),
         )
-        found.append((geometry, matches[geometry.inlier_mask]))
+        for (i, j), matches in zip(payload.pairs, putative)
+    ]
+    geometries = verify_pairs(pairs, payload.verification)
+    found = [(g, matches[g.inlier_mask]) for g, matches in zip(geometries, putative)]
     inliers = [m for _, m in found]
     return {
         "kind": np.array([int(g.kind) for g, _ in found], np.int32),
@@ -163,25 +179,9 @@ def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
     }
 
 
-def _of_matches(
-    estimate: Callable[..., Result],
-    pixels1: np.ndarray,
-    pixels2: np.ndarray,
-    matches: np.ndarray,
-    i: int,
-    j: int,
-    payload: MatchPayload,
-    config: RansacConfig,
-) -> Result:
-    """`estimate` of the matches of images i and j; the pair's own seed makes it the same in any order of work."""
-    return estimate(
-        pixels1[matches[:, 0]].astype(np.float64),
-        pixels2[matches[:, 1]].astype(np.float64),
-        payload.cameras[i],
-        payload.cameras[j],
-        is_calibrated=payload.is_trusted[i] and payload.is_trusted[j],
-        config=replace(config, seed=config.seed + 1_000_003 * i + j),
-    )
+def _seed(i: int, j: int) -> int:
+    """A pair's own seed makes its answer the same in any order of work."""
+    return 1_000_003 * i + j
 
 
 def _offsets(parts: Sequence[np.ndarray]) -> np.ndarray:

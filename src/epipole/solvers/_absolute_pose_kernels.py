@@ -156,7 +156,15 @@ def _meet_lines(rays, points, m, unit, conic, lines, triangles, motions):
 @kernel(allocates=True)
 def p3p_workspace():
     """Arrays that `p3p` writes into."""
-    return np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty((2, 3)), np.empty(3), np.empty((2, 3, 3))
+    return (
+        np.empty(6),
+        np.empty(6),
+        np.empty(6),
+        np.empty(6),
+        np.empty((2, 3)),
+        np.empty(3),
+        np.empty((2, 3, 3)),
+    )
 
 
 @kernel

@@ -7,7 +7,7 @@ from epipole._jit import kernel
 
 @kernel
 def copy_numbers(source, target):
-    """The numbers of source to the front of target. (`target[:] = source` takes Numba half a second to compile.)"""
+    """The numbers of source to the front of target; `target[:] = source` takes Numba half a second to compile."""
     for k in range(len(source)):
         target[k] = source[k]
 

@@ -1,0 +1,391 @@
+"""Verification of many pairs: fits of each model to all of them, and the judge that compares them.
+
+Matches of pair p are the columns offsets[p] to offsets[p + 1] of `pixels` (rows u1, v1, u2, v2).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.cameras._camera_kernels import project_one, unproject_one
+from epipole.robust._block_kernels import median
+from epipole.robust._fundamental_kernels import FundamentalProblem
+from epipole.robust._homography_kernels import HomographyProblem
+from epipole.robust._loop_kernels import next_random, ransac
+from epipole.robust._relative_pose_kernels import RelativePoseProblem
+from epipole.solvers._two_view_kernels import svd3
+
+GENERAL, PLANAR, ROTATION, NO_MOTION, DEGENERATE = 0, 1, 2, 3, 4
+LEAST_NOISE_PX = 0.25  # pixels are not known better than this, whatever the residuals say
+LEAST_DEPTH = 1e-3  # rays flatter than this do not cross the plane z = 1
+
+
+class Pairs(NamedTuple):
+    """The matches of a list of pairs, and their cameras."""
+
+    pixels: np.ndarray
+    """(4, matches)."""
+    offsets: np.ndarray
+    """(pairs + 1,)."""
+    camera1: np.ndarray
+    """(pairs,), rows of models and params."""
+    camera2: np.ndarray
+    models: np.ndarray
+    params: np.ndarray
+    """(cameras, 8)."""
+    focal_px: np.ndarray
+    """(cameras,), mean focal lengths."""
+    seed: np.ndarray
+    """(pairs,), uint64."""
+
+
+class Search(NamedTuple):
+    """How long to search, and for what."""
+
+    max_error_px: float
+    confidence: float
+    min_iterations: int
+    max_iterations: int
+    min_inliers: int
+    min_share: float
+
+
+class Fits(NamedTuple):
+    """What one model makes of all pairs."""
+
+    raw: np.ndarray
+    """(pairs, MODEL_SIZE), as the problem keeps it, in the coordinates below."""
+    residuals_px: np.ndarray
+    """(matches,), infinite for what was left out."""
+    frame: np.ndarray
+    """(pairs, 5): coordinates are (pixel - centre) / spread; u1, v1, u2, v2 of the centres, the spread."""
+    iterations: np.ndarray
+    """(pairs,); -1 for a pair that gave no model."""
+
+
+@kernel
+def _longest(pairs):
+    most = 0
+    for p in range(len(pairs.seed)):
+        most = max(most, pairs.offsets[p + 1] - pairs.offsets[p])
+    return most
+
+
+@kernel
+def _choose(pairs, p, use, chosen):
+    """The matches of pair p to be used, in random order; returns their number."""
+    count = 0
+    for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
+        if use[k]:
+            chosen[count] = k
+            count += 1
+    return count
+
+
+@kernel(allocates=True)
+def _shuffle(chosen, count, seed):
+    state = np.empty(1, np.uint64)
+    state[0] = seed
+    for k in range(count - 1, 0, -1):
+        other = np.int64(next_random(state) % np.uint64(k + 1))
+        chosen[k], chosen[other] = chosen[other], chosen[k]
+
+
+@kernel
+def _onto_plane(pairs, p, k, which, out, column):
+    """Where the ray of match k crosses the plane z = 1 of camera `which`; whether it does."""
+    camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
+    x, y, z = unproject_one(
+        np.int64(pairs.models[camera]),
+        pairs.params[camera],
+        pairs.pixels[2 * which, k],
+        pairs.pixels[2 * which + 1, k],
+    )
+    if not z > LEAST_DEPTH:
+        return False
+    out[2 * which, column], out[2 * which + 1, column] = x / z, y / z
+    return True
+
+
+@kernel
+def _keep(pairs, p, chosen, count, residuals, scale, fits):
+    """Residuals back to the caller's order, in pixels."""
+    for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
+        fits.residuals_px[k] = math.inf
+    for c in range(count):
+        fits.residuals_px[chosen[c]] = math.sqrt(residuals[c]) * scale
+
+
+@kernel
+def _share(search, count):
+    return min(1.0, max(search.min_share, search.min_inliers / count))
+
+
+@kernel(allocates=True)
+def fit_motions(pairs, wanted, use, search, fits):
+    """Relative poses of the wanted pairs over the matches marked in `use`."""
+    longest = _longest(pairs)
+    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    information, ranking = np.empty((5, 5)), np.empty(0, np.int64)
+    for p in range(len(pairs.seed)):
+        if not wanted[p]:
+            continue
+        count = _choose(pairs, p, use, chosen)
+        _shuffle(chosen, count, pairs.seed[p])
+        seen = 0
+        for c in range(count):
+            if _onto_plane(pairs, p, chosen[c], 0, items, seen) and _onto_plane(
+                pairs, p, chosen[c], 1, items, seen
+            ):
+                chosen[seen] = chosen[c]
+                seen += 1
+        fits.iterations[p] = -1
+        residuals = np.full(seen, math.inf)
+        scale = 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
+        if seen >= max(5, search.min_inliers):
+            score, iterations = ransac(
+                RelativePoseProblem(items[:, :seen].copy()),
+                (search.max_error_px / scale) ** 2,
+                search.confidence,
+                search.min_iterations,
+                search.max_iterations,
+                _share(search, seen),
+                pairs.seed[p],
+                ranking,
+                fits.raw[p],
+                residuals,
+                information,
+            )
+            fits.iterations[p] = iterations if score < math.inf else -1
+        _keep(pairs, p, chosen, seen, residuals, scale, fits)
+
+
+@kernel
+def _normalize(pairs, chosen, count, frame, items):
+    """Centre both pictures' matches and divide by one length; False where they coincide."""
+    for r in range(4):
+        total = 0.0
+        for c in range(count):
+            total += pairs.pixels[r, chosen[c]]
+        frame[r] = total / count
+    spread = 0.0
+    for which in range(2):
+        total = 0.0
+        for c in range(count):
+            for r in range(2 * which, 2 * which + 2):
+                total += (pairs.pixels[r, chosen[c]] - frame[r]) ** 2
+        spread = max(spread, math.sqrt(total / count))
+    if not (spread > 1e-9 and spread < math.inf):
+        return False
+    frame[4] = spread
+    for r in range(4):
+        for c in range(count):
+            items[r, c] = (pairs.pixels[r, chosen[c]] - frame[r]) / spread
+    return True
+
+
+@kernel(allocates=True)
+def fit_fundamentals(pairs, wanted, use, search, fits):
+    """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
+    longest = _longest(pairs)
+    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    information, ranking = np.empty((7, 7)), np.empty(0, np.int64)
+    for p in range(len(pairs.seed)):
+        if not wanted[p]:
+            continue
+        count = _choose(pairs, p, use, chosen)
+        _shuffle(chosen, count, pairs.seed[p])
+        fits.iterations[p] = -1
+        residuals = np.full(count, math.inf)
+        fits.frame[p, 4] = 1.0
+        if count >= max(7, search.min_inliers) and _normalize(pairs, chosen, count, fits.frame[p], items):
+            score, iterations = ransac(
+                FundamentalProblem(items[:, :count].copy()),
+                (search.max_error_px / fits.frame[p, 4]) ** 2,
+                search.confidence,
+                search.min_iterations,
+                search.max_iterations,
+                _share(search, count),
+                pairs.seed[p],
+                ranking,
+                fits.raw[p],
+                residuals,
+                information,
+            )
+            fits.iterations[p] = iterations if score < math.inf else -1
+        _keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+
+
+@kernel(allocates=True)
+def fit_homographies(pairs, use, search, fits):
+    """Homographies of all pairs over the matches marked in `use`."""
+    longest = _longest(pairs)
+    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    information, ranking = np.empty((9, 9)), np.empty(0, np.int64)
+    for p in range(len(pairs.seed)):
+        count = _choose(pairs, p, use, chosen)
+        _shuffle(chosen, count, pairs.seed[p])
+        fits.iterations[p] = -1
+        residuals = np.full(count, math.inf)
+        fits.frame[p, 4] = 1.0
+        if count >= 4 and _normalize(pairs, chosen, count, fits.frame[p], items):
+            score, iterations = ransac(
+                HomographyProblem(items[:, :count].copy()),
+                (search.max_error_px / fits.frame[p, 4]) ** 2,
+                search.confidence,
+                search.min_iterations,
+                search.max_iterations,
+                _share(search, count),
+                pairs.seed[p],
+                ranking,
+                fits.raw[p],
+                residuals,
+                information,
+            )
+            fits.iterations[p] = iterations if score < math.inf else -1
+        _keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+
+
+class Verdicts(NamedTuple):
+    """What the judge says of every pair."""
+
+    kind: np.ndarray
+    """(pairs,), GENERAL ... DEGENERATE."""
+    cost: np.ndarray
+    """(pairs, 4): GRIC of epipolar geometry, homography, rotation, no motion; lower is better."""
+    noise_px: np.ndarray
+    rotation: np.ndarray
+    """(pairs, 9), the best pure rotation."""
+    median_angle_rad: np.ndarray
+    """Between the rays of inliers in front of both cameras; NaN where there is no motion."""
+
+
+@kernel
+def _gric(total, count, dimension, parameters):
+    """Torr's criterion (PhilTrans A 1998, eq. 12): fit + count d log 4 + k log(4 count), for matches in four dimensions."""
+    return total + count * dimension * math.log(4.0) + parameters * math.log(4.0 * count)
+
+
+@kernel
+def _turn_error_sq(pairs, p, k, r, ray):
+    """Squared distance of a turned ray's pixel from its match in image 2."""
+    camera = pairs.camera2[p]
+    u, v = project_one(
+        np.int64(pairs.models[camera]),
+        pairs.params[camera],
+        r[0] * ray[0] + r[1] * ray[1] + r[2] * ray[2],
+        r[3] * ray[0] + r[4] * ray[1] + r[5] * ray[2],
+        r[6] * ray[0] + r[7] * ray[1] + r[8] * ray[2],
+    )
+    error = (u - pairs.pixels[2, k]) ** 2 + (v - pairs.pixels[3, k]) ** 2
+    return error if error >= 0.0 else math.inf
+
+
+@kernel(allocates=True)
+def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
+    """The rotation that turns rays 1 into rays 2 (Kabsch 1976), reweighted by Cauchy's weights."""
+    m, u, s, v = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, 3))
+    for i in range(9):
+        rotation[i] = 1.0 if i % 4 == 0 else 0.0
+    for turn in range(8):
+        m[:, :] = 0.0
+        for c in range(len(chosen)):
+            weight = 1.0
+            if turn > 0:
+                error = _turn_error_sq(pairs, p, chosen[c], rotation, rays1[c])
+                weight = 1.0 / (1.0 + error / scale_px**2)
+            if weight > 0.0:
+                for i in range(3):
+                    for j in range(3):
+                        m[i, j] += weight * rays2[c, i] * rays1[c, j]
+        if not svd3(m, u, s, v):
+            return
+        for i in range(3):
+            for j in range(3):
+                rotation[3 * i + j] = u[i, 0] * v[j, 0] + u[i, 1] * v[j, 1] + u[i, 2] * v[j, 2]
+
+
+@kernel(allocates=True)
+def _parallax(motion, rays1, rays2):
+    """Median angle between matched rays that meet in front of both cameras."""
+    angles, count = np.empty(len(rays1)), 0
+    for c in range(len(rays1)):
+        a, b = rays1[c], rays2[c]
+        x = motion[0] * a[0] + motion[1] * a[1] + motion[2] * a[2]
+        y = motion[3] * a[0] + motion[4] * a[1] + motion[5] * a[2]
+        z = motion[6] * a[0] + motion[7] * a[1] + motion[8] * a[2]
+        dot = x * b[0] + y * b[1] + z * b[2]
+        at = x * motion[9] + y * motion[10] + z * motion[11]
+        bt = b[0] * motion[9] + b[1] * motion[10] + b[2] * motion[11]
+        if dot * bt - at > 0.0 and bt - dot * at > 0.0:
+            cx, cy, cz = y * b[2] - z * b[1], z * b[0] - x * b[2], x * b[1] - y * b[0]
+            angles[count] = math.atan2(math.sqrt(cx * cx + cy * cy + cz * cz), dot)
+            count += 1
+    return median(angles, count) if count > 0 else math.nan
+
+
+@kernel(allocates=True)
+def judge(pairs, epipolar_freedom, search, epipolar, planes, motions, verdicts):
+    """Compare epipolar geometry, homography, rotation and no motion over the epipolar inliers.
+
+    Distances are orthogonal ones in the four dimensions of a match, to first order: Sampson's for the epipolar
+    geometry; half the squared transfer error for the others, whose noise comes from both pictures. Each is cut at
+    2 (4 - d) variances, the noise being estimated from the epipolar residuals.
+    """
+    for p in range(len(pairs.seed)):
+        first, last = pairs.offsets[p], pairs.offsets[p + 1]
+        chosen, count = np.empty(last - first, np.int64), 0
+        for k in range(first, last):
+            if epipolar.residuals_px[k] < search.max_error_px:
+                chosen[count] = k
+                count += 1
+        verdicts.kind[p] = DEGENERATE
+        verdicts.noise_px[p] = verdicts.median_angle_rad[p] = math.nan
+        verdicts.cost[p, :] = math.nan
+        verdicts.rotation[p, :] = math.nan
+        if epipolar.iterations[p] < 0 or count < search.min_inliers:
+            continue
+        chosen = chosen[:count]
+        rays1, rays2, sizes = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+        for c in range(count):
+            k, one, two = chosen[c], pairs.camera1[p], pairs.camera2[p]
+            x, y, z = unproject_one(
+                np.int64(pairs.models[one]), pairs.params[one], pairs.pixels[0, k], pairs.pixels[1, k]
+            )
+            rays1[c, 0], rays1[c, 1], rays1[c, 2] = x, y, z
+            x, y, z = unproject_one(
+                np.int64(pairs.models[two]), pairs.params[two], pairs.pixels[2, k], pairs.pixels[3, k]
+            )
+            rays2[c, 0], rays2[c, 1], rays2[c, 2] = x, y, z
+            sizes[c] = epipolar.residuals_px[k] ** 2
+        # The median of the square of a normal variable is 0.455 variances.
+        variance = max(median(sizes, count) / 0.455, LEAST_NOISE_PX**2)
+        rotation = verdicts.rotation[p]
+        _fit_rotation(pairs, p, chosen, rays1, rays2, 2.0 * math.sqrt(variance), rotation)
+        totals = np.zeros(4)
+        for c in range(count):
+            k = chosen[c]
+            still = (pairs.pixels[2, k] - pairs.pixels[0, k]) ** 2 + (
+                pairs.pixels[3, k] - pairs.pixels[1, k]
+            ) ** 2
+            plane = planes.residuals_px[k] ** 2
+            turned = _turn_error_sq(pairs, p, k, rotation, rays1[c])
+            totals[0] += min(epipolar.residuals_px[k] ** 2 / variance, 2.0)
+            totals[1] += min(0.5 * plane / variance, 4.0)
+            totals[2] += min(0.5 * turned / variance, 4.0)
+            totals[3] += min(0.5 * still / variance, 4.0)
+        cost = verdicts.cost[p]
+        cost[0] = _gric(totals[0], count, 3.0, epipolar_freedom[p])
+        cost[1] = _gric(totals[1], count, 2.0, 8.0)
+        cost[2] = _gric(totals[2], count, 2.0, 3.0)
+        cost[3] = _gric(totals[3], count, 2.0, 0.0)
+        best = 0
+        for i in range(1, 4):
+            if cost[i] < cost[best]:
+                best = i
+        verdicts.kind[p] = best
+        verdicts.noise_px[p] = math.sqrt(variance)
+        if best < ROTATION and motions.iterations[p] >= 0:
+            verdicts.median_angle_rad[p] = _parallax(motions.raw[p], rays1, rays2)
