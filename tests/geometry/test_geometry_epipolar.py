@@ -7,7 +7,7 @@ from epipole.errors import ShapeError
 from epipole.geometry import (
     Rigid3,
     choose_by_cheirality,
-    decompose_essential,
+    decompose_essential_matrix,
     epipolar_lines,
     epipoles,
     essential_from_cam2_from_cam1,
@@ -53,7 +53,7 @@ def test_no_match_and_one_match() -> None:
     none = np.zeros((0, 2))
     assert epipolar_lines(RECTIFIED, none).shape == (0, 3)
     assert sampson_error(RECTIFIED, none, none).shape == (0,)
-    candidates = decompose_essential(RECTIFIED)
+    candidates = decompose_essential_matrix(RECTIFIED)
     index, in_front, points = choose_by_cheirality(candidates, np.zeros((0, 3)), np.zeros((0, 3)))
     assert index == 0 and in_front.shape == (0,) and points.shape == (0, 3)
     index, in_front, points = choose_by_cheirality(candidates, [[0.0, 0, 1]], [[-0.5, 0, 1]])
@@ -69,7 +69,7 @@ def test_no_candidate_is_chosen_from_none() -> None:
 
 def test_nan_matches_are_never_in_front() -> None:
     rays1, rays2 = np.array([[0.0, 0, 1], [np.nan, 0, 1]]), np.array([[-0.5, 0, 1], [0.0, 0, 1]])
-    _, in_front, points = choose_by_cheirality(decompose_essential(RECTIFIED), rays1, rays2)
+    _, in_front, points = choose_by_cheirality(decompose_essential_matrix(RECTIFIED), rays1, rays2)
     np.testing.assert_array_equal(in_front, [True, False])
     assert np.isfinite(points[0]).all() and np.isnan(points[1]).all()
     found = sampson_error(RECTIFIED, [[np.nan, 0.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]])
@@ -85,7 +85,7 @@ def test_the_error_at_both_epipoles_is_not_a_number() -> None:
 
 def test_decomposition_of_a_noisy_matrix_gives_rotations(rng: np.random.Generator) -> None:
     for _ in range(20):
-        candidates = decompose_essential(rng.normal(size=(3, 3)))
+        candidates = decompose_essential_matrix(rng.normal(size=(3, 3)))
         np.testing.assert_allclose(
             candidates.rotation @ np.swapaxes(candidates.rotation, -1, -2), [np.eye(3)] * 4, atol=1e-14
         )
@@ -96,7 +96,7 @@ def test_decomposition_of_a_noisy_matrix_gives_rotations(rng: np.random.Generato
 @pytest.mark.parametrize(
     "call",
     [
-        lambda many: decompose_essential(many),
+        lambda many: decompose_essential_matrix(many),
         lambda many: epipoles(many),
         lambda many: epipolar_lines(many, np.zeros((3, 2))),
         lambda many: sampson_error(many, np.zeros((3, 2)), np.zeros((3, 2))),
@@ -113,4 +113,4 @@ def test_lists_of_unequal_length() -> None:
     with pytest.raises(ShapeError, match="pixels1 has 2, pixels2 has 3"):
         sampson_error(RECTIFIED, np.zeros((2, 2)), np.zeros((3, 2)))
     with pytest.raises(ShapeError, match="rays1 has 2, rays2 has 3"):
-        choose_by_cheirality(decompose_essential(RECTIFIED), np.zeros((2, 3)), np.zeros((3, 3)))
+        choose_by_cheirality(decompose_essential_matrix(RECTIFIED), np.zeros((2, 3)), np.zeros((3, 3)))

@@ -9,7 +9,7 @@ import pytest
 from epipole.geometry import (
     Rigid3,
     choose_by_cheirality,
-    decompose_essential,
+    decompose_essential_matrix,
     epipolar_lines,
     epipoles,
     essential_from_cam2_from_cam1,
@@ -137,7 +137,7 @@ def test_epipoles_lie_on_all_lines_and_are_the_other_centre(scene: Scene) -> Non
 def test_four_candidates_hold_the_truth_and_cheirality_chooses_it(scene: Scene) -> None:
     motion = scene.cam2_from_cam1
     length = np.linalg.norm(motion.translation)
-    candidates = decompose_essential(scene.essential)
+    candidates = decompose_essential_matrix(scene.essential)
     assert len(candidates) == 4
     np.testing.assert_allclose(np.linalg.det(candidates.rotation), 1.0)
     np.testing.assert_allclose(np.linalg.norm(candidates.translation, axis=1), 1.0)
@@ -153,7 +153,7 @@ def test_four_candidates_hold_the_truth_and_cheirality_chooses_it(scene: Scene) 
 @pytest.mark.parametrize("factor", [-1.0, 1e-8, -1e5])
 def test_decomposition_does_not_depend_on_the_scale_of_e(scene: Scene, factor: float) -> None:
     index, in_front, _ = choose_by_cheirality(
-        (candidates := decompose_essential(factor * scene.essential)), scene.rays1, scene.rays2
+        (candidates := decompose_essential_matrix(factor * scene.essential)), scene.rays1, scene.rays2
     )
     np.testing.assert_allclose(candidates[index].rotation, scene.cam2_from_cam1.rotation, atol=1e-12)
     assert in_front.all()
@@ -162,7 +162,7 @@ def test_decomposition_does_not_depend_on_the_scale_of_e(scene: Scene, factor: f
 def test_cheirality_chooses_with_a_quarter_of_wrong_matches(scene: Scene, rng: np.random.Generator) -> None:
     rays2 = scene.rays2.copy()
     rays2[:10] = rng.normal(size=(10, 3))
-    candidates = decompose_essential(scene.essential)
+    candidates = decompose_essential_matrix(scene.essential)
     index, in_front, _ = choose_by_cheirality(candidates, scene.rays1, rays2)
     np.testing.assert_allclose(candidates[index].rotation, scene.cam2_from_cam1.rotation, atol=1e-12)
     assert in_front[10:].all()

@@ -60,7 +60,7 @@ def sampson_error(fundamental: Any, pixels1: Any, pixels2: Any) -> Float64[np.nd
         return np.abs(residual) / np.sqrt((line2[:, :2] ** 2).sum(axis=1) + (line1[:, :2] ** 2).sum(axis=1))
 
 
-def decompose_essential(essential: Any) -> Rigid3:
+def decompose_essential_matrix(essential: Any) -> Rigid3:
     """The four candidates cam2_from_cam1, |t| = 1: two rotations times two signs of t (HZ result 9.19).
 
     Returns:

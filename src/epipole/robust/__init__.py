@@ -2,9 +2,15 @@
 
 from epipole.config import RansacConfig as RansacConfig
 from epipole.robust.absolute_pose import estimate_absolute_pose as estimate_absolute_pose
+from epipole.robust.alignment import estimate_rigid as estimate_rigid
+from epipole.robust.alignment import estimate_similarity as estimate_similarity
 from epipole.robust.estimate import Estimate as Estimate
 from epipole.robust.estimate import Reason as Reason
 from epipole.robust.pair_kind import PairKind as PairKind
+from epipole.robust.triangulate import PointReason as PointReason
+from epipole.robust.triangulate import Triangulation as Triangulation
+from epipole.robust.triangulate import point_covariances as point_covariances
+from epipole.robust.triangulate import triangulate_points as triangulate_points
 from epipole.robust.two_view import estimate_essential_matrix as estimate_essential_matrix
 from epipole.robust.two_view import estimate_fundamental_matrix as estimate_fundamental_matrix
 from epipole.robust.two_view import estimate_homography as estimate_homography

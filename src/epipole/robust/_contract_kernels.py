@@ -58,7 +58,7 @@ def near(problem, model, threshold_sq):
 
 
 def residual_size(problem):
-    """1 or 2: numbers in one item's residual."""
+    """Numbers in one item's residual, one to three."""
 
 
 def linearize(problem, model, threshold_sq, soft_sq, a, b):

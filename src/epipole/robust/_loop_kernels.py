@@ -88,14 +88,15 @@ def refine(problem, model, threshold_sq, max_steps):
 def noise_variance(residuals, threshold_sq, size):
     """Variance of one coordinate of the noise, from the median residual of the inliers (Rousseeuw and Leroy 1987).
 
-    The median of r^2 is 0.455 variances for residuals of one number, 1.386 for two.
+    The median of r^2 is 0.455 variances for residuals of one number, 1.386 for two, 2.366 for three.
     """
     inliers, count = np.empty(len(residuals)), 0
     for k in range(len(residuals)):
         if residuals[k] < threshold_sq:
             inliers[count] = residuals[k]
             count += 1
-    return median(inliers, count) / (0.455 if size == 1 else 1.386) if count > 0 else threshold_sq
+    of_one = 0.455 if size == 1 else (1.386 if size == 2 else 2.366)
+    return median(inliers, count) / of_one if count > 0 else threshold_sq
 
 
 @kernel(allocates=True)

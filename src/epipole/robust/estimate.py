@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
+from scipy.special import gammainc
 
 from epipole._checks import as_float_array
 from epipole.config import RansacConfig
@@ -188,10 +188,10 @@ def run_loop(
 
 
 def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedom: int) -> float:
-    """Standard deviation of a coordinate from the residuals below a threshold.
+    """Standard deviation of a coordinate from the residuals, of `size` numbers each, below a threshold.
 
-    With k = threshold / sigma, the mean square of a normal variable cut at k is 1 - 2 k phi(k) / (2 Phi(k) - 1), and
-    that of a coordinate of a two-dimensional one 1 - (k^2 / 2) / (exp(k^2 / 2) - 1), in units of sigma^2.
+    The mean of r^2 below k sigma is size sigma^2 P(size / 2 + 1, k^2 / 2) / P(size / 2, k^2 / 2) with the regularised
+    incomplete gamma function P.
     """
     unknowns = size * len(residuals) - freedom
     if unknowns <= 0:
@@ -202,11 +202,7 @@ def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedo
         half = 0.5 * (threshold / max(sigma, 1e-9 * threshold)) ** 2
         if half > 50.0:
             break
-        if size == 1:
-            inside = math.erf(math.sqrt(half))
-            kept = 1.0 - 2.0 * np.sqrt(half / np.pi) * np.exp(-half) / inside
-        else:
-            kept = 1.0 - half / np.expm1(half)
+        kept = gammainc(0.5 * size + 1.0, half) / gammainc(0.5 * size, half)
         # Noise as wide as the threshold cannot be told from no model at all: at most the threshold itself.
         sigma = min(np.sqrt(mean_square / max(kept, 1e-3)), threshold)
     return float(sigma)

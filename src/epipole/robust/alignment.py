@@ -1,0 +1,78 @@
+"""Robust alignment of two sets of points: rigid motion, similarity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from epipole._checks import as_points, require_same_length
+from epipole.config import RansacConfig
+from epipole.geometry import Rigid3, Similarity3, skew
+from epipole.robust._alignment_kernels import SCALE, AlignmentProblem
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+
+
+def estimate_rigid(
+    source: Any, target: Any, config: RansacConfig | None = None, *, quality: Any = None
+) -> Estimate[Rigid3]:
+    """The rigid motion that moves points onto their partners: three points (Horn 1987), then truncated distances.
+
+    Args:
+        source: (n, 3); NaN and infinite ones are outliers.
+        target: (n, 3), same order.
+        config: `max_error_px` is the largest distance, in the unit of the target.
+        quality: (n,), higher is better (PROSAC).
+
+    Returns:
+        `model` = target_from_source; `covariance` (6, 6) of xi in exp(xi) @ target_from_source.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found = _fit(source, target, 6, config or RansacConfig(), quality)
+    motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
+    return found.estimate(motion, _tangent_covariance(found))
+
+
+def estimate_similarity(
+    source: Any, target: Any, config: RansacConfig | None = None, *, quality: Any = None
+) -> Estimate[Similarity3]:
+    """The similarity that moves points onto their partners; as `estimate_rigid`, with scale.
+
+    Args:
+        source: (n, 3); NaN and infinite ones are outliers.
+        target: (n, 3), same order.
+        config: `max_error_px` is the largest distance, in the unit of the target.
+        quality: (n,), higher is better (PROSAC).
+
+    Returns:
+        `model` = target_from_source; `covariance` (7, 7) of xi in exp(xi) @ target_from_source, with log scale last.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    found = _fit(source, target, 7, config or RansacConfig(), quality)
+    rotation, translation = found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy()
+    return found.estimate(Similarity3(found.raw[SCALE], rotation, translation), _tangent_covariance(found))
+
+
+def _fit(source: Any, target: Any, freedom: int, config: RansacConfig, quality: Any) -> Found:
+    x, y = as_points(source, "source", 3), as_points(target, "target", 3)
+    n = require_same_length(source=x, target=y)
+    order = random_order(np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1), config)
+    items = np.ascontiguousarray(np.concatenate([x[order], y[order]], axis=1).T)
+    return run_loop(AlignmentProblem(items, freedom), order, n, 1.0, config, checked_quality(quality, n))
+
+
+def _tangent_covariance(found: Found) -> np.ndarray:
+    """From (dt, phi, sigma) to xi of exp(xi) @ model: t + dt = t + rho + phi x t + sigma t, to first order."""
+    freedom = len(found.covariance)
+    t = found.raw[9:12]
+    if not (np.isfinite(found.covariance).all() and np.isfinite(t).all()):
+        return np.full((freedom, freedom), np.inf)
+    lift = np.eye(freedom)
+    lift[:3, 3:6] = skew(t)
+    if freedom == 7:
+        lift[:3, 6] = -t
+    return lift @ found.covariance @ lift.T

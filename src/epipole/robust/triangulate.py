@@ -1,0 +1,210 @@
+"""Points from calibrated views: two of them optimally, many of them robustly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from epipole import _parallel
+from epipole._checks import as_float_array
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
+from epipole.robust import _triangulation_kernels as kernels
+
+_CHUNKS = 16
+
+
+class PointReason(IntEnum):
+    """Why a point could not be triangulated, or that it could."""
+
+    OK = kernels.OK
+    TOO_FEW_VIEWS = kernels.TOO_FEW_VIEWS
+    """Fewer than two pixels with a ray."""
+    PARALLEL = kernels.PARALLEL
+    """Its rays meet under a smaller angle than asked: the depth is not known."""
+    BEHIND = kernels.BEHIND
+    """Its rays meet behind a camera."""
+    LARGE_ERROR = kernels.LARGE_ERROR
+    """No two views agree on a point to within the threshold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulation:
+    """Points and how far each can be trusted."""
+
+    points_in_world: Float64[np.ndarray, "n 3"]
+    """NaN where there is none; those behind a camera or of too narrow an angle are given where they exist."""
+    reason: Int64[np.ndarray, " n"]
+    """Values of `PointReason`."""
+    errors_px: Float64[np.ndarray, " n"]
+    """Root mean square of the residuals' coordinates over the views that agree."""
+    cosines: Float64[np.ndarray, " n"]
+    """Of the widest angle between two of its rays."""
+    inlier_mask: Bool[np.ndarray, "v n"]
+    """Which views agree."""
+
+    @property
+    def angles_rad(self) -> Float64[np.ndarray, " n"]:
+        """The widest angle between two of its rays."""
+        return np.arccos(np.clip(self.cosines, -1.0, 1.0))
+
+    @property
+    def success_mask(self) -> Bool[np.ndarray, " n"]:
+        """Points that can be used."""
+        return self.reason == PointReason.OK
+
+    def __repr__(self) -> str:
+        return f"Triangulation({int(self.success_mask.sum())} of {len(self.reason)} points)"
+
+
+def triangulate_points(
+    cams_from_world: Rigid3,
+    cameras: Camera | Sequence[Camera],
+    pixels: Any,
+    *,
+    max_error_px: float | None = None,
+    min_angle_rad: float = 0.0,
+) -> Triangulation:
+    """Points whose projections are nearest to the pixels, in the least squares of all pictures.
+
+    Two views: the optimal correction of Lindstrom (CVPR 2010). More: the pair of views that most others agree with,
+    then Gauss-Newton on the true camera models; with a threshold, over the views that agree.
+
+    Args:
+        cams_from_world: batch shape (v,).
+        cameras: one for all views, or one for each.
+        pixels: (v, n, 2), NaN where a view does not see the point.
+        max_error_px: views farther off are left out; None: all count.
+        min_angle_rad: points whose rays meet under less are `PointReason.PARALLEL`.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+        ConfigError: a bound makes no sense.
+    """
+    pixels = as_float_array(pixels, "pixels")
+    num_views = len(cams_from_world)
+    if pixels.ndim != 3 or pixels.shape[0] != num_views or pixels.shape[2] != 2:
+        raise ShapeError(f"pixels must be ({num_views}, n, 2), a row of pixels per view, got {pixels.shape}")
+    each = [cameras] * num_views if isinstance(cameras, Camera) else list(cameras)
+    if len(each) != num_views:
+        raise ShapeError(f"{num_views} views need as many cameras, got {len(each)}")
+    if max_error_px is not None and not max_error_px > 0:
+        raise ConfigError(f"max_error_px must be positive, got {max_error_px}")
+    if not 0 <= min_angle_rad < np.pi:
+        raise ConfigError(f"min_angle_rad must lie in [0, pi), got {min_angle_rad}")
+    max_cosine = float(np.cos(min_angle_rad)) if min_angle_rad > 0 else 1.0
+    if num_views == 2:
+        return _two_views(cams_from_world, each, pixels, max_error_px, max_cosine)
+    return _many_views(cams_from_world, each, pixels, max_error_px, max_cosine)
+
+
+def point_covariances(
+    cams_from_world: Rigid3,
+    cameras: Camera | Sequence[Camera],
+    points_in_world: Any,
+    seen_mask: Bool[np.ndarray, "v n"],
+    noise_px: float,
+) -> Float64[np.ndarray, "n 3 3"]:
+    """First-order covariances of triangulated points: sigma^2 (sum over views of J^T J)^-1 (HZ section 5.2).
+
+    Args:
+        cams_from_world: batch shape (v,), taken as exact.
+        cameras: one for all views, or one for each.
+        points_in_world: (n, 3).
+        seen_mask: (v, n), which views took part.
+        noise_px: standard deviation of a pixel's coordinate.
+
+    Returns:
+        Infinite where the views leave the point undetermined.
+    """
+    points = as_float_array(points_in_world, "points_in_world", 3)
+    each = [cameras] * len(cams_from_world) if isinstance(cameras, Camera) else list(cameras)
+    information = np.zeros((len(points), 3, 3))
+    for view, camera in enumerate(each):
+        _, jacobian, _ = camera.project_with_jacobian(cams_from_world[view].apply(points))
+        in_world = np.where(seen_mask[view][:, None, None], jacobian @ cams_from_world[view].rotation, 0.0)
+        information += np.swapaxes(in_world, 1, 2) @ in_world
+    out = np.full(information.shape, np.inf)
+    finite = np.isfinite(information).all(axis=(1, 2))
+    usable = np.flatnonzero(finite)
+    values = np.linalg.eigvalsh(information[usable])
+    usable = usable[values[:, 0] > 1e-14 * values[:, 2]]
+    out[usable] = noise_px**2 * np.linalg.inv(information[usable])
+    return out
+
+
+def _two_views(
+    cams_from_world: Rigid3,
+    cameras: list[Camera],
+    pixels: np.ndarray,
+    max_error_px: float | None,
+    max_cosine: float,
+) -> Triangulation:
+    n = pixels.shape[1]
+    motion = cams_from_world[1] @ cams_from_world[0].inverse()
+    out = (np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.int64))
+    essential = essential_from_cam2_from_cam1(motion).ravel()
+    models = np.array([int(c.model) for c in cameras])
+    params = np.stack([c.padded_params() for c in cameras])
+    row = np.concatenate([motion.rotation.ravel(), motion.translation])
+    focal = np.array([c.focal_px for c in cameras])
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.triangulate_two_views(
+            models, params, row, essential, focal, max_cosine, pixels[0], pixels[1], a, b, out
+        ),
+        n,
+        _CHUNKS if n > 2000 else 1,
+    )
+    points, errors, cosines, reason = out
+    if max_error_px is not None:
+        # The residuals' four coordinates lie across one line: their length is that of one coordinate twice over.
+        reason[(np.sqrt(2.0) * errors > max_error_px) & (reason == PointReason.OK)] = PointReason.LARGE_ERROR
+    identity = (
+        np.array_equal(cams_from_world.rotation[0], np.eye(3)) and not cams_from_world.translation[0].any()
+    )
+    if not identity:
+        points = cams_from_world[0].inverse().apply(points)
+    ok = reason == PointReason.OK
+    return Triangulation(points, reason, errors, cosines, np.broadcast_to(ok, (2, n)))
+
+
+def _many_views(
+    cams_from_world: Rigid3,
+    cameras: list[Camera],
+    pixels: np.ndarray,
+    max_error_px: float | None,
+    max_cosine: float,
+) -> Triangulation:
+    num_views, n = pixels.shape[:2]
+    point, view = np.nonzero(np.isfinite(pixels).all(axis=2).T)
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(point, minlength=n))]).astype(np.int64)
+    rays = np.stack([camera.unproject(p) for camera, p in zip(cameras, pixels)]) if num_views else pixels
+    rows = kernels.Rows(view.astype(np.int32), pixels[view, point], rays[view, point].reshape(-1, 3))
+    cams = kernels.Cams(
+        np.concatenate([cams_from_world.rotation.reshape(-1, 9), cams_from_world.translation], axis=1),
+        cams_from_world.centers(),
+        np.arange(num_views, dtype=np.int32),
+        np.array([int(c.model) for c in cameras], np.int32),
+        np.stack([c.padded_params() for c in cameras]) if cameras else np.zeros((0, 8)),
+    )
+    out = (np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.int64))
+    keep = np.zeros(len(point), bool)
+    longest = int(np.diff(offsets).max(initial=0))
+    bound = np.inf if max_error_px is None else float(max_error_px**2)
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.triangulate_many_views(
+            rows, cams, offsets, a, b, bound, max_cosine, longest, out, keep
+        ),
+        n,
+        _CHUNKS if n > 200 else 1,
+    )
+    points, errors, cosines, reason = out
+    inliers = np.zeros((num_views, n), bool)
+    inliers[view[keep], point[keep]] = True
+    return Triangulation(points, reason, errors, cosines, inliers)
