@@ -1,7 +1,11 @@
 """Robust estimation: the LO-RANSAC loop, its estimators, and the verification of pairs."""
 
 from epipole.config import RansacConfig as RansacConfig
+from epipole.robust.absolute_pose import FocalPose as FocalPose
 from epipole.robust.absolute_pose import estimate_absolute_pose as estimate_absolute_pose
+from epipole.robust.absolute_pose import estimate_pose_and_focal as estimate_pose_and_focal
+from epipole.robust.absolute_pose import estimate_rig_pose as estimate_rig_pose
+from epipole.robust.absolute_pose import estimate_upright_pose as estimate_upright_pose
 from epipole.robust.alignment import estimate_rigid as estimate_rigid
 from epipole.robust.alignment import estimate_similarity as estimate_similarity
 from epipole.robust.estimate import Estimate as Estimate
@@ -15,6 +19,7 @@ from epipole.robust.two_view import estimate_essential_matrix as estimate_essent
 from epipole.robust.two_view import estimate_fundamental_matrix as estimate_fundamental_matrix
 from epipole.robust.two_view import estimate_homography as estimate_homography
 from epipole.robust.two_view import estimate_relative_pose as estimate_relative_pose
+from epipole.robust.two_view import estimate_upright_motion as estimate_upright_motion
 from epipole.robust.verify import PairGeometry as PairGeometry
 from epipole.robust.verify import PairMatches as PairMatches
 from epipole.robust.verify import find_guide as find_guide

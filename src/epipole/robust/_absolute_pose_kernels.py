@@ -252,19 +252,19 @@ def _retract(problem, model, delta, out):
     retract_motion(model, delta, out)
 
 
-implement(
-    AbsolutePoseProblem,
-    sample_size=_sample_size,
-    num_items=_num_items,
-    degrees_of_freedom=_degrees_of_freedom,
-    workspace=_workspace,
-    solve_sample=_solve_sample,
-    agreeing=_agreeing,
-    settle=_settle,
-    score=_score,
-    residuals_sq=_residuals_sq,
-    near=_near,
-    residual_size=_residual_size,
-    linearize=_linearize,
-    retract=_retract,
-)
+ABSOLUTE_POSE = {
+    "sample_size": _sample_size,
+    "num_items": _num_items,
+    "degrees_of_freedom": _degrees_of_freedom,
+    "workspace": _workspace,
+    "solve_sample": _solve_sample,
+    "agreeing": _agreeing,
+    "settle": _settle,
+    "score": _score,
+    "residuals_sq": _residuals_sq,
+    "near": _near,
+    "residual_size": _residual_size,
+    "linearize": _linearize,
+    "retract": _retract,
+}
+implement(AbsolutePoseProblem, **ABSOLUTE_POSE)

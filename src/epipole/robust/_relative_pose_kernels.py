@@ -262,19 +262,19 @@ def _retract_problem(problem, model, delta, out):
     _retract(model, delta, out)
 
 
-implement(
-    RelativePoseProblem,
-    sample_size=_sample_size,
-    num_items=_num_items,
-    degrees_of_freedom=_sample_size,
-    workspace=_workspace,
-    solve_sample=_solve_sample,
-    agreeing=_agreeing,
-    settle=_settle,
-    score=_score,
-    residuals_sq=_residuals_sq,
-    near=_near,
-    residual_size=_residual_size,
-    linearize=_linearize_problem,
-    retract=_retract_problem,
-)
+RELATIVE_POSE = {
+    "sample_size": _sample_size,
+    "num_items": _num_items,
+    "degrees_of_freedom": _sample_size,
+    "workspace": _workspace,
+    "solve_sample": _solve_sample,
+    "agreeing": _agreeing,
+    "settle": _settle,
+    "score": _score,
+    "residuals_sq": _residuals_sq,
+    "near": _near,
+    "residual_size": _residual_size,
+    "linearize": _linearize_problem,
+    "retract": _retract_problem,
+}
+implement(RelativePoseProblem, **RELATIVE_POSE)

@@ -244,7 +244,7 @@ def triangulate_two_views(
         m10, m11 = n10 - (e00 * d20 + e10 * d21), n11 - (e01 * d20 + e11 * d21)
         step *= 2.0 * d / (m20 * m20 + m21 * m21 + m10 * m10 + m11 * m11 + 1e-300)
         d20, d21, d10, d11 = step * m20, step * m21, step * m10, step * m11
-        errors[k] = math.sqrt(0.5 * (d20 * d20 + d21 * d21 + d10 * d10 + d11 * d11))
+        errors[k] = math.sqrt(0.25 * (d20 * d20 + d21 * d21 + d10 * d10 + d11 * d11))
         x, y = (a0 - d10) / f1, (a1 - d11) / f1
         u, v = (b0 - d20) / f2, (b1 - d21) / f2
         p, q, s = r[0] * x + r[1] * y + r[2], r[3] * x + r[4] * y + r[5], r[6] * x + r[7] * y + r[8]

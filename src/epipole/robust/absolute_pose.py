@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
-from epipole._checks import as_points, require_same_length
+from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.geometry import Rigid3
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.robust._absolute_pose_kernels import ROWS, AbsolutePoseProblem, pack_rays
-from epipole.robust.estimate import Estimate, checked_quality, random_order, run_loop
-
-_HERE = np.concatenate([np.eye(3).ravel(), np.zeros(3)])
+from epipole.robust._focal_pose_kernels import FocalPoseProblem
+from epipole.robust._rig_pose_kernels import RigPoseProblem, UprightPoseProblem
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+from epipole.solvers._more_pose_kernels import FOCAL
 
 
 def estimate_absolute_pose(
@@ -45,13 +50,186 @@ def estimate_absolute_pose(
     config = config or RansacConfig()
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
+    order, items = _pack([camera], Rigid3.identity(1), np.zeros(n, np.int64), points, pixels, config)
+    found = run_loop(AbsolutePoseProblem(items), order, n, 1.0, config, checked_quality(quality, n))
+    return found.estimate(_motion(found))
+
+
+def estimate_rig_pose(
+    points_in_world: Any,
+    pixels: Any,
+    camera_index: Any,
+    cameras: Sequence[Camera],
+    cams_from_rig: Rigid3,
+    config: RansacConfig | None = None,
+) -> Estimate[Rigid3]:
+    """Pose of a rig of calibrated cameras: three rays of any of them (gP3P), then the truncated reprojection error.
+
+    Args:
+        points_in_world: (n, 3); NaN and infinite ones are outliers.
+        pixels: where a camera of the rig saw them, (n, 2).
+        camera_index: (n,), which camera.
+        cameras: of any models.
+        cams_from_rig: batch shape (len(cameras),).
+        config: threshold in pixels.
+
+    Returns:
+        `model` = rig_from_world; `covariance` (6, 6) of xi in exp(xi) @ rig_from_world.
+
+    Raises:
+        ShapeError: the arrays do not fit, or an index has no camera.
+    """
+    config = config or RansacConfig()
+    points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
+    index = np.asarray(camera_index)
+    n = require_same_length(points_in_world=points, pixels=pixels, camera_index=index)
+    if len(cameras) != len(cams_from_rig):
+        raise ShapeError(f"{len(cameras)} cameras need as many cams_from_rig, got {len(cams_from_rig)}")
+    if index.dtype.kind not in "iu" or index.ndim != 1 or ((index < 0) | (index >= len(cameras))).any():
+        raise ShapeError(f"camera_index must be (n,) whole numbers below {len(cameras)}")
+    order, items = _pack(cameras, cams_from_rig, index, points, pixels, config)
+    found = run_loop(RigPoseProblem(items), order, n, 1.0, config, None)
+    return found.estimate(_motion(found))
+
+
+def estimate_upright_pose(
+    points_in_world: Any,
+    pixels: Any,
+    camera: Camera,
+    down_in_cam: Any,
+    down_in_world: Any = (0.0, 0.0, -1.0),
+    config: RansacConfig | None = None,
+) -> Estimate[Rigid3]:
+    """Pose of a calibrated camera that knows where down is: two points (uP2P), then the truncated reprojection error.
+
+    The vertical (an accelerometer's) serves the samples; the refined pose is free of it, so that one off by a degree
+    costs no accuracy.
+
+    Args:
+        points_in_world: (n, 3); NaN and infinite ones are outliers.
+        pixels: where the camera saw them, (n, 2).
+        camera: any model.
+        down_in_cam: (3,), gravity in camera coordinates.
+        down_in_world: (3,), gravity in world coordinates.
+        config: threshold in pixels.
+
+    Returns:
+        `model` = cam_from_world; `covariance` (6, 6) of xi in exp(xi) @ cam_from_world.
+
+    Raises:
+        ShapeError: the arrays do not fit, or a direction is zero.
+    """
+    config = config or RansacConfig()
+    points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
+    n = require_same_length(points_in_world=points, pixels=pixels)
+    cam_from_upright = Rotation3(turn_upright(down_in_cam, "down_in_cam").T)
+    upright_from_world = turn_upright(down_in_world, "down_in_world")
+    turned = Rigid3(cam_from_upright.matrix[None], np.zeros((1, 3)))
+    order, items = _pack(
+        [camera], turned, np.zeros(n, np.int64), points @ upright_from_world.T, pixels, config
+    )
+    found = run_loop(UprightPoseProblem(items), order, n, 1.0, config, None)
+    world = Rigid3(upright_from_world, np.zeros(3))
+    cam = Rigid3(cam_from_upright.matrix, np.zeros(3))
+    adjoint = cam.adjoint()
+    covariance = found.covariance
+    if np.isfinite(covariance).all():
+        covariance = adjoint @ covariance @ adjoint.T
+    return found.estimate(cam @ _motion(found) @ world, covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FocalPose:
+    """Where a camera stands, and its focal length."""
+
+    cam_from_world: Rigid3
+    focal_px: float
+
+
+def estimate_pose_and_focal(
+    points_in_world: Any, pixels: Any, principal_point: Any, config: RansacConfig | None = None
+) -> Estimate[FocalPose]:
+    """Pose and focal length of a camera without distortion: four points (P4Pf), then the reprojection error.
+
+    Points in one plane leave samples of four without a solution: `Reason.NO_MODEL`.
+
+    Args:
+        points_in_world: (n, 3); NaN and infinite ones are outliers.
+        pixels: where the camera saw them, (n, 2).
+        principal_point: (2,), the picture's centre where nothing better is known.
+        config: threshold in pixels.
+
+    Returns:
+        `model` = cam_from_world and focal length; `covariance` (7, 7) of xi in exp(xi) @ cam_from_world, then of the
+        logarithm of the focal length.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    config = config or RansacConfig()
+    points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
+    n = require_same_length(points_in_world=points, pixels=pixels)
+    center = as_float_array(principal_point, "principal_point", 2, finite=True)
+    order = random_order(np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1), config)
+    middle, size, spread = np.zeros(3), 1.0, 1.0
+    if len(order):
+        middle = np.median(points[order], axis=0)
+        size = float(np.median(np.linalg.norm(points[order] - middle, axis=1))) or 1.0
+        spread = float(np.median(np.linalg.norm(pixels[order] - center, axis=1))) or 1.0
+    rows = np.concatenate([(points[order] - middle) / size, (pixels[order] - center) / spread], axis=1)
+    problem = FocalPoseProblem(np.ascontiguousarray(rows.T))
+    found = run_loop(problem, order, n, spread, config, None)
+    inner = _motion(found)
+    # Points were (X - middle) / size: x = R (X - middle) / size + t, times size.
+    motion = Rigid3(inner.rotation, size * inner.translation - inner.rotation @ middle)
+    # exp(xi) from the left moves camera coordinates, which were divided by size.
+    units = np.array([size, size, size, 1.0, 1.0, 1.0, 1.0])
+    covariance = units[:, None] * found.covariance * units
+    return found.estimate(FocalPose(motion, float(spread * found.raw[FOCAL])), covariance)
+
+
+def turn_upright(down: Any, name: str) -> Float64[np.ndarray, "3 3"]:
+    """The smallest rotation that brings `down` onto the y axis.
+
+    Raises:
+        ShapeError: it is not one direction.
+    """
+    down = as_float_array(down, name, 3, finite=True)
+    length = np.linalg.norm(down)
+    if down.ndim != 1 or not length > 0:
+        raise ShapeError(f"{name} must be one direction (3,) of some length, got {down}")
+    d = down / length
+    axis, y = np.cross(d, [0.0, 1.0, 0.0]), d[1]
+    if y < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = skew(axis)
+    return np.eye(3) + cross + cross @ cross / (1.0 + y)
+
+
+def _motion(found: Found) -> Rigid3:
+    return Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
+
+
+def _pack(
+    cameras: Sequence[Camera],
+    cams_from_rig: Rigid3,
+    index: np.ndarray,
+    points: np.ndarray,
+    pixels: np.ndarray,
+    config: RansacConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(order, items): the usable points in random order, as the kernels take them."""
     usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
     order = random_order(usable, config)
     items = np.empty((ROWS, len(order)))
-    pack_rays(int(camera.model), camera.padded_params(), _HERE, points, pixels, order, items)
+    for c, camera in enumerate(cameras):
+        columns = np.flatnonzero(index[order] == c)
+        part = items if len(columns) == len(order) else np.empty((ROWS, len(columns)))
+        place = np.concatenate([cams_from_rig.rotation[c].ravel(), cams_from_rig.translation[c]])
+        pack_rays(int(camera.model), camera.padded_params(), place, points, pixels, order[columns], part)
+        if part is not items:
+            items[:, columns] = part
     seen = np.isfinite(items).all(axis=0)
     if not seen.all():
         order, items = order[seen], np.ascontiguousarray(items[:, seen])
-    found = run_loop(AbsolutePoseProblem(items), order, n, 1.0, config, checked_quality(quality, n))
-    motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
-    return found.estimate(motion)
+    return order, items

@@ -135,6 +135,8 @@ def run_loop(
     scale_px: float,
     config: RansacConfig,
     quality: np.ndarray | None,
+    *,
+    of_order_one: bool = False,
 ) -> Found:
     """Robustly fit a problem whose column k is the caller's item order[k].
 
@@ -145,6 +147,7 @@ def run_loop(
         scale_px: the unit of the problem's residuals in the caller's unit.
         config: threshold in the caller's unit.
         quality: (n,) for PROSAC, or None.
+        of_order_one: the problem's steps are of one unit, so that one which moves nothing can be told by its size.
     """
     m = len(order)
     size, freedom = loop.sizes(problem)
@@ -177,7 +180,7 @@ def run_loop(
     num_inliers = int(inlier_mask.sum())
     size_of_residual = loop.numbers_per_residual(problem)
     noise = untruncated_noise(out[inlier_mask], config.max_error_px, size_of_residual, freedom)
-    covariance, determined = invert_information(information, noise / scale_px)
+    covariance, determined = invert_information(information, noise / scale_px, of_order_one=of_order_one)
     if num_inliers < config.min_inliers:
         reason = Reason.TOO_FEW_INLIERS
     else:
@@ -208,15 +211,17 @@ def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedo
     return float(sigma)
 
 
-def invert_information(information: np.ndarray, sigma: float) -> tuple[np.ndarray, bool]:
+def invert_information(
+    information: np.ndarray, sigma: float, *, of_order_one: bool = False
+) -> tuple[np.ndarray, bool]:
     """(sigma^2 (J^T J)^-1, whether it exists); infinite if not."""
     diagonal = np.einsum("ii->i", information)
-    root = np.sqrt(np.maximum(diagonal, 0.0))
     nothing = np.full(information.shape, np.inf)
-    if not (root > 0).all() or not np.isfinite(information).all():
+    least = SINGULAR * diagonal.max() if of_order_one else 0.0
+    if not (np.isfinite(information).all() and (diagonal > least).all()):
         return nothing, False
-    scaled = information / np.outer(root, root)
-    values, vectors = np.linalg.eigh(scaled)
+    root = np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(information / np.outer(root, root))
     if values[0] < SINGULAR:
         return nothing, False
     return sigma**2 * ((vectors / values) @ vectors.T) / np.outer(root, root), True

@@ -163,7 +163,7 @@ def _two_views(
     )
     points, errors, cosines, reason = out
     if max_error_px is not None:
-        # The residuals' four coordinates lie across one line: their length is that of one coordinate twice over.
+        # Both views share the error: the distance in each is sqrt(2) times the root mean square of a coordinate.
         reason[(np.sqrt(2.0) * errors > max_error_px) & (reason == PointReason.OK)] = PointReason.LARGE_ERROR
     identity = (
         np.array_equal(cams_from_world.rotation[0], np.eye(3)) and not cams_from_world.translation[0].any()

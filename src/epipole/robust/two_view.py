@@ -14,6 +14,8 @@ from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
 from epipole.robust._fundamental_kernels import FundamentalProblem, derivatives_of_fundamental
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
+from epipole.robust._upright_motion_kernels import UprightMotionProblem
+from epipole.robust.absolute_pose import turn_upright
 from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
 
 Matrix3 = Float64[np.ndarray, "3 3"]
@@ -43,12 +45,47 @@ def estimate_relative_pose(
 
     Returns:
         `model` = cam2_from_cam1 with |t| = 1 (the length cannot be known); `covariance` (6, 6) of xi in
-        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five.
+        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five. It takes the inliers for right: wrong
+        matches that lie on their epipolar line by chance are not in it (200 matches, a fifth of them wrong: its
+        90 % region held the truth in 80 % of trials, and in 89 % where none was wrong).
 
     Raises:
         ShapeError: the arrays do not fit.
     """
     found = _fit_motion(pixels1, pixels2, camera1, camera2, config or RansacConfig(), quality)
+    motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
+    return found.estimate(motion, _twist_covariance(found))
+
+
+def estimate_upright_motion(
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    down_in_cams: tuple[Any, Any],
+    config: RansacConfig | None = None,
+) -> Estimate[Rigid3]:
+    """Relative pose of two calibrated cameras that know where down is: three points, then as `estimate_relative_pose`.
+
+    The verticals (an accelerometer's) serve the samples, of which far fewer are needed; the refined motion is free of
+    them, so that one off by a degree costs no accuracy.
+
+    Args:
+        pixels1: matches in image 1, (n, 2).
+        pixels2: the same in image 2.
+        camera1: any model.
+        camera2: any model.
+        down_in_cams: gravity in the coordinates of camera 1 and of camera 2, (3,) each.
+        config: `max_error_px` is divided by the mean focal length.
+
+    Returns:
+        As `estimate_relative_pose`.
+
+    Raises:
+        ShapeError: the arrays do not fit, or a direction is zero.
+    """
+    up1, up2 = (turn_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
+    found = _fit_motion(pixels1, pixels2, camera1, camera2, config or RansacConfig(), None, (up1, up2))
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _twist_covariance(found))
 
@@ -154,15 +191,22 @@ def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[
 
 
 def _fit_motion(
-    pixels1: Any, pixels2: Any, camera1: Camera, camera2: Camera, config: RansacConfig, quality: Any
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    config: RansacConfig,
+    quality: Any,
+    upright: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Found:
     y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
     n = require_same_length(pixels1=y1, pixels2=y2)
     scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
     matches = np.concatenate([y1, y2], axis=1)
     order = random_order(np.isfinite(matches).all(axis=1), config)
-    problem = RelativePoseProblem(np.ascontiguousarray(matches[order].T))
-    return run_loop(problem, order, n, scale_px, config, checked_quality(quality, n))
+    columns = np.ascontiguousarray(matches[order].T)
+    problem = RelativePoseProblem(columns) if upright is None else UprightMotionProblem(columns, *upright)
+    return run_loop(problem, order, n, scale_px, config, checked_quality(quality, n), of_order_one=True)
 
 
 def _fit_pixels(
@@ -182,7 +226,7 @@ def _fit_pixels(
             float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9
         )
     problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
-    found = run_loop(problem, order, n, spread, config, checked_quality(quality, n))
+    found = run_loop(problem, order, n, spread, config, checked_quality(quality, n), of_order_one=True)
     t1, t2 = (
         np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
         for u, v in (center[:2], center[2:])
