@@ -18,6 +18,7 @@ from epipole.robust._relative_pose_kernels import RelativePoseProblem
 from epipole.solvers._two_view_kernels import svd3
 
 GENERAL, PLANAR, ROTATION, NO_MOTION, DEGENERATE = 0, 1, 2, 3, 4
+TURNING_SHARE = 0.9
 LEAST_NOISE_PX = 0.25  # pixels are not known better than this, whatever the residuals say
 LEAST_DEPTH = 1e-3  # rays flatter than this do not cross the plane z = 1
 
@@ -327,12 +328,14 @@ def _parallax(motion, rays1, rays2):
 
 
 @kernel(allocates=True)
-def judge(pairs, epipolar_freedom, search, epipolar, planes, motions, verdicts):
+def judge(pairs, calibrated, search, epipolar, planes, motions, verdicts):
     """Compare epipolar geometry, homography, rotation and no motion over the epipolar inliers.
 
     Distances are orthogonal ones in the four dimensions of a match, to first order: Sampson's for the epipolar
     geometry; half the squared transfer error for the others, whose noise comes from both pictures. Each is cut at
     2 (4 - d) variances, the noise being estimated from the epipolar residuals.
+    What is not calibrated has a guessed focal length, under which a rotation cannot win: there it takes over from the
+    homography where it explains nearly all matches to within the threshold.
     """
     for p in range(len(pairs.seed)):
         first, last = pairs.offsets[p], pairs.offsets[p + 1]
@@ -363,8 +366,9 @@ def judge(pairs, epipolar_freedom, search, epipolar, planes, motions, verdicts):
         # The median of the square of a normal variable is 0.455 variances.
         variance = max(median(sizes, count) / 0.455, LEAST_NOISE_PX**2)
         rotation = verdicts.rotation[p]
-        _fit_rotation(pairs, p, chosen, rays1, rays2, 2.0 * math.sqrt(variance), rotation)
-        totals = np.zeros(4)
+        scale_px = 2.0 * math.sqrt(variance) if calibrated[p] else search.max_error_px
+        _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation)
+        totals, turning = np.zeros(4), 0
         for c in range(count):
             k = chosen[c]
             still = (pairs.pixels[2, k] - pairs.pixels[0, k]) ** 2 + (
@@ -372,12 +376,13 @@ def judge(pairs, epipolar_freedom, search, epipolar, planes, motions, verdicts):
             ) ** 2
             plane = planes.residuals_px[k] ** 2
             turned = _turn_error_sq(pairs, p, k, rotation, rays1[c])
+            turning += 1 if turned < search.max_error_px**2 else 0
             totals[0] += min(epipolar.residuals_px[k] ** 2 / variance, 2.0)
             totals[1] += min(0.5 * plane / variance, 4.0)
             totals[2] += min(0.5 * turned / variance, 4.0)
             totals[3] += min(0.5 * still / variance, 4.0)
         cost = verdicts.cost[p]
-        cost[0] = _gric(totals[0], count, 3.0, epipolar_freedom[p])
+        cost[0] = _gric(totals[0], count, 3.0, 5.0 if calibrated[p] else 7.0)
         cost[1] = _gric(totals[1], count, 2.0, 8.0)
         cost[2] = _gric(totals[2], count, 2.0, 3.0)
         cost[3] = _gric(totals[3], count, 2.0, 0.0)
@@ -385,6 +390,9 @@ def judge(pairs, epipolar_freedom, search, epipolar, planes, motions, verdicts):
         for i in range(1, 4):
             if cost[i] < cost[best]:
                 best = i
+        # A rotation under a guessed focal length is never exact; it need only explain nearly all to the threshold.
+        if best == PLANAR and not calibrated[p] and turning >= TURNING_SHARE * count:
+            best = ROTATION
         verdicts.kind[p] = best
         verdicts.noise_px[p] = math.sqrt(variance)
         if best < ROTATION and motions.iterations[p] >= 0:

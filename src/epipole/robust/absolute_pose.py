@@ -15,10 +15,9 @@ from epipole.config import RansacConfig
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.robust._absolute_pose_kernels import ROWS, AbsolutePoseProblem, pack_rays
-from epipole.robust._focal_pose_kernels import FocalPoseProblem
+from epipole.robust._focal_pose_kernels import FOCAL, FocalPoseProblem
 from epipole.robust._rig_pose_kernels import RigPoseProblem, UprightPoseProblem
 from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
-from epipole.solvers._more_pose_kernels import FOCAL
 
 
 def estimate_absolute_pose(

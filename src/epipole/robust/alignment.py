@@ -9,9 +9,8 @@ import numpy as np
 from epipole._checks import as_points, require_same_length
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Similarity3, skew
-from epipole.robust._alignment_kernels import AlignmentProblem
+from epipole.robust._alignment_kernels import SCALE, AlignmentProblem
 from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
-from epipole.solvers._alignment_kernels import SCALE
 
 
 def estimate_rigid(

@@ -79,6 +79,8 @@ class PairGeometry:
             return f"too few of {len(self.inlier_mask)} matches agree with any geometry"
         order = np.argsort(self.costs)
         margin = float(self.costs[order[1]] - self.costs[order[0]])
+        if self.kind is PairKind.ROTATION and order[0] != kernels.ROTATION:
+            return "a plane fits best, and a rotation under the guessed focal length fits nearly all: no depth in it"
         words = (
             f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches with {self.noise_px:.2f} px of noise best "
             f"(by {margin:.0f} over {_WORDS[order[1]]})"
@@ -157,8 +159,7 @@ def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeom
     verdicts = kernels.Verdicts(
         np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)
     )
-    freedom = np.where(calibrated, 5.0, 7.0)
-    kernels.judge(packed, freedom, _search(config), epipolar, planes, motions, verdicts)
+    kernels.judge(packed, calibrated, _search(config), epipolar, planes, motions, verdicts)
     return [
         _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, verdicts)
         for p, pair in enumerate(pairs)
