@@ -11,7 +11,8 @@ import numpy as np
 from epipole._jit import kernel
 from epipole.robust._block_kernels import REASSOC, columns_within, rotate_left
 from epipole.robust._contract_kernels import implement
-from epipole.solvers._alignment_kernels import SCALE, align_three_points
+from epipole.solvers._alignment_kernels import SCALE as SCALE
+from epipole.solvers._alignment_kernels import align_three_points
 from epipole.solvers._linear_kernels import copy_numbers
 
 

@@ -13,7 +13,8 @@ from epipole.robust._absolute_pose_kernels import retract_motion
 from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows
 from epipole.robust._contract_kernels import implement
 from epipole.solvers._linear_kernels import copy_numbers
-from epipole.solvers._more_pose_kernels import FOCAL, p4pf, p4pf_workspace
+from epipole.solvers._more_pose_kernels import FOCAL as FOCAL
+from epipole.solvers._more_pose_kernels import p4pf, p4pf_workspace
 
 
 class FocalPoseProblem(NamedTuple):

@@ -10,15 +10,18 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_one, unproject_one
-from epipole.robust._block_kernels import median
+from epipole.robust._block_kernels import median, rotate_left
 from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._loop_kernels import next_random, ransac
 from epipole.robust._relative_pose_kernels import RelativePoseProblem
+from epipole.solvers._linear_kernels import solve_spd
 from epipole.solvers._two_view_kernels import svd3
 
 GENERAL, PLANAR, ROTATION, NO_MOTION, DEGENERATE = 0, 1, 2, 3, 4
 TURNING_SHARE = 0.9
+TRUSTED_FOCAL, GUESSED_FOCAL = 0.4, 1.2  # a rotation may correct the logarithm of a focal length by so much
+TURN_STEPS = 8
 LEAST_NOISE_PX = 0.25  # pixels are not known better than this, whatever the residuals say
 LEAST_DEPTH = 1e-3  # rays flatter than this do not cross the plane z = 1
 
@@ -309,6 +312,55 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
 
 
 @kernel(allocates=True)
+def _fit_turning_lens(rays1, rays2, focal_px, variance, rotation):
+    """Refine a rotation together with a factor g of the focal lengths, on the planes z = 1; returns g and the fit.
+
+    x2 = g h(R (x1 / g)), h the division by the third coordinate; Gauss-Newton in (phi, log g) with Cauchy's weights. The
+    fit is the sum of squared transfer errors over two variances, each cut at 4.
+    """
+    a, b, step = np.empty((4, 4)), np.empty(4), np.empty((2, 4))
+    turned, r, g = np.empty(9), rotation.copy(), 1.0
+    for turn in range(TURN_STEPS + 1):
+        total = 0.0
+        a[:, :] = 0.0
+        b[:] = 0.0
+        for c in range(len(rays1)):
+            if not (rays1[c, 2] > LEAST_DEPTH and rays2[c, 2] > LEAST_DEPTH):
+                total += 4.0
+                continue
+            u, v = rays1[c, 0] / rays1[c, 2] / g, rays1[c, 1] / rays1[c, 2] / g
+            x, y, z = r[0] * u + r[1] * v + r[2], r[3] * u + r[4] * v + r[5], r[6] * u + r[7] * v + r[8]
+            if not z > LEAST_DEPTH:
+                total += 4.0
+                continue
+            p, q = x / z, y / z
+            eu, ev = g * p - rays2[c, 0] / rays2[c, 2], g * q - rays2[c, 1] / rays2[c, 2]
+            error = 0.5 * focal_px * focal_px * (eu * eu + ev * ev) / variance
+            total += min(error, 4.0)
+            weight = 1.0 / (1.0 + error / 4.0)
+            # dx = phi x x, and d(u, v) = -(u, v) dlog g.
+            dx, dy, dz = -(r[0] * u + r[1] * v), -(r[3] * u + r[4] * v), -(r[6] * u + r[7] * v)
+            step[0, 0], step[0, 1], step[0, 2] = -g * p * y / z, g * (z + p * x) / z, -g * y / z
+            step[1, 0], step[1, 1], step[1, 2] = -g * (z + q * y) / z, g * q * x / z, g * x / z
+            step[0, 3], step[1, 3] = g * p + g * (dx - p * dz) / z, g * q + g * (dy - q * dz) / z
+            for i in range(4):
+                b[i] -= weight * (step[0, i] * eu + step[1, i] * ev)
+                for j in range(4):
+                    a[i, j] += weight * (step[0, i] * step[0, j] + step[1, i] * step[1, j])
+        if turn == TURN_STEPS:
+            break
+        for i in range(4):
+            a[i, i] += 1e-9 * a[i, i] + 1e-15
+        if not solve_spd(a, b, 4):
+            break
+        rotate_left(b, r, turned)
+        for i in range(9):
+            r[i] = turned[i]
+        g *= math.exp(min(max(b[3], -0.5), 0.5))
+    return g, total
+
+
+@kernel(allocates=True)
 def _parallax(motion, rays1, rays2):
     """Median angle between matched rays that meet in front of both cameras."""
     angles, count = np.empty(len(rays1)), 0
@@ -334,8 +386,8 @@ def judge(pairs, calibrated, search, epipolar, planes, motions, verdicts):
     Distances are orthogonal ones in the four dimensions of a match, to first order: Sampson's for the epipolar
     geometry; half the squared transfer error for the others, whose noise comes from both pictures. Each is cut at
     2 (4 - d) variances, the noise being estimated from the epipolar residuals.
-    What is not calibrated has a guessed focal length, under which a rotation cannot win: there it takes over from the
-    homography where it explains nearly all matches to within the threshold.
+    Focal lengths are never known so well that a rotation fits to the noise: it may correct them. Where they are guesses
+    it also takes over from the homography if it explains nearly all matches to within the threshold.
     """
     for p in range(len(pairs.seed)):
         first, last = pairs.offsets[p], pairs.offsets[p + 1]
@@ -385,6 +437,10 @@ def judge(pairs, calibrated, search, epipolar, planes, motions, verdicts):
         cost[0] = _gric(totals[0], count, 3.0, 5.0 if calibrated[p] else 7.0)
         cost[1] = _gric(totals[1], count, 2.0, 8.0)
         cost[2] = _gric(totals[2], count, 2.0, 3.0)
+        focal_px = 0.5 * (pairs.focal_px[pairs.camera1[p]] + pairs.focal_px[pairs.camera2[p]])
+        g, turning_lens = _fit_turning_lens(rays1, rays2, focal_px, variance, rotation)
+        if abs(math.log(g)) < (TRUSTED_FOCAL if calibrated[p] else GUESSED_FOCAL):
+            cost[2] = min(cost[2], _gric(turning_lens, count, 2.0, 4.0))
         cost[3] = _gric(totals[3], count, 2.0, 0.0)
         best = 0
         for i in range(1, 4):
