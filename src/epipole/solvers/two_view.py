@@ -9,7 +9,8 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
-from epipole.geometry import from_homogeneous, to_homogeneous
+from epipole.geometry import Rigid3, from_homogeneous, to_homogeneous
+from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as kernels
 
 
@@ -29,6 +30,23 @@ def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k
     )
     out = np.empty((10, 9))
     return out[: kernels.essential_five_point(y1, y2, out, kernels.five_point_workspace())].reshape(-1, 3, 3)
+
+
+def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:
+    """All cam2_from_cam1, |t| = 1, of three matches between cameras with one vertical y axis (Fraundorfer et al. 2010).
+
+    Args:
+        rays1: directions in camera 1, (3, 3), any length.
+        rays2: the same in camera 2.
+
+    Returns:
+        Rigid3 of batch shape (k,): up to six rotations, each with both signs of t.
+    """
+    y1 = as_float_array(rays1, "rays1", 3, 3, finite=True)
+    y2 = as_float_array(rays2, "rays2", 3, 3, finite=True)
+    out = np.empty((12, 12))
+    count = more.upright_relative_three_point(y1, y2, out, more.upright_relative_workspace())
+    return Rigid3(out[:count, :9].reshape(-1, 3, 3).copy(), out[:count, 9:].copy())
 
 
 def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
