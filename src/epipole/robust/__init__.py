@@ -10,6 +10,11 @@ from epipole.robust.alignment import estimate_rigid as estimate_rigid
 from epipole.robust.alignment import estimate_similarity as estimate_similarity
 from epipole.robust.estimate import Estimate as Estimate
 from epipole.robust.estimate import Reason as Reason
+from epipole.robust.focal_motion import FocalMotion as FocalMotion
+from epipole.robust.focal_motion import estimate_motion_and_focals as estimate_motion_and_focals
+from epipole.robust.focal_motion import (
+    estimate_motion_and_shared_focal as estimate_motion_and_shared_focal,
+)
 from epipole.robust.pair_kind import PairKind as PairKind
 from epipole.robust.triangulate import PointReason as PointReason
 from epipole.robust.triangulate import Triangulation as Triangulation

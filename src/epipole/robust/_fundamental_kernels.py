@@ -37,7 +37,7 @@ class FundamentalProblem(NamedTuple):
 
 
 @kernel
-def _find_epipole(model):
+def find_epipole(model):
     """The left null vector of F, e2^T F = 0, as the longest cross product of two of its columns, of length one."""
     best = 0.0
     for j in range(3):
@@ -58,7 +58,7 @@ def _find_epipole(model):
 
 
 @kernel
-def _line_sense(model, x1, x2):
+def line_sense(model, x1, x2):
     """(e2 x x2) . (F x1)."""
     e0, e1, e2 = model[EPIPOLE], model[EPIPOLE + 1], model[EPIPOLE + 2]
     l0 = model[0] * x1[0] + model[1] * x1[1] + model[2] * x1[2]
@@ -111,7 +111,7 @@ def fundamental_residuals(p, m, threshold_sq, out):
 
 
 @kernel(extra_fastmath=REASSOC)
-def _rows_of_block(p, m, start, stop, threshold_sq, soft_sq, rows):
+def fundamental_rows(p, m, start, stop, threshold_sq, soft_sq, rows):
     """Residuals (rows[0]) and their derivatives by the entries of F (rows[1:10]), zero where truncated."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
     s0, s1, s2 = p[SENSE] * p[EPIPOLE], p[SENSE] * p[EPIPOLE + 1], p[SENSE] * p[EPIPOLE + 2]
@@ -199,7 +199,7 @@ def fundamental_normal_equations(model, m, threshold_sq, soft_sq, a, b):
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, m, start, stop, threshold_sq, soft_sq, rows)
+        total += fundamental_rows(model, m, start, stop, threshold_sq, soft_sq, rows)
         add_normal_equations(d, rows, jac, stop - start, a, b)
     scale = 1.0 / math.sqrt(1.0 + model[RATIO] * model[RATIO])
     for i in range(7):
@@ -248,12 +248,12 @@ def _solve_sample(problem, sample, models, work):
     for k in range(fundamental_seven_point(x1, x2, found, solver)):
         model = models[count]
         copy_numbers(found[k], model)
-        if not _find_epipole(model):
+        if not find_epipole(model):
             continue
-        first = _line_sense(model, x1[0], x2[0])
+        first = line_sense(model, x1[0], x2[0])
         agree = True
         for i in range(1, 7):
-            if first * _line_sense(model, x1[i], x2[i]) <= 0.0:
+            if first * line_sense(model, x1[i], x2[i]) <= 0.0:
                 agree = False
                 break
         if agree:

@@ -1,7 +1,9 @@
 """Homographies for the robust loop.
 
-Model: H row by row, |H| = 1, with positive third coordinates for the points in front. Residual: the distance
-|H x1 - x2| in image 2. Points that H moves through infinity are as far as can be.
+Model: H row by row, |H| = 1, with positive third coordinates for the points in front. Residual: with e = H x1 - x2 in
+image 2 and its derivative J by x1, noise of one size in both pictures gives e the covariance I + J J^T. Sampson's distance
+(HZ section 4.2.6) is e^T (I + J J^T)^-1 e; twice that is used, which is |e|^2 where H keeps lengths, so that a threshold
+means pixels of transfer. Points that H moves through infinity are as far as can be.
 """
 
 import math
@@ -24,15 +26,25 @@ class HomographyProblem(NamedTuple):
 
 
 @kernel(extra_fastmath=REASSOC)
-def transfer_agreeing(h, m, threshold_sq, start, stop):
-    """Number of matches start..stop with a squared transfer error below the threshold."""
+def symmetric_agreeing(h, m, threshold_sq, start, stop):
+    """Number of matches start..stop with a squared residual below the threshold."""
     h0, h1, h2, h3, h4, h5, h6, h7, h8 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]
     count = 0
     for k in range(start, stop):
         a, b = m[0, k], m[1, k]
         w = h6 * a + h7 * b + h8
-        u, v = h0 * a + h1 * b + h2 - w * m[2, k], h3 * a + h4 * b + h5 - w * m[3, k]
-        count += 1 if w > 0.0 and u * u + v * v < threshold_sq * w * w else 0
+        inverse = 1.0 / (w if w > 0.0 else 1.0)
+        u, v = (h0 * a + h1 * b + h2) * inverse, (h3 * a + h4 * b + h5) * inverse
+        du, dv = u - m[2, k], v - m[3, k]
+        j0, j1 = (h0 - u * h6) * inverse, (h1 - u * h7) * inverse
+        j2, j3 = (h3 - v * h6) * inverse, (h4 - v * h7) * inverse
+        c0, c1, c2 = (
+            0.5 + 0.5 * (j0 * j0 + j1 * j1),
+            0.5 * (j0 * j2 + j1 * j3),
+            0.5 + 0.5 * (j2 * j2 + j3 * j3),
+        )
+        r = (c2 * du * du - 2.0 * c1 * du * dv + c0 * dv * dv) / (c0 * c2 - c1 * c1)
+        count += 1 if w > 0.0 and r < threshold_sq else 0
     return count
 
 
@@ -43,14 +55,23 @@ def _score_block(h, m, threshold_sq, start, stop):
     for k in range(start, stop):
         a, b = m[0, k], m[1, k]
         w = h6 * a + h7 * b + h8
-        u, v = h0 * a + h1 * b + h2 - w * m[2, k], h3 * a + h4 * b + h5 - w * m[3, k]
-        r = (u * u + v * v) / (w * w + 1e-300)
+        inverse = 1.0 / (w if w > 0.0 else 1.0)
+        u, v = (h0 * a + h1 * b + h2) * inverse, (h3 * a + h4 * b + h5) * inverse
+        du, dv = u - m[2, k], v - m[3, k]
+        j0, j1 = (h0 - u * h6) * inverse, (h1 - u * h7) * inverse
+        j2, j3 = (h3 - v * h6) * inverse, (h4 - v * h7) * inverse
+        c0, c1, c2 = (
+            0.5 + 0.5 * (j0 * j0 + j1 * j1),
+            0.5 * (j0 * j2 + j1 * j3),
+            0.5 + 0.5 * (j2 * j2 + j3 * j3),
+        )
+        r = (c2 * du * du - 2.0 * c1 * du * dv + c0 * dv * dv) / (c0 * c2 - c1 * c1)
         total += r if w > 0.0 and r < threshold_sq else threshold_sq
     return total
 
 
 @kernel
-def transfer_score(h, m, threshold_sq, bail_out):
+def symmetric_score(h, m, threshold_sq, bail_out):
     """MSAC score of a homography; stops once it exceeds bail_out."""
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
@@ -61,19 +82,36 @@ def transfer_score(h, m, threshold_sq, bail_out):
 
 
 @kernel
-def transfer_residuals(h, m, out):
-    """Squared transfer error of every match; infinite beyond infinity."""
+def symmetric_residuals(h, m, out):
+    """Squared residual of every match; infinite beyond infinity."""
     for k in range(m.shape[1]):
         a, b = m[0, k], m[1, k]
         w = h[6] * a + h[7] * b + h[8]
-        u = h[0] * a + h[1] * b + h[2] - w * m[2, k]
-        v = h[3] * a + h[4] * b + h[5] - w * m[3, k]
-        out[k] = (u * u + v * v) / (w * w) if w > 0.0 else math.inf
+        if not w > 0.0:
+            out[k] = math.inf
+            continue
+        u, v = (h[0] * a + h[1] * b + h[2]) / w, (h[3] * a + h[4] * b + h[5]) / w
+        du, dv = u - m[2, k], v - m[3, k]
+        j0, j1, j2, j3 = (
+            (h[0] - u * h[6]) / w,
+            (h[1] - u * h[7]) / w,
+            (h[3] - v * h[6]) / w,
+            (h[4] - v * h[7]) / w,
+        )
+        c0, c1, c2 = (
+            0.5 + 0.5 * (j0 * j0 + j1 * j1),
+            0.5 * (j0 * j2 + j1 * j3),
+            0.5 + 0.5 * (j2 * j2 + j3 * j3),
+        )
+        out[k] = (c2 * du * du - 2.0 * c1 * du * dv + c0 * dv * dv) / (c0 * c2 - c1 * c1)
 
 
 @kernel(extra_fastmath=REASSOC)
 def _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows):
-    """x1 / w (rows 0:3), the same times u' (3:6) and v' (6:9), and the residuals (9, 10), zero where truncated."""
+    """Whitened residuals (rows 0, 10) and derivatives by the entries of H (1:10, 11:20), zero where truncated.
+
+    du/dh = (p, 0, -u p), dv/dh = (0, p, -v p) with p = x1 / w; both are multiplied by the inverse Cholesky factor of C.
+    """
     h0, h1, h2, h3, h4, h5, h6, h7, h8 = h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], h[8]
     total = 0.0
     for k in range(start, stop):
@@ -82,45 +120,49 @@ def _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows):
         inverse = 1.0 / (w if w > 0.0 else 1.0)
         u, v = (h0 * a + h1 * b + h2) * inverse, (h3 * a + h4 * b + h5) * inverse
         du, dv = u - m[2, k], v - m[3, k]
-        r = du * du + dv * dv
+        j0, j1 = (h0 - u * h6) * inverse, (h1 - u * h7) * inverse
+        j2, j3 = (h3 - v * h6) * inverse, (h4 - v * h7) * inverse
+        c0, c1, c2 = (
+            0.5 + 0.5 * (j0 * j0 + j1 * j1),
+            0.5 * (j0 * j2 + j1 * j3),
+            0.5 + 0.5 * (j2 * j2 + j3 * j3),
+        )
+        f0 = 1.0 / math.sqrt(c0)
+        f2 = 1.0 / math.sqrt(c2 - c1 * c1 / c0)
+        f1 = -c1 / c0 * f2
+        ru, rv = f0 * du, f1 * du + f2 * dv
+        r = ru * ru + rv * rv
         is_in = w > 0.0 and r < threshold_sq
         total += r if is_in else threshold_sq
         keep, i = (math.sqrt(1.0 / (1.0 + r / soft_sq)) if is_in else 0.0), k - start
         x, y, z = keep * a * inverse, keep * b * inverse, keep * inverse
-        rows[0, i], rows[1, i], rows[2, i] = x, y, z
-        rows[3, i], rows[4, i], rows[5, i] = -u * x, -u * y, -u * z
-        rows[6, i], rows[7, i], rows[8, i] = -v * x, -v * y, -v * z
-        rows[9, i], rows[10, i] = keep * du, keep * dv
+        g0, g1, g2, g3 = f0, f1, f2, f1 * u + f2 * v
+        rows[0, i], rows[10, i] = keep * ru, keep * rv
+        rows[1, i], rows[2, i], rows[3, i] = g0 * x, g0 * y, g0 * z
+        rows[4, i], rows[5, i], rows[6, i] = 0.0, 0.0, 0.0
+        rows[7, i], rows[8, i], rows[9, i] = -g0 * u * x, -g0 * u * y, -g0 * u * z
+        rows[11, i], rows[12, i], rows[13, i] = g1 * x, g1 * y, g1 * z
+        rows[14, i], rows[15, i], rows[16, i] = g2 * x, g2 * y, g2 * z
+        rows[17, i], rows[18, i], rows[19, i] = -g3 * x, -g3 * y, -g3 * z
     return total
 
 
 @kernel(allocates=True)
-def transfer_normal_equations(h, m, threshold_sq, soft_sq, a, b):
-    """Gauss-Newton terms in the nine entries of H, its length held; returns the score.
-
-    du/dh = (p, 0, -u' p), dv/dh = (0, p, -v' p) with p = x1 / w.
-    """
-    rows = np.empty((11, BLOCK))
+def symmetric_normal_equations(h, m, threshold_sq, soft_sq, a, b):
+    """Gauss-Newton terms in the nine entries of H, its length held; returns the score."""
+    rows = np.empty((20, BLOCK))
     a[:, :] = 0.0
     b[:] = 0.0
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)
-        count = stop - start
         total += _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows)
-        for i in range(3):
-            b[i] += dot_rows(rows[i], rows[9], count)
-            b[3 + i] += dot_rows(rows[i], rows[10], count)
-            b[6 + i] += dot_rows(rows[3 + i], rows[9], count) + dot_rows(rows[6 + i], rows[10], count)
-            for j in range(3):
-                pair = dot_rows(rows[i], rows[j], count)
-                a[i, j] += pair
-                a[3 + i, 3 + j] += pair
-                a[6 + i, j] += dot_rows(rows[3 + i], rows[j], count)
-                a[6 + i, 3 + j] += dot_rows(rows[6 + i], rows[j], count)
-                a[6 + i, 6 + j] += dot_rows(rows[3 + i], rows[3 + j], count) + dot_rows(
-                    rows[6 + i], rows[6 + j], count
-                )
+        for which in range(2):
+            first = 10 * which
+            for i in range(9):
+                b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
+                for j in range(i + 1):
+                    a[i, j] += dot_rows(rows[first + 1 + i], rows[first + 1 + j], stop - start)
     # One parameter too many: the scale of H changes nothing; a penalty on it leaves the other steps as they are.
     weight = (a[0, 0] + a[4, 4] + a[8, 8]) / 3.0
     for i in range(9):
@@ -171,7 +213,7 @@ def _solve_sample(problem, sample, models, work):
 
 
 def _agreeing(problem, model, threshold_sq, start, stop):
-    return transfer_agreeing(model, problem.matches, threshold_sq, start, stop)
+    return symmetric_agreeing(model, problem.matches, threshold_sq, start, stop)
 
 
 def _settle(problem, sample, model, settled, work):
@@ -180,11 +222,11 @@ def _settle(problem, sample, model, settled, work):
 
 
 def _score(problem, model, threshold_sq, bail_out):
-    return transfer_score(model, problem.matches, threshold_sq, bail_out)
+    return symmetric_score(model, problem.matches, threshold_sq, bail_out)
 
 
 def _residuals_sq(problem, model, threshold_sq, out):
-    transfer_residuals(model, problem.matches, out)
+    symmetric_residuals(model, problem.matches, out)
 
 
 def _residual_size(problem):
@@ -193,12 +235,12 @@ def _residual_size(problem):
 
 def _near(problem, model, threshold_sq):
     residuals = np.empty(problem.matches.shape[1])
-    transfer_residuals(model, problem.matches, residuals)
+    symmetric_residuals(model, problem.matches, residuals)
     return HomographyProblem(columns_within(problem.matches, residuals, threshold_sq))
 
 
 def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    return transfer_normal_equations(model, problem.matches, threshold_sq, soft_sq, a, b)
+    return symmetric_normal_equations(model, problem.matches, threshold_sq, soft_sq, a, b)
 
 
 def _retract(problem, model, delta, out):

@@ -36,7 +36,7 @@ from epipole.solvers._linear_kernels import copy_numbers, solve_spd
 WIDE_STEPS, LOCAL_STEPS, FINAL_STEPS = 4, 8, 30
 WIDE = 2.0  # the threshold's factor at the start of local optimisation
 NEAR = 3.0  # items beyond this many thresholds take no part in it
-PROMISING = 0.8  # of the best sample's gain: worth a local optimisation too
+PROMISING, MOST_SECONDS = 0.8, 10  # of the best sample's gain: worth a local optimisation too, so many times
 TEST_BLOCK, MOST_TESTED = 32, 512
 SOFT, REACH = (
     3.0,
@@ -284,7 +284,7 @@ def ransac(
     work, test, progress = workspace(problem), np.zeros(2), _start_of_ranked(n, size)
     models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
-    best_score, best_gain, share, iteration = math.inf, 0.0, 0.0, 0
+    best_score, best_gain, share, iteration, seconds = math.inf, 0.0, 0.0, 0, 0
     # A smaller share of inliers than this would count as failure: no need to search for it.
     needed = _iterations_needed(min_share, size, confidence, min_iterations, max_iterations)
     while iteration < needed:
@@ -299,8 +299,9 @@ def ransac(
             for c in range(settle(problem, sample, models[k], settled, work)):
                 model = settled[c]
                 gain = worst - score(problem, model, threshold_sq, worst - PROMISING * best_gain)
-                if gain <= PROMISING * best_gain:
+                if gain <= PROMISING * best_gain or (gain <= best_gain and seconds == MOST_SECONDS):
                     continue
+                seconds += 1 if gain <= best_gain else 0
                 best_gain = max(best_gain, gain)
                 this = optimize_locally(problem, model, threshold_sq)
                 if this < best_score:

@@ -113,7 +113,7 @@ def tangent_of_direction(t, basis):
 
 
 @kernel(allocates=True)
-def _derivatives_of_essential(model, d):
+def derivatives_of_essential(model, d):
     """D (5, 9): E = [t]x R by a rotation from the left and a step of t on the unit sphere."""
     moved, basis = np.zeros(12), np.empty((2, 3))
     for i in range(9, 12):
@@ -172,7 +172,7 @@ def _linearize(model, m, threshold_sq, soft_sq, a, b):
     d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
     a[:, :] = 0.0
     b[:] = 0.0
-    _derivatives_of_essential(model, d)
+    derivatives_of_essential(model, d)
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)

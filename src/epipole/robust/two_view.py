@@ -161,7 +161,7 @@ def estimate_fundamental_matrix(
 def estimate_homography(
     pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Matrix3]:
-    """Homography, x2 ~ H x1, |H| = 1: four points, then the truncated transfer error in image 2.
+    """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated transfer error that weighs both pictures alike.
 
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
@@ -170,8 +170,7 @@ def estimate_homography(
         quality: (n,), higher is better (PROSAC).
 
     Returns:
-        `model` = H; `covariance` (9, 9) of its entries, row by row, of rank eight (first order; noise in image 2,
-        or the sum of both pictures' as seen there).
+        `model` = H; `covariance` (9, 9) of its entries, row by row, of rank eight.
 
     Raises:
         ShapeError: the arrays do not fit.

@@ -64,7 +64,7 @@ def _add_quadratic_product(a, b, out):
 
 
 @kernel
-def _essential_constraints(e, work, out):
+def essential_constraints(e, work, out):
     """Coefficients (10 x 20) of det E = 0 and E E^T E - trace(E E^T) E / 2 = 0 for E with linear entries e (9, 4)."""
     out[:, :] = 0.0
     minor = work[6]
@@ -120,7 +120,7 @@ def essential_five_point(y1, y2, essentials, w):
     for i in range(9):
         for m in range(4):
             e[i, m] = basis[m, i]
-    _essential_constraints(e, quadratics, system)
+    essential_constraints(e, quadratics, system)
     if not reduce_rows(system):
         return 0
     # Rows x2z - z x2, y2z - z y2, xyz - z xy leave a 3x3 matrix B(z) with B(z) (x, y, 1)^T = 0.
