@@ -1,0 +1,188 @@
+"""Draw the pictures of these pages: `python docs/make_pictures.py`. Everything in them comes from the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera, CameraModel
+from epipole.config import FeatureConfig
+from epipole.features import detect_features, match_descriptors
+from epipole.geometry import Rigid3, Rotation3, epipolar_lines
+from epipole.robust import (
+    RansacConfig,
+    estimate_absolute_pose,
+    estimate_fundamental_matrix,
+    estimate_homography,
+    estimate_relative_pose,
+    triangulate_points,
+)
+from epipole.synthetic import courtyard, courtyard_views, render
+from epipole.synthetic.problems import absolute_pose_problem
+
+PICTURES = Path(__file__).with_name("pictures")
+CAMERA = Camera(CameraModel.PINHOLE, 720, 480, np.array([620.0, 620.0, 359.5, 239.5]))
+INK, GRID, BLUE, RED = (60, 60, 60), (225, 225, 225), (180, 110, 40), (50, 60, 200)
+
+
+def two_pictures() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Two views of the courtyard and the pixels of their SIFT matches."""
+    views = courtyard_views(24)
+    images = [render(courtyard(), CAMERA, views[k]).rgb[:, :, ::-1].copy() for k in (10, 12)]
+    features = [detect_features(cv2.cvtColor(i, cv2.COLOR_BGR2GRAY), FeatureConfig()) for i in images]
+    matches = match_descriptors(features[0].descriptors, features[1].descriptors)
+    pixels = [f.pixels[matches[:, side]].astype(float) for side, f in enumerate(features)]
+    return images[0], images[1], pixels[0], pixels[1]
+
+
+def save(name: str, image: np.ndarray, suffix: str = "png") -> None:
+    """Under docs/pictures."""
+    PICTURES.mkdir(exist_ok=True)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 85] if suffix == "jpg" else []
+    cv2.imwrite(str(PICTURES / f"{name}.{suffix}"), image, quality)
+
+
+def homography() -> None:
+    """Picture 1 carried onto picture 2 by a plane of the scene: the plane is sharp, all else is double."""
+    one, two, x1, x2 = two_pictures()
+    found = estimate_homography(x1, x2)
+    moved = cv2.warpPerspective(one, found.model, (two.shape[1], two.shape[0]))
+    blend = np.where(moved.any(axis=2, keepdims=True), 0.5 * moved + 0.5 * two, two).astype(np.uint8)
+    for p, good in zip(x2, found.inlier_mask):
+        cv2.circle(blend, tuple(np.rint(p).astype(int)), 3, (80, 220, 80) if good else RED, 1, cv2.LINE_AA)
+    save("homography", blend, "jpg")
+
+
+def fundamental() -> None:
+    """Points of picture 1 and the lines of picture 2 on which their partners lie."""
+    one, two, x1, x2 = two_pictures()
+    found = estimate_fundamental_matrix(x1, x2, RansacConfig(max_error_px=1.5))
+    chosen = np.flatnonzero(found.inlier_mask)[:: max(1, found.num_inliers // 14)]
+    colors = cv2.applyColorMap(np.linspace(0, 255, len(chosen)).astype(np.uint8), cv2.COLORMAP_TURBO).reshape(
+        -1, 3
+    )
+    width = two.shape[1]
+    for k, line, color in zip(chosen, epipolar_lines(found.model, x1[chosen]), colors.tolist()):
+        ends = [(x, round(-(line[2] + line[0] * x) / line[1])) for x in (0, width)]
+        cv2.line(two, *ends, color, 1, cv2.LINE_AA)
+        for image, p in ((one, x1[k]), (two, x2[k])):
+            cv2.circle(image, tuple(np.rint(p).astype(int)), 5, color, 2, cv2.LINE_AA)
+    save("fundamental", np.hstack([one, two]), "jpg")
+
+
+def curve(
+    name: str,
+    x: np.ndarray,
+    series: list[tuple[str, np.ndarray, tuple[int, int, int]]],
+    labels: tuple[str, str],
+) -> None:
+    """A plot with logarithmic axes."""
+    width, height, left, right, top, bottom = 720, 420, 80, 24, 36, 64
+    image = np.full((height, width, 3), 255, np.uint8)
+    values = np.concatenate([v for _, v, _ in series])
+    low, high = np.floor(np.log10(values.min())), np.ceil(np.log10(values.max()))
+
+    def place(a: float, b: float) -> tuple[int, int]:
+        u = (np.log10(a) - np.log10(x[0])) / (np.log10(x[-1]) - np.log10(x[0]))
+        v = (np.log10(b) - low) / (high - low)
+        return round(left + u * (width - left - right)), round(height - bottom - v * (height - top - bottom))
+
+    def write(text: str, at: tuple[int, int], color: tuple[int, int, int] = INK) -> None:
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, 1, cv2.LINE_AA)
+
+    for power in np.arange(low, high + 1):
+        y = place(x[0], 10.0**power)[1]
+        cv2.line(image, (left, y), (width - right, y), GRID, 1)
+        write(f"{10.0**power:g}", (18, y + 5))
+    for value in x[:: max(1, len(x) // 6)]:
+        at = place(value, 10.0**low)
+        cv2.line(image, (at[0], top), at, GRID, 1)
+        write(f"{value:.2g}", (at[0] - 12, at[1] + 20))
+    for row, (text, v, color) in enumerate(series):
+        points = np.array([place(a, b) for a, b in zip(x, v)])
+        cv2.polylines(image, [points], False, color, 2, cv2.LINE_AA)
+        for p in points:
+            cv2.circle(image, tuple(p), 3, color, -1, cv2.LINE_AA)
+        write(text, (width - 330, top + 16 + 20 * row), color)
+    write(labels[0], (left + 150, height - 18))
+    write(labels[1], (left - 50, 22))
+    save(name, image)
+
+
+def _pair(
+    points: np.ndarray, baseline: float, rng: np.random.Generator
+) -> tuple[Rigid3, np.ndarray, np.ndarray]:
+    motion = Rigid3(Rotation3.exp(np.array([0.0, 0.03, 0.01])).matrix, np.array([-baseline, 0.0, 0.0]))
+    noise = 0.5 * rng.standard_normal((2, len(points), 2))
+    return motion, CAMERA.project(points) + noise[0], CAMERA.project(motion.apply(points)) + noise[1]
+
+
+def relative_pose() -> None:
+    """Error of the direction against the baseline, and what the covariance says of it."""
+    rng = np.random.default_rng(0)
+    baselines = np.geomspace(0.02, 2.0, 9)
+    errors, told = [], []
+    for baseline in baselines:
+        seen, said = [], []
+        for _ in range(40):
+            points = rng.uniform([-2, -1.3, 4], [2, 1.3, 9], (200, 3))
+            motion, x1, x2 = _pair(points, baseline, rng)
+            found = estimate_relative_pose(x1, x2, CAMERA, CAMERA, RansacConfig(max_error_px=2))
+            cosine = np.clip(found.model.translation @ motion.translation / baseline, -1, 1)
+            seen.append(np.degrees(np.arccos(cosine)))
+            said.append(np.degrees(np.sqrt(np.trace(found.covariance[:3, :3]) / 2)))
+        errors.append(np.median(seen))
+        told.append(np.median(said))
+    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(told), BLUE)]
+    curve(
+        "relative_pose",
+        baselines,
+        series,
+        ("baseline (points at depths of 4 to 9)", "error of the direction (degrees)"),
+    )
+
+
+def triangulation() -> None:
+    """Error of depth against the angle between the rays."""
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-1.5, -1, 5], [1.5, 1, 7], (3000, 3))
+    baselines = np.geomspace(0.02, 4.0, 9)
+    errors, angles = [], []
+    for baseline in baselines:
+        motion, x1, x2 = _pair(points, baseline, rng)
+        cams = Rigid3(np.stack([np.eye(3), motion.rotation]), np.stack([np.zeros(3), motion.translation]))
+        found = triangulate_points(cams, CAMERA, np.stack([x1, x2]))
+        errors.append(np.nanmedian(np.abs(found.points_in_world[:, 2] / points[:, 2] - 1.0)) * 100)
+        angles.append(np.degrees(np.median(found.angles_rad)))
+    curve(
+        "triangulation",
+        np.array(angles),
+        [("half a pixel of noise, median", np.array(errors), RED)],
+        ("angle between the rays (degrees)", "error of depth (%)"),
+    )
+
+
+def absolute_pose() -> None:
+    """Error of a pose against the number of points, half of them wrong."""
+    counts = np.array([12, 25, 50, 100, 200, 400, 800, 1600])
+    errors, told = [], []
+    for count in counts:
+        seen, said = [], []
+        for seed in range(40):
+            p = absolute_pose_problem(int(count), 0.5, 1.0, seed)
+            config = RansacConfig(max_error_px=4, min_inliers=4, min_inlier_ratio=0.2)
+            found = estimate_absolute_pose(p.points_in_world, p.pixels, p.camera, config)
+            turn = Rotation3(found.model.rotation) @ Rotation3(p.cam_from_world.rotation).inverse()
+            seen.append(np.degrees(float(turn.angle_rad())))
+            said.append(np.degrees(np.sqrt(np.trace(found.covariance[3:, 3:]))))
+        errors.append(np.median(seen))
+        told.append(np.median(said))
+    series = [("measured, median", np.array(errors), RED), ("said by the covariance", np.array(told), BLUE)]
+    curve("absolute_pose", counts, series, ("points, half of them wrong", "error of rotation (degrees)"))
+
+
+if __name__ == "__main__":
+    for draw in (homography, fundamental, relative_pose, triangulation, absolute_pose):
+        draw()
