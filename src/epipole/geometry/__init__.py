@@ -17,6 +17,7 @@ from epipole.geometry.homogeneous import to_homogeneous as to_homogeneous
 from epipole.geometry.planes import PlaneMotions as PlaneMotions
 from epipole.geometry.planes import decompose_homography as decompose_homography
 from epipole.geometry.rectification import rectifying_homographies as rectifying_homographies
+from epipole.geometry.rigid2 import Rigid2 as Rigid2
 from epipole.geometry.rigid3 import Rigid3 as Rigid3
 from epipole.geometry.rotation3 import Rotation3 as Rotation3
 from epipole.geometry.rotation3 import skew as skew

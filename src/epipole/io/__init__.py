@@ -12,6 +12,9 @@ from epipole.io.colmap_database import read_database as read_database
 from epipole.io.colmap_database import write_database as write_database
 from epipole.io.convert import ModelFormat as ModelFormat
 from epipole.io.convert import convert_model as convert_model
+from epipole.io.g2o import G2oFile as G2oFile
+from epipole.io.g2o import read_g2o as read_g2o
+from epipole.io.g2o import write_g2o as write_g2o
 from epipole.io.ply import PlyPoints as PlyPoints
 from epipole.io.ply import read_points_ply as read_points_ply
 from epipole.io.ply import write_points_ply as write_points_ply

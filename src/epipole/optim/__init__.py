@@ -1,4 +1,4 @@
-"""Optimisation: robust losses and bundle adjustment."""
+"""Optimisation: robust losses, bundle adjustment and pose graphs."""
 
 from epipole.optim.bundle_adjustment import BundleConfig as BundleConfig
 from epipole.optim.bundle_adjustment import BundleProblem as BundleProblem
@@ -8,3 +8,10 @@ from epipole.optim.bundle_adjustment import free_params_mask as free_params_mask
 from epipole.optim.bundle_adjustment import with_fixed_gauge as with_fixed_gauge
 from epipole.optim.losses import Loss as Loss
 from epipole.optim.losses import evaluate_loss as evaluate_loss
+from epipole.optim.pose_graph import PoseGraph as PoseGraph
+from epipole.optim.pose_graph import PoseGraphConfig as PoseGraphConfig
+from epipole.optim.pose_graph import PoseGraphResult as PoseGraphResult
+from epipole.optim.pose_graph import initialize_pose_graph as initialize_pose_graph
+from epipole.optim.pose_graph import optimize_pose_graph as optimize_pose_graph
+from epipole.optim.pose_graph import optimize_pose_graph_robustly as optimize_pose_graph_robustly
+from epipole.optim.pose_graph import pose_graph_cost as pose_graph_cost

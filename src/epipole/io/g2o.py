@@ -1,0 +1,150 @@
+"""Pose graphs in g2o's text format: the plane, space, and space with scale.
+
+Information matrices of edges in space are read as those of (translation, rotation vector), as GTSAM does; g2o itself means
+the imaginary part of a quaternion, half a rotation vector.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int64
+
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
+from epipole.io.atomic import atomic_write
+from epipole.optim import PoseGraph
+
+_KINDS = {"SE2": (3, 3), "SE3:QUAT": (7, 6), "SIM3:QUAT": (8, 7)}
+"""Numbers of a motion, and size of its tangent."""
+_IGNORED = ("PARAMS_", "#", "FIX")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class G2oFile:
+    """A pose graph and the names of its places in the file."""
+
+    graph: PoseGraph
+    ids: Int64[np.ndarray, " n"]
+    """Ascending."""
+
+
+def read_g2o(path: str | Path) -> G2oFile:
+    """Read vertices and edges of one kind; parameters and comments are passed over.
+
+    Raises:
+        FileFormatError: the file cannot be read, mixes kinds, names a vertex that is not there, or has a broken line; the
+            message names the line.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be read: {error.strerror}") from error
+    kind: str | None = None
+    vertices: dict[int, list[float]] = {}
+    edges: list[tuple[int, int]] = []
+    values: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if not words or words[0].startswith(_IGNORED):
+            continue
+        what, _, this = words[0].partition("_")
+        if what not in ("VERTEX", "EDGE") or this not in _KINDS:
+            raise FileFormatError(path, f"line {number}: {words[0]} is none of the known kinds")
+        if kind not in (None, this):
+            raise FileFormatError(path, f"line {number}: {this} in a graph of {kind}")
+        kind = this
+        size, tangent = _KINDS[this]
+        names, wanted = (1, size) if what == "VERTEX" else (2, size + tangent * (tangent + 1) // 2)
+        try:
+            index = [int(w) for w in words[1 : 1 + names]]
+            numbers = [float(w) for w in words[1 + names :]]
+        except ValueError as error:
+            raise FileFormatError(path, f"line {number}: {error}") from error
+        if len(numbers) != wanted or len(index) != names or not np.isfinite(numbers).all():
+            raise FileFormatError(path, f"line {number}: {wanted} finite numbers are needed after the names")
+        if what == "VERTEX":
+            if index[0] in vertices:
+                raise FileFormatError(path, f"line {number}: vertex {index[0]} stands there twice")
+            vertices[index[0]] = numbers
+        else:
+            edges.append((index[0], index[1]))
+            values.append(numbers)
+    if kind is None or not vertices:
+        raise FileFormatError(path, "no vertices: this is no pose graph")
+    return _assemble(path, kind, vertices, edges, values)
+
+
+def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
+    """Write a pose graph; places are numbered from zero unless `ids` names them.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    name = {Rigid2: "SE2", Rigid3: "SE3:QUAT", Similarity3: "SIM3:QUAT"}[type(graph.world_from_body)]
+    names = np.arange(len(graph)) if ids is None else np.asarray(ids)
+    upper = np.triu_indices(graph.dimension)
+    places, measured = _numbers(graph.world_from_body), _numbers(graph.first_from_second)
+    lines = [f"VERTEX_{name} {i} {_text(row)}" for i, row in zip(names, places)]
+    information = graph.information[:, upper[0], upper[1]]
+    for i, j, row, weights in zip(names[graph.first], names[graph.second], measured, information):
+        lines.append(f"EDGE_{name} {i} {j} {_text(row)} {_text(weights)}")
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _assemble(
+    path: Path,
+    kind: str,
+    vertices: dict[int, list[float]],
+    edges: list[tuple[int, int]],
+    values: list[list[float]],
+) -> G2oFile:
+    size, tangent = _KINDS[kind]
+    ids = np.array(sorted(vertices), np.int64)
+    row = {int(name): k for k, name in enumerate(ids)}
+    missing = [name for edge in edges for name in edge if name not in row]
+    if missing:
+        raise FileFormatError(path, f"an edge names vertex {missing[0]}, which is not there")
+    places = np.array([vertices[int(name)] for name in ids])
+    numbers = np.array(values).reshape(len(edges), size + tangent * (tangent + 1) // 2)
+    information = np.zeros((len(edges), tangent, tangent))
+    upper = np.triu_indices(tangent)
+    information[:, upper[0], upper[1]] = numbers[:, size:]
+    information[:, upper[1], upper[0]] = numbers[:, size:]
+    index = np.array([[row[i], row[j]] for i, j in edges], np.int64).reshape(-1, 2)
+    graph = PoseGraph(
+        _motions(kind, places),
+        index[:, 0].copy(),
+        index[:, 1].copy(),
+        _motions(kind, numbers[:, :size]),
+        information,
+    )
+    return G2oFile(graph, ids)
+
+
+def _motions(kind: str, rows: np.ndarray) -> Rigid2 | Rigid3 | Similarity3:
+    if kind == "SE2":
+        return Rigid2(rows[:, 2].copy(), rows[:, :2].copy())
+    rigid = Rigid3.from_quat_wxyz(rows[:, [6, 3, 4, 5]], rows[:, :3])
+    if kind == "SE3:QUAT":
+        return rigid
+    return Similarity3(rows[:, 7].copy(), rigid.rotation, rigid.translation)
+
+
+def _numbers(motions: Rigid2 | Rigid3 | Similarity3) -> np.ndarray:
+    if isinstance(motions, Rigid2):
+        return np.concatenate([motions.translation, motions.angle_rad[:, None]], axis=1)
+    quat_wxyz = Rotation3(motions.rotation).as_quat_wxyz()
+    columns = [motions.translation, quat_wxyz[:, [1, 2, 3, 0]]]
+    if isinstance(motions, Similarity3):
+        columns.append(motions.scale[:, None])
+    return np.concatenate(columns, axis=1)
+
+
+def _text(row: np.ndarray) -> str:
+    return " ".join(f"{value:.17g}" for value in row)

@@ -1,0 +1,411 @@
+"""Pose graphs: motions between places, measured more often than needed, brought to agree.
+
+Residual of edge k from i to j with the measured z = i_from_j: r = log(z^-1 (x_i^-1 x_j)), x = world_from_body; steps move bodies
+from the right, x exp(delta). The cost is half the sum of r^T Omega r (Grisetti, Kuemmerle, Stachniss and Burgard, IEEE ITS Magazine 2010).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Bool, Float64, Int64
+from scipy.sparse.linalg import splu
+from scipy.stats import chi2
+
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, skew
+
+Motion = Rigid2 | Rigid3 | Similarity3
+
+BERNOULLI = (1.0, 0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30240.0, 0.0, -1.0 / 1209600.0)
+"""Coefficients of the series of the inverse right Jacobian in ad(r)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraph:
+    """Places, and measured motions between them, all of one kind: in the plane, in space, or with scale."""
+
+    world_from_body: Motion
+    """Batch (n,), a first guess."""
+    first: Int64[np.ndarray, " m"]
+    second: Int64[np.ndarray, " m"]
+    first_from_second: Motion
+    """Batch (m,), measured."""
+    information: Float64[np.ndarray, "m d d"]
+    """Inverse covariances in the tangent (translation, rotation[, log scale])."""
+
+    def __post_init__(self) -> None:
+        """Check that everything fits.
+
+        Raises:
+            ShapeError: an index has no place, or shapes differ.
+        """
+        n, m, d = len(self.world_from_body.translation), len(self.first), self.dimension
+        if type(self.world_from_body) is not type(self.first_from_second):
+            raise ShapeError("places and measured motions must be of one kind")
+        if not len(self.second) == len(self.first_from_second.translation) == m:
+            raise ShapeError("first, second and first_from_second must have one length")
+        if self.information.shape != (m, d, d):
+            raise ShapeError(f"information must be ({m}, {d}, {d}), got {self.information.shape}")
+        if m and not (
+            min(self.first.min(), self.second.min()) >= 0 and max(self.first.max(), self.second.max()) < n
+        ):
+            raise ShapeError(f"an edge names a place that is not there (there are {n})")
+
+    @property
+    def dimension(self) -> int:
+        """Numbers in a step: 3, 6 or 7."""
+        return {Rigid2: 3, Rigid3: 6, Similarity3: 7}[type(self.world_from_body)]
+
+    def __len__(self) -> int:
+        return len(self.world_from_body.translation)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseGraphConfig:
+    """Options of pose graph optimisation."""
+
+    max_iterations: int = 100
+    relative_tolerance: float = 1e-9
+    """Stop when a step lowers the cost by a smaller share."""
+    confidence: float = 0.99
+    """Robust only: an edge is right if its residual lies within this quantile of the chi-square distribution."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if self.max_iterations < 1 or not self.relative_tolerance >= 0:
+            raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
+        if not 0 < self.confidence < 1:
+            raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseGraphResult:
+    """Places that agree, and how far each edge is from them."""
+
+    world_from_body: Motion
+    initial_cost: float
+    final_cost: float
+    """Over the edges that were kept."""
+    num_iterations: int
+    converged: bool
+    kept_mask: Bool[np.ndarray, " m"]
+    """False: a robust optimisation found the edge wrong."""
+    squared_residuals: Float64[np.ndarray, " m"]
+    """r^T Omega r of every edge, of the wrong ones too."""
+
+    def __repr__(self) -> str:
+        kept = f"{int(self.kept_mask.sum())} of {len(self.kept_mask)} edges"
+        return f"PoseGraphResult(cost {self.initial_cost:.6g} -> {self.final_cost:.6g}, {kept})"
+
+
+def pose_graph_cost(graph: PoseGraph) -> float:
+    """Half the sum of r^T Omega r."""
+    return 0.5 * float(_squared(graph, graph.world_from_body).sum())
+
+
+def optimize_pose_graph(
+    graph: PoseGraph,
+    config: PoseGraphConfig | None = None,
+    progress: Callable[[int, float], bool] | None = None,
+) -> PoseGraphResult:
+    """Levenberg-Marquardt with a sparse factorisation; the first place of each connected part stays.
+
+    Args:
+        graph: places and edges.
+        config: options.
+        progress: called with (iteration, cost) after every step; returning False ends the work there.
+
+    Raises:
+        DegenerateGeometryError: an information matrix is not positive definite.
+    """
+    return _optimize(graph, config or PoseGraphConfig(), np.ones(len(graph.first)), progress)
+
+
+def optimize_pose_graph_robustly(
+    graph: PoseGraph,
+    may_be_wrong_mask: Bool[np.ndarray, " m"] | None = None,
+    config: PoseGraphConfig | None = None,
+) -> PoseGraphResult:
+    """Graduated non-convexity with truncated least squares (Yang, Antonante, Tzoumas and Carlone, RA-L 2020).
+
+    The loss starts nearly quadratic and hardens until each edge counts fully or not at all.
+
+    Args:
+        graph: places and edges.
+        may_be_wrong_mask: edges that may be false loop closures; None: all that do not join consecutive places.
+        config: options; `confidence` sets the largest residual of a right edge.
+
+    Raises:
+        DegenerateGeometryError: an information matrix is not positive definite.
+    """
+    config = config or PoseGraphConfig()
+    doubtful = np.abs(graph.second - graph.first) != 1 if may_be_wrong_mask is None else may_be_wrong_mask
+    bound = float(chi2.ppf(config.confidence, graph.dimension))
+    initial_cost = pose_graph_cost(graph)
+    weights = np.ones(len(graph.first))
+    current = _optimize(graph, replace(config, max_iterations=20), np.where(doubtful, 1e-6, 1.0), None)
+    squared = current.squared_residuals
+    iterations = current.num_iterations
+    worst = float(squared[doubtful].max(initial=0.0))
+    mu = bound / max(2.0 * worst - bound, bound)
+    for _ in range(200):
+        high, low = (mu + 1.0) / mu * bound, mu / (mu + 1.0) * bound
+        middle = np.sqrt(bound * mu * (mu + 1.0) / np.maximum(squared, 1e-300)) - mu
+        soft = np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, middle))
+        weights = np.where(doubtful, np.clip(soft, 0.0, 1.0), 1.0)
+        current = _optimize(
+            replace(graph, world_from_body=current.world_from_body),
+            replace(config, max_iterations=2),
+            weights,
+            None,
+        )
+        squared, iterations = current.squared_residuals, iterations + current.num_iterations
+        if ((weights == 0.0) | (weights == 1.0)).all() and mu > 1.0:
+            break
+        mu *= 1.4
+    kept = weights > 0.5
+    final = _optimize(
+        replace(graph, world_from_body=current.world_from_body), config, kept.astype(float), None
+    )
+    return replace(
+        final, kept_mask=kept, initial_cost=initial_cost, num_iterations=iterations + final.num_iterations
+    )
+
+
+def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
+    """First places from the edges alone: chordal relaxation of the rotations, then linear translations.
+
+    Rotations minimise sum |R_i Z - R_j|^2 as free matrices, then go to the nearest rotations (Martinec and Pajdla, CVPR 2007;
+    Carlone et al., ICRA 2015). Each connected part keeps its first place.
+
+    Raises:
+        ShapeError: the graph is one of similarities.
+    """
+    if isinstance(graph.world_from_body, Similarity3):
+        raise ShapeError("chordal initialisation is for motions without scale")
+    if isinstance(graph.world_from_body, Rigid2):
+        start, measured = graph.world_from_body.as_rigid3(), graph.first_from_second.as_rigid3()  # type: ignore[union-attr]
+    else:
+        start, measured = graph.world_from_body, graph.first_from_second
+    n, m = len(graph), len(graph.first)
+    fixed = _anchors(n, graph.first, graph.second)
+    free = np.setdiff1d(np.arange(n), fixed)
+    rows = np.arange(3 * m).reshape(m, 3)
+    # (R_i Z - R_j)^T = Z^T R_i^T - R_j^T: three right-hand sides share one matrix.
+    values = np.concatenate([np.swapaxes(measured.rotation, 1, 2).ravel(), np.tile(-np.eye(3).ravel(), m)])
+    at = np.concatenate([_block_rows(rows), _block_rows(rows)])
+    where = np.concatenate([_block_columns(graph.first, 3), _block_columns(graph.second, 3)])
+    system = sparse.csc_matrix((values, (at, where)), shape=(3 * m, 3 * n))
+    known = np.swapaxes(start.rotation, 1, 2).reshape(3 * n, 3)
+    columns, given = _entries(free, 3), _entries(fixed, 3)
+    solved = known.copy()
+    solved[columns] = _least_squares(system[:, columns], -system[:, given] @ known[given])
+    rotation = Rotation3.nearest(np.swapaxes(solved.reshape(n, 3, 3), 1, 2)).matrix
+    # t_j - t_i = R_i z_t
+    step = (rotation[graph.first] @ measured.translation[:, :, None])[..., 0]
+    incidence = sparse.csc_matrix(
+        (np.repeat([-1.0, 1.0], m), (np.tile(np.arange(m), 2), np.concatenate([graph.first, graph.second]))),
+        shape=(m, n),
+    )
+    translation = start.translation.copy()
+    translation[free] = _least_squares(incidence[:, free], step - incidence[:, fixed] @ translation[fixed])
+    found: Motion = Rigid3(rotation, translation)
+    if isinstance(graph.world_from_body, Rigid2):
+        found = Rigid2.from_rigid3(Rigid3(rotation, translation))
+    return replace(graph, world_from_body=found)
+
+
+def _optimize(
+    graph: PoseGraph,
+    config: PoseGraphConfig,
+    weights: np.ndarray,
+    progress: Callable[[int, float], bool] | None,
+) -> PoseGraphResult:
+    try:
+        root = np.swapaxes(np.linalg.cholesky(graph.information), 1, 2) * np.sqrt(weights)[:, None, None]
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometryError("an edge's information matrix is not positive definite") from error
+    n, d = len(graph), graph.dimension
+    pattern = _Pattern(n, d, graph.first, graph.second)
+    places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
+    cost = initial = 0.5 * float((weights * _squared(graph, places)).sum())
+    for iteration in range(1, config.max_iterations + 1):
+        residual, by_first, by_second = _residuals_and_jacobians(graph, places)
+        residual = (root @ residual[..., None])[..., 0]
+        by_first, by_second = root @ by_first, root @ by_second
+        hessian = pattern.hessian(by_first, by_second)
+        gradient = pattern.gradient(by_first, by_second, residual)
+        lowered = False
+        for _ in range(12):
+            step = pattern.solve(hessian, gradient, damping)
+            if step is not None:
+                moved = _moved(places, step)
+                after = 0.5 * float((weights * _squared(graph, moved)).sum())
+                if after <= cost:
+                    lowered = True
+                    break
+            damping = max(10.0 * damping, 1e-8)
+        if not lowered:
+            converged = True  # no step helps: as low as rounding allows
+            break
+        gain, cost, places = cost - after, after, moved
+        damping = 0.0 if damping < 1e-7 else 0.1 * damping
+        if progress is not None and not progress(iteration, cost):
+            break
+        if gain <= config.relative_tolerance * cost + 1e-300:
+            converged = True
+            break
+    kept = weights > 0
+    return PoseGraphResult(places, initial, cost, iteration, converged, kept, _squared(graph, places))
+
+
+def _squared(graph: PoseGraph, places: Motion) -> np.ndarray:
+    residual = _residuals(graph, places)
+    return np.einsum("ki,kij,kj->k", residual, graph.information, residual)
+
+
+def _residuals(graph: PoseGraph, places: Motion) -> np.ndarray:
+    between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
+    return (graph.first_from_second.inverse() @ between).log()
+
+
+def _residuals_and_jacobians(graph: PoseGraph, places: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
+    residual = (graph.first_from_second.inverse() @ between).log()
+    by_second = _inverse_right_jacobian(residual)
+    return residual, -by_second @ between.inverse().adjoint(), by_second
+
+
+def _inverse_right_jacobian(xi: np.ndarray) -> np.ndarray:
+    """D log(exp(xi) exp(delta)) / d delta as a series in ad(xi), to the eighth power: 1e-9 below one radian."""
+    d = xi.shape[1]
+    ad = np.zeros((len(xi), d, d))
+    if d == 3:
+        ad[:, 0, 1], ad[:, 1, 0] = -xi[:, 2], xi[:, 2]
+        ad[:, 0, 2], ad[:, 1, 2] = xi[:, 1], -xi[:, 0]
+        return _series(ad)
+    ad[:, :3, :3] = ad[:, 3:6, 3:6] = skew(xi[:, 3:6])
+    ad[:, :3, 3:6] = skew(xi[:, :3])
+    if d == 7:
+        ad[:, :3, :3] += xi[:, 6, None, None] * np.eye(3)
+        ad[:, :3, 6] = -xi[:, :3]
+    return _series(ad)
+
+
+def _series(ad: np.ndarray) -> np.ndarray:
+    out, power = np.zeros_like(ad), np.broadcast_to(np.eye(ad.shape[-1]), ad.shape)
+    for coefficient in BERNOULLI:
+        if coefficient:
+            out = out + coefficient * power
+        power = power @ ad
+    return out
+
+
+def _moved(places: Motion, step: np.ndarray) -> Motion:
+    moved: Any = type(places).exp(step)
+    return places @ moved
+
+
+class _Pattern:
+    """Where the blocks of the normal equations stand: found once, filled at every step."""
+
+    def __init__(self, n: int, d: int, first: np.ndarray, second: np.ndarray) -> None:
+        self.n, self.d, self.first, self.second = n, d, first, second
+        fixed = _anchors(n, first, second)
+        self.free = np.setdiff1d(np.arange(n), fixed)
+        column = np.full(n, -1)
+        column[self.free] = np.arange(len(self.free))
+        i, j = column[first], column[second]
+        rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+        self.used = (rows >= 0) & (columns >= 0)
+        rows, columns = rows[self.used], columns[self.used]
+        size = len(self.free)
+        # One place per block of the matrix; several edges may share it. Columns first, as CSC stores them.
+        unique, self.block = np.unique(columns.astype(np.int64) * max(size, 1) + rows, return_inverse=True)
+        self.num_blocks = len(unique)
+        block_columns, block_rows = unique // max(size, 1), unique % max(size, 1)
+        at = (
+            block_rows[:, None, None] * d + np.arange(d)[None, :, None] + np.zeros((1, 1, d), np.int64)
+        ).ravel()
+        where = (
+            block_columns[:, None, None] * d + np.arange(d)[None, None, :] + np.zeros((1, d, 1), np.int64)
+        ).ravel()
+        self.order = np.lexsort((at, where))
+        self.indices = at[self.order].astype(np.int32)
+        self.indptr = np.searchsorted(where[self.order], np.arange(size * d + 1)).astype(np.int32)
+        self.diagonal = np.flatnonzero(self.indices == where[self.order])
+
+    def hessian(self, by_first: np.ndarray, by_second: np.ndarray) -> np.ndarray:
+        """The entries of J^T J in CSC order."""
+        a, b = np.swapaxes(by_first, 1, 2), np.swapaxes(by_second, 1, 2)
+        cross = a @ by_second
+        blocks = np.concatenate([a @ by_first, b @ by_second, cross, np.swapaxes(cross, 1, 2)])[self.used]
+        summed = np.zeros((self.num_blocks, self.d, self.d))
+        np.add.at(summed, self.block, blocks)
+        return summed.ravel()[self.order]
+
+    def gradient(self, by_first: np.ndarray, by_second: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """J^T r."""
+        out = np.zeros((self.n, self.d))
+        np.add.at(out, self.first, np.einsum("kji,kj->ki", by_first, residual))
+        np.add.at(out, self.second, np.einsum("kji,kj->ki", by_second, residual))
+        return out[self.free].ravel()
+
+    def solve(self, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
+        """The damped Gauss-Newton step of every place (n, d); None where the system is singular."""
+        values = hessian.copy()
+        values[self.diagonal] += damping * values[self.diagonal] + 1e-300
+        size = len(self.free) * self.d
+        step = np.zeros((self.n, self.d))
+        if size == 0:
+            return step
+        matrix = sparse.csc_matrix((values, self.indices, self.indptr), shape=(size, size))
+        try:
+            factor = splu(
+                matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
+        except RuntimeError:
+            return None
+        found = factor.solve(-gradient)
+        if not np.isfinite(found).all():
+            return None
+        step[self.free] = found.reshape(-1, self.d)
+        return step
+
+
+def _anchors(n: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The first place of every connected part: nothing else says where it is."""
+    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n))
+    _, part = sparse.csgraph.connected_components(graph, directed=False)
+    return np.unique(part, return_index=True)[1]
+
+
+def _block_rows(rows: np.ndarray) -> np.ndarray:
+    return np.repeat(rows[:, :, None], rows.shape[1], axis=2).ravel()
+
+
+def _block_columns(index: np.ndarray, d: int) -> np.ndarray:
+    columns = index[:, None] * d + np.arange(d)
+    return np.repeat(columns[:, None, :], d, axis=1).ravel()
+
+
+def _entries(index: np.ndarray, d: int) -> np.ndarray:
+    return (index[:, None] * d + np.arange(d)).ravel()
+
+
+def _least_squares(system: Any, target: np.ndarray) -> np.ndarray:
+    if system.shape[1] == 0:
+        return np.zeros((0, target.shape[1]))
+    normal = (system.T @ system).tocsc()
+    return splu(
+        normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).solve(np.ascontiguousarray(system.T @ target))
