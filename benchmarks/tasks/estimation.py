@@ -182,7 +182,7 @@ def _surveyed(name: str) -> Callable[[Path, int], list[EstimationProblem]]:
         K[:2, 2] -= 0.5  # the file has the picture's corner at (0, 0)
         truth = read_truth(folder / "gt_dense_cameras")
         row = {Path(n).stem: k for k, n in enumerate(truth.names)}
-        motion = [truth.cams_from_world[row[Path(n).stem]] for n in found.images.names]
+        motion = [truth.cams_from_world[row[Path(n).stem]] for n in found.images.name]
         camera = found.cameras[0]
         pairs = []
         for (i, j), matches in found.matches.items():
