@@ -26,6 +26,7 @@ from epipole.synthetic.problems import two_view_problem
 
 KINDS = ("general", "planar", "rotation", "rest")
 MAX_ERROR_PX, NOISE_PX = 4.0, 1.0
+LOOPED = 20_000
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))
 VIEWS = Rigid3.exp(np.array([[0, 0, 0, 0, 0, 0], [-1, 0.1, 0.05, 0.02, 0.1, 0.0]]))
 
@@ -133,12 +134,13 @@ def triangulate_with_opencv(pixels: np.ndarray, threads: int) -> np.ndarray:
 
 
 def triangulate_with_pycolmap(pixels: np.ndarray, _threads: int) -> np.ndarray:
-    """pycolmap.triangulate_points, on undistorted pixels."""
+    """pycolmap.triangulate_point in a loop over the first points: it has no call for many."""
     import pycolmap
 
     one, two = (VIEWS[k].as_matrix()[:3] for k in range(2))
-    a, b = ((p - CAMERA.K[:2, 2]) / 800.0 for p in pixels)
-    return np.asarray(pycolmap.triangulate_points(one, two, a, b))
+    a, b = ((p[:LOOPED] - CAMERA.K[:2, 2]) / 800.0 for p in pixels)
+    found = [pycolmap.triangulate_point(one, two, u, v) for u, v in zip(a, b)]
+    return np.array([np.full(3, np.nan) if x is None else np.ravel(x) for x in found])
 
 
 def _timed(run: Callable[..., Any], data: Any, threads: int, connection: Any) -> None:
@@ -190,12 +192,12 @@ def main() -> None:
         "epipole, 1 thread": (triangulate_with_epipole, 1),
         "OpenCV, 1 thread": (triangulate_with_opencv, 1),
         "OpenCV, 2 threads": (triangulate_with_opencv, 2),
-        "pycolmap": (triangulate_with_pycolmap, 1),
+        f"pycolmap, {LOOPED} points": (triangulate_with_pycolmap, 1),
     }
 
     def error(found: np.ndarray) -> dict[str, float]:
-        apart = np.linalg.norm(found - points, axis=1)
-        return {"mean error": float(apart.mean()), "median error": float(np.median(apart))}
+        apart = np.linalg.norm(found - points[: len(found)], axis=1)
+        return {"mean error": float(np.nanmean(apart)), "median error": float(np.nanmedian(apart))}
 
     report["triangulate"] = _compare(programs, pixels, arguments.rounds, error)
     arguments.results.mkdir(parents=True, exist_ok=True)

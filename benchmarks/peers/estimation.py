@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from importlib import metadata
 from multiprocessing import get_context
@@ -23,7 +24,7 @@ Estimator = Callable[[EstimationProblem, EstimationLimits], Model]
 _REPEATS, _LONG_ENOUGH_S = 3, 0.1
 
 
-class EstimationPeer:
+class EstimationPeer(ABC):
     """A library; `estimators()` is called in its own process and makes one function for each kind it can do."""
 
     name: str
@@ -36,9 +37,9 @@ class EstimationPeer:
         except metadata.PackageNotFoundError:
             return None
 
+    @abstractmethod
     def estimators(self) -> dict[Kind, Estimator]:
         """One function for each kind of problem."""
-        raise NotImplementedError
 
 
 class Epipole(EstimationPeer):

@@ -245,3 +245,15 @@ def test_inputs_with_nothing_in_them():
         estimate_homography(np.zeros((5, 3)), none2)
     with pytest.raises(ShapeError):
         estimate_absolute_pose(none3, np.zeros((4, 2)), CAMERA)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size", [1e-300, 1e200, 1e300])
+def test_numbers_at_the_ends_of_floating_point_give_reasons(rng, size):
+    a, b, x = size * rng.random((50, 2)), size * rng.random((50, 2)), size * rng.normal(size=(50, 3))
+    assert not estimate_homography(a, b).success
+    assert not estimate_fundamental_matrix(a, b).success
+    assert not estimate_relative_pose(a, b, CAMERA, CAMERA).success
+    assert not estimate_absolute_pose(x, a, CAMERA).success
+    assert not estimate_pose_and_focal(x, a, (0, 0)).success
+    assert not estimate_similarity(x, x).success

@@ -17,7 +17,7 @@ from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.robust._absolute_pose_kernels import ROWS, AbsolutePoseProblem, pack_rays
 from epipole.robust._focal_pose_kernels import FOCAL, FocalPoseProblem
 from epipole.robust._rig_pose_kernels import RigPoseProblem, UprightPoseProblem
-from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
 
 
 def estimate_absolute_pose(
@@ -169,7 +169,7 @@ def estimate_pose_and_focal(
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
     center = as_float_array(principal_point, "principal_point", 2, finite=True)
-    order = random_order(np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1), config)
+    order = random_order(usable_rows(points, pixels), config)
     middle, size, spread = np.zeros(3), 1.0, 1.0
     if len(order):
         middle = np.median(points[order], axis=0)
@@ -218,7 +218,7 @@ def _pack(
     config: RansacConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(order, items): the usable points in random order, as the kernels take them."""
-    usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
+    usable = usable_rows(points, pixels)
     order = random_order(usable, config)
     items = np.empty((ROWS, len(order)))
     for c, camera in enumerate(cameras):

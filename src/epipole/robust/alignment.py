@@ -10,7 +10,7 @@ from epipole._checks import as_points, require_same_length
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Similarity3, skew
 from epipole.robust._alignment_kernels import SCALE, AlignmentProblem
-from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
 
 
 def estimate_rigid(
@@ -60,7 +60,7 @@ def estimate_similarity(
 def _fit(source: Any, target: Any, freedom: int, config: RansacConfig, quality: Any) -> Found:
     x, y = as_points(source, "source", 3), as_points(target, "target", 3)
     n = require_same_length(source=x, target=y)
-    order = random_order(np.isfinite(x).all(axis=1) & np.isfinite(y).all(axis=1), config)
+    order = random_order(usable_rows(x, y), config)
     items = np.ascontiguousarray(np.concatenate([x[order], y[order]], axis=1).T)
     return run_loop(AlignmentProblem(items, freedom), order, n, 1.0, config, checked_quality(quality, n))
 

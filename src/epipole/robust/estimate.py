@@ -22,6 +22,10 @@ SINGULAR = 1e-11
 """Eigenvalue of the scaled information matrix below which the items leave the model undetermined."""
 
 
+LARGEST = 1e150
+"""Greater numbers have squares beyond what floating point holds, and count as infinite."""
+
+
 class Reason(StrEnum):
     """Why an estimate failed, or that it did not."""
 
@@ -92,6 +96,12 @@ class Found:
             self.noise,
             self.covariance if covariance is None else covariance,
         )
+
+
+def usable_rows(*columns: np.ndarray) -> np.ndarray:
+    """Items all of whose numbers are finite, and small enough to be squared."""
+    with np.errstate(invalid="ignore"):
+        return np.logical_and.reduce([(np.abs(c) < LARGEST).all(axis=1) for c in columns])
 
 
 def random_order(usable: np.ndarray, config: RansacConfig) -> np.ndarray:

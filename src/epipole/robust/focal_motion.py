@@ -11,7 +11,7 @@ from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.robust._focal_motion_kernels import FOCAL1, FOCAL2, SharedFocalProblem, TwoFocalsProblem
-from epipole.robust.estimate import Estimate, random_order, run_loop
+from epipole.robust.estimate import Estimate, random_order, run_loop, usable_rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +89,7 @@ def _fit(
     p2 = as_points(pixels2, "pixels2", 2) - as_float_array(center2, "principal_point", 2, finite=True)
     n = require_same_length(pixels1=p1, pixels2=p2)
     matches = np.concatenate([p1, p2], axis=1)
-    order = random_order(np.isfinite(matches).all(axis=1), config)
+    order = random_order(usable_rows(matches), config)
     usable = matches[order]
     spread = float(np.sqrt((usable**2).mean() * 2.0)) if len(usable) else 1.0
     spread = spread if spread > 0 else 1.0

@@ -16,7 +16,7 @@ from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
 from epipole.robust._upright_motion_kernels import UprightMotionProblem
 from epipole.robust.absolute_pose import turn_upright
-from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop
+from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
@@ -202,7 +202,7 @@ def _fit_motion(
     n = require_same_length(pixels1=y1, pixels2=y2)
     scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
     matches = np.concatenate([y1, y2], axis=1)
-    order = random_order(np.isfinite(matches).all(axis=1), config)
+    order = random_order(usable_rows(matches), config)
     columns = np.ascontiguousarray(matches[order].T)
     problem = RelativePoseProblem(columns) if upright is None else UprightMotionProblem(columns, *upright)
     return run_loop(problem, order, n, scale_px, config, checked_quality(quality, n), of_order_one=True)
@@ -215,7 +215,7 @@ def _fit_pixels(
     p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
     n = require_same_length(pixels1=p1, pixels2=p2)
     matches = np.concatenate([p1, p2], axis=1)
-    order = random_order(np.isfinite(matches).all(axis=1), config)
+    order = random_order(usable_rows(matches), config)
     usable = matches[order]
     center, spread = np.zeros(4), 1.0
     if len(usable):

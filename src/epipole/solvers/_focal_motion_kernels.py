@@ -11,7 +11,7 @@ from epipole.solvers._two_view_kernels import essential_constraints
 LEAST_FOCAL, MOST_FOCAL, GRID, DIP_STEPS = 0.25, 8.0, 48, 6
 # Columns of the 20 monomials of the essential constraints that hold no z: x3 y3 x2y xy2 x2 y2 xy x y 1.
 WITHOUT_Z = np.array([0, 1, 2, 3, 5, 7, 9, 12, 15, 19])
-X, Y, ONE = 7, 8, 9  # where x, y and 1 stand among them
+X, Y = 7, 8  # where x and y stand among them
 
 
 @kernel

@@ -11,7 +11,6 @@ from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 from epipole.solvers._quadrics_kernels import intersect_quadrics, quadrics_workspace
 
 FOCAL = 12  # where a model keeps its focal length, behind R and t
-LEAST_VOLUME = 1e-6  # four points flatter than this (for points of order one) lie in a plane
 
 
 @kernel
