@@ -7,7 +7,15 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Similarity3
-from epipole.optim import BundleConfig, BundleProblem, BundleResult, Loss, adjust_bundle, evaluate_loss
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    Loss,
+    adjust_bundle,
+    evaluate_loss,
+)
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
 NUM_FRAMES, NUM_POINTS = 5, 40
@@ -70,7 +78,6 @@ def problem_of(model: Reconstruction) -> BundleProblem:
         frame_free=np.ones((len(model.frames), 6)),
         params_free=np.zeros(model.cameras.params.shape),
         point_free=np.ones(len(model.points)),
-        prior_position=np.full((len(model.frames), 3), np.nan),
     )
 
 
@@ -139,16 +146,20 @@ def test_expected_places_end_the_freedom_unless_they_move_along(
     model: Reconstruction, rng: np.random.Generator
 ) -> None:
     expected = model.frames.rig_from_world.centers() + 0.1 * rng.normal(size=(NUM_FRAMES, 3))
-    with_priors = replace(problem_of(model), prior_position=expected, prior_sigma=0.05)
+    with_priors = replace(
+        problem_of(model), priors=BundlePriors(position_in_world=expected, position_sigma=0.05)
+    )
     before = cost_of(with_priors)
     assert before > cost_of(problem_of(model)) + 1.0
     target_from_world = Similarity3.exp(np.array([1.0, -2.0, 0.5, 0.3, 0.2, -0.4, 0.7]))
     moved = problem_of(model.transformed(target_from_world))
     along = replace(
         moved,
-        prior_position=target_from_world.apply(expected),
-        prior_sigma=0.05 * float(target_from_world.scale),
+        priors=BundlePriors(
+            position_in_world=target_from_world.apply(expected),
+            position_sigma=0.05 * float(target_from_world.scale),
+        ),
     )
     assert cost_of(along) == pytest.approx(before, rel=1e-9)
-    left_behind = replace(moved, prior_position=expected, prior_sigma=0.05)
+    left_behind = replace(moved, priors=BundlePriors(position_in_world=expected, position_sigma=0.05))
     assert cost_of(left_behind) > before + 1.0

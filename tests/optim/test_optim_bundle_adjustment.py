@@ -11,7 +11,9 @@ from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, align_points
 from epipole.optim import (
     BundleConfig,
+    BundlePriors,
     BundleProblem,
+    LinearSolver,
     Loss,
     adjust_bundle,
     evaluate_loss,
@@ -19,6 +21,8 @@ from epipole.optim import (
     with_fixed_gauge,
 )
 from epipole.optim import _bundle_kernels as kernels
+from epipole.optim.bundle_layout import initial_state
+from epipole.optim.bundle_system import BundleSystem
 from epipole.synthetic import look_at
 
 NOISE_PX = 0.5
@@ -59,7 +63,6 @@ def ring(rng, num_frames=8, num_points=150, num_sensors=1):
         np.ones((num_frames, 6)),
         free_params_mask(model),
         np.ones(num_points),
-        np.full((num_frames, 3), np.nan),
     )
     start = replace(
         truth,
@@ -90,11 +93,11 @@ def test_the_step_solves_the_full_normal_equations(rng):
     """The Schur complement and the substitution give what one dense solve over all unknowns gives."""
     _, start = ring(rng, num_frames=4 + 1, num_points=12)
     problem = with_fixed_gauge(start)
-    from epipole.optim.bundle_adjustment import _Solver
-
-    solver = _Solver(problem, BundleConfig())
-    state = solver.initial_state()
-    moved, _ = solver.step(state, 1e-12)
+    system = BundleSystem(problem, Loss.TRIVIAL, 1.0, LinearSolver.DIRECT, single_precision=False)
+    state = initial_state(problem)
+    system.find_visible(state)
+    equations = system.linearize(state, 1e-12)
+    moved, _ = system.substitute_back(state, equations, system.solve(equations)[0], 1e-12)
     fixed = replace(problem, frame_free=problem.frame_free)
 
     def residuals(xi, params, points):
@@ -177,7 +180,8 @@ def test_position_priors_pull_frames(rng):
     truth, start = ring(rng)
     shifted = truth.rig_from_world.centers() + np.array([3.0, 0, 0])
     result = adjust_bundle(
-        replace(start, prior_position=shifted, prior_sigma=0.5), BundleConfig(max_iterations=100)
+        replace(start, priors=BundlePriors(position_in_world=shifted, position_sigma=0.5)),
+        BundleConfig(max_iterations=100),
     )
     assert np.abs(result.rig_from_world.centers() - shifted).max() < 0.1
 

@@ -11,6 +11,7 @@ from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import (
     BundleConfig,
+    BundlePriors,
     BundleProblem,
     BundleResult,
     adjust_bundle,
@@ -99,6 +100,7 @@ def _adjust(
     serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
     params_free[np.unique(serves_others)] = 0.0
     places = Rigid3(np.nan_to_num(model.motion[:, :9]).reshape(-1, 3, 3), np.nan_to_num(model.motion[:, 9:]))
+    expected, sigma = expected_params(model)
     problem = BundleProblem(
         places,
         Rigid3.identity(1),
@@ -113,9 +115,12 @@ def _adjust(
         frame_free,
         params_free,
         np.isin(used, free_points).astype(np.float64),
-        np.full((n, 3), np.nan) if priors is None else priors.positions_in_world,
-        *expected_params(model),
-        1.0 if priors is None else priors.sigma,
+        priors=BundlePriors(
+            position_in_world=None if priors is None else priors.positions_in_world,
+            position_sigma=1.0 if priors is None else priors.sigma,
+            params_expected=expected,
+            params_sigma=sigma,
+        ),
     )
     result = adjust_bundle(with_fixed_gauge(problem), config)
     model.set_places(free_images, result.rig_from_world[free_images])

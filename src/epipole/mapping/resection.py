@@ -70,7 +70,6 @@ def refine_resection(
         np.ones((1, 6)),
         free_params_mask(np.array([int(camera.model)], np.int32), focal=focal, distortion=False),
         np.zeros(n),
-        np.full((1, 3), np.nan),
     )
     result = adjust_bundle(problem, BundleConfig(loss=Loss.CAUCHY, loss_scale_px=2.0, max_iterations=20))
     params = result.camera_params[0, : camera.model.num_params]

@@ -1,11 +1,17 @@
 """Optimisation: robust losses, bundle adjustment and pose graphs."""
 
 from epipole.optim.bundle_adjustment import BundleConfig as BundleConfig
-from epipole.optim.bundle_adjustment import BundleProblem as BundleProblem
+from epipole.optim.bundle_adjustment import BundleIteration as BundleIteration
 from epipole.optim.bundle_adjustment import BundleResult as BundleResult
+from epipole.optim.bundle_adjustment import StopReason as StopReason
 from epipole.optim.bundle_adjustment import adjust_bundle as adjust_bundle
-from epipole.optim.bundle_adjustment import free_params_mask as free_params_mask
-from epipole.optim.bundle_adjustment import with_fixed_gauge as with_fixed_gauge
+from epipole.optim.bundle_adjustment import with_result as with_result
+from epipole.optim.bundle_problem import BundlePriors as BundlePriors
+from epipole.optim.bundle_problem import BundleProblem as BundleProblem
+from epipole.optim.bundle_problem import PointDistances as PointDistances
+from epipole.optim.bundle_problem import free_params_mask as free_params_mask
+from epipole.optim.bundle_problem import with_fixed_gauge as with_fixed_gauge
+from epipole.optim.bundle_system import LinearSolver as LinearSolver
 from epipole.optim.losses import Loss as Loss
 from epipole.optim.losses import evaluate_loss as evaluate_loss
 from epipole.optim.pose_graph import PoseGraph as PoseGraph

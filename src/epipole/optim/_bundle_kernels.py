@@ -1,14 +1,16 @@
-"""Bundle adjustment's inner loops: linearise, eliminate the points, substitute back.
+"""Bundle adjustment's inner loops: linearise, eliminate the points, sum the reduced system, substitute back.
 
-Observation k of point j by sensor s of frame f with camera c:
-    x_cam = cam_from_rig_s (rig_from_world_f X_j),   r_k = project(c, x_cam) - pixel_k,
+Observation k of the point X by image i, that is by sensor s of frame f with camera c:
+    x_cam = cam_from_rig_s (rig_from_world_f X),   r_k = project(c, x_cam) - pixel_k,
 linearised under exp(xi) @ rig_from_world with xi = (translation, rotation), so that
-    d x_rig / d xi = [I, -[x_rig]x],   d x_rig / d X = R_f.
-Points are eliminated one by one (the Schur complement; Triggs et al. 2000, section 6.1): with V = J_p^T J_p,
-W_b = J_b^T J_p for each block b (a frame or a camera) that sees the point,
-    S -= W_a V^-1 W_b^T,   rhs -= W_a V^-1 g_p.
-Observations are sorted by point. What back-substitution needs of a point, its blocks W and V^-1, is kept from
-the elimination: some 200 bytes an observation, for half of a step's time.
+    d x_rig / d xi = [I, -[x_rig]x],   d x_cam / d X = R_cam_from_world,
+and likewise for cam_from_rig. Unknowns other than points come in nodes: a frame (with its camera where no other
+frame has that one), a shared camera, a sensor. With V = J_p^T J_p + damping = L L^T and W_a = J_a^T J_p of the nodes
+a that a point meets, its elimination (the Schur complement; Triggs et al. 2000, section 6.1) takes the square root form
+    Z_a = W_a L^-T,   h = L^-1 g_p,   S_ab -= Z_a Z_b^T,   rhs_a -= Z_a h,   step_p = -L^-T (h + sum Z_a^T step_a).
+One Z for each pair of a point and a node, an entry, is all that is kept. Rows of S are summed node by node, each by
+one thread: nothing is added twice, whatever the number of threads. Arrays are padded to `lanes` columns, a tuple whose length the compiler knows: loops over it become vector
+instructions. `wide` is the same for all columns of an observation: frame, camera, sensor.
 """
 
 import math
@@ -17,68 +19,95 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
+from epipole._lane_kernels import add_product, add_rows, add_two_rows, set_rows
 from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
 
-TRIVIAL, HUBER, SOFT_L1, CAUCHY, TRUNCATED = 0, 1, 2, 3, 4
+TRIVIAL, HUBER, SOFT_L1, CAUCHY, TRUNCATED, TUKEY = 0, 1, 2, 3, 4, 5
 LEAST_CURVATURE = 0.7
-BLOCK = 8  # columns kept per block: six of a frame or up to eight of a camera
+HELD, ELIMINATED, KEPT = 0, 1, 2
+
+
+class Observations(NamedTuple):
+    """What was seen, sorted by point."""
+
+    offsets: np.ndarray
+    """(points + 1,)"""
+    image: np.ndarray
+    pixels: np.ndarray
+    used: np.ndarray
+    """False: no part of the problem (behind the camera from the start, or not finite)."""
 
 
 class Scene(NamedTuple):
     """Where everything is; motions are rows of nine rotation and three translation entries."""
 
-    frames: np.ndarray
-    """rig_from_world, (frames, 12)."""
-    sensors: np.ndarray
-    """cam_from_rig, (sensors, 12)."""
-    models: np.ndarray
+    cam_from_world: np.ndarray
+    """(images, 12)"""
+    cam_from_rig: np.ndarray
+    """(images, 12)"""
+    model: np.ndarray
+    """(images,)"""
     params: np.ndarray
-    """Intrinsics, (cameras, 8)."""
+    """(images, 8)"""
     points: np.ndarray
     """In world coordinates, (points, 3)."""
 
 
 class Unknowns(NamedTuple):
-    """What may move, and in which column of the reduced system it stands."""
+    """What may move, image by image, and which nodes it belongs to."""
 
-    point_free: np.ndarray
     frame_free: np.ndarray
-    """(frames, 6) of 0 and 1."""
-    frame_column: np.ndarray
-    """The first column of each frame; -1 for one that stays."""
-    camera_column: np.ndarray
-    free_params: np.ndarray
+    """(images, 6) of 0 and 1."""
     num_free: np.ndarray
+    """(images,), camera parameters that may change."""
+    free_params: np.ndarray
+    """(images, 8), which."""
+    sensor_free: np.ndarray
+    """(images, 6) of 0 and 1."""
+    has_rig: np.ndarray
+    """Whether cam_from_rig is anything but the identity, or may change."""
+    nodes: np.ndarray
+    """(images, 3): of the frame, the shared camera and the sensor; -1 for none."""
+    role: np.ndarray
+    """(points,): HELD, ELIMINATED or KEPT (in the reduced system)."""
 
 
-class Scratch(NamedTuple):
-    """Room for one observation's Jacobians and one point's matrices."""
+class Entries(NamedTuple):
+    """Pairs of a point and a node that it meets, by point and by node."""
 
-    jac: np.ndarray
-    j_frame: np.ndarray
-    j_point: np.ndarray
-    j_params: np.ndarray
-    v: np.ndarray
-    y: np.ndarray
+    start: np.ndarray
+    """(points + 1,)"""
+    node: np.ndarray
+    slot: np.ndarray
+    """(observations, 3): which entry of the point is that of the frame, the camera, the sensor; -1 for none."""
+    point: np.ndarray
+    by_node: np.ndarray
+    """Entries sorted by node."""
+    node_start: np.ndarray
+    """(nodes + 1,), where those of each node start in `by_node`."""
+    width: np.ndarray
+    """(nodes,), columns of each node."""
 
 
 class Eliminated(NamedTuple):
-    """What is kept of the eliminated points. Point j owns the rows 2 offsets[j] to 2 offsets[j + 1] of its blocks."""
+    """What is kept of the points."""
 
-    w: np.ndarray
-    """(2 observations, BLOCK, 3), blocks W."""
-    column: np.ndarray
-    """(2 observations,), the first column of each block."""
-    size: np.ndarray
-    """(2 observations,), how many columns it has."""
-    count: np.ndarray
-    """(points,), the number of blocks; -1 for a point that stays."""
-    inverse: np.ndarray
-    """(points, 3, 3), V^-1 with damping."""
-    gradient: np.ndarray
-    """(points, 3), g_p."""
-    damp: np.ndarray
-    """(points, 3), what damping added to the diagonal of V."""
+    z: np.ndarray
+    """(entries, 3, lanes)"""
+    factor: np.ndarray
+    """(points, 6): L row by row with its diagonal inverted; zeros where the point stays."""
+    h: np.ndarray
+    """(points, 3)"""
+
+
+class Scratch(NamedTuple):
+    """Room for one observation's Jacobians."""
+
+    by_point_in_cam: np.ndarray
+    by_params: np.ndarray
+    j: np.ndarray
+    """(2, wide)"""
+    j_point: np.ndarray
 
 
 @kernel
@@ -96,13 +125,16 @@ def robust_loss(kind, s, scale_sq):
         return 2.0 * scale_sq * (root - 1.0), 1.0 / root
     if kind == CAUCHY:
         return scale_sq * math.log1p(s / scale_sq), 1.0 / (1.0 + s / scale_sq)
+    if kind == TUKEY:
+        share = max(1.0 - s / scale_sq, 0.0)
+        return scale_sq / 3.0 * (1.0 - share**3), share * share
     if s < scale_sq:
         return s, 1.0
     return scale_sq, 0.0
 
 
 @kernel
-def _allow_for_curvature(kind, scale_sq, ru, rv, work):
+def _allow_for_curvature(kind, scale_sq, ru, rv, j, j_point):
     """Triggs' second-order correction of a robust term (Triggs et al. 2000, section 4.3): J, r -> J', r'.
 
     Along r the loss curves by rho' + 2 s rho'' < rho' only. With k = 1 + 2 s rho'' / rho' and the unit vector d
@@ -117,13 +149,15 @@ def _allow_for_curvature(kind, scale_sq, ru, rv, work):
         k = scale_sq / (scale_sq + s)
     elif kind == CAUCHY:
         k = (scale_sq - s) / (scale_sq + s)
+    elif kind == TUKEY:
+        k = 1.0 - 4.0 * s / max(scale_sq - s, 1e-12 * scale_sq)
     else:
         k = 1.0
     if k == 1.0 or s == 0.0:
         return ru, rv
     root, size = math.sqrt(max(k, LEAST_CURVATURE)), math.sqrt(s)
     du, dv = ru / size, rv / size
-    for jacobian in work:
+    for jacobian in (j, j_point):
         for i in range(jacobian.shape[1]):
             along = (1.0 - root) * (du * jacobian[0, i] + dv * jacobian[1, i])
             jacobian[0, i] -= along * du
@@ -134,251 +168,346 @@ def _allow_for_curvature(kind, scale_sq, ru, rv, work):
 @kernel
 def _residual(obs, k, scene, x, y, z):
     """Residual (ru, rv) of observation k of the point (x, y, z) in world coordinates."""
-    f, s, c = obs.frame[k], obs.sensor[k], obs.camera[k]
-    r, q = scene.frames[f], scene.sensors[s]
-    a = r[0] * x + r[1] * y + r[2] * z + r[9]
-    b = r[3] * x + r[4] * y + r[5] * z + r[10]
-    d = r[6] * x + r[7] * y + r[8] * z + r[11]
+    i = obs.image[k]
+    r = scene.cam_from_world[i]
     u, v = project_one(
-        np.int64(scene.models[c]),
-        scene.params[c],
-        q[0] * a + q[1] * b + q[2] * d + q[9],
-        q[3] * a + q[4] * b + q[5] * d + q[10],
-        q[6] * a + q[7] * b + q[8] * d + q[11],
+        np.int64(scene.model[i]),
+        scene.params[i],
+        r[0] * x + r[1] * y + r[2] * z + r[9],
+        r[3] * x + r[4] * y + r[5] * z + r[10],
+        r[6] * x + r[7] * y + r[8] * z + r[11],
     )
     return u - obs.pixels[k, 0], v - obs.pixels[k, 1]
 
 
 @kernel
-def total_cost(obs, start, stop, scene, loss, scale_sq):
-    """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point fell behind a camera."""
-    total, points = 0.0, scene.points
+def find_visible(obs, start, stop, scene):
+    """Fill `used`: whether each observation of the points start..stop has a finite residual."""
+    points = scene.points
     for j in range(start, stop):
         for k in range(obs.offsets[j], obs.offsets[j + 1]):
             ru, rv = _residual(obs, k, scene, points[j, 0], points[j, 1], points[j, 2])
-            rho, _ = robust_loss(loss, ru * ru + rv * rv, scale_sq)
-            total += rho
-    return 0.5 * total if total < math.inf else math.inf
+            obs.used[k] = ru * ru + rv * rv < math.inf
 
 
 @kernel
-def _jacobians(obs, k, j, scene, frame_free, scratch):
-    """Residual of observation k of point j; its derivatives go to j_frame (2, 6), j_point (2, 3), j_params (2, 8)."""
-    jac, j_frame, j_point = scratch.jac, scratch.j_frame, scratch.j_point
-    f, s, c = obs.frame[k], obs.sensor[k], obs.camera[k]
-    r, q = scene.frames[f], scene.sensors[s]
-    x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
+def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
+    """Sum of rho over the observations of point j, were it at (x, y, z); infinite if it is behind a camera."""
+    total = 0.0
+    for k in range(obs.offsets[j], obs.offsets[j + 1]):
+        if obs.used[k]:
+            ru, rv = _residual(obs, k, scene, x, y, z)
+            rho, _ = robust_loss(loss, ru * ru + rv * rv, scale_sq)
+            total += rho
+    return total if total < math.inf else math.inf
+
+
+@kernel
+def total_cost(obs, start, stop, scene, loss, scale_sq, before):
+    """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point fell behind a camera.
+
+    A point whose step took it behind a camera goes back to where it was `before`: one such point must not
+    stop the other millions.
+    """
+    total, points = 0.0, scene.points
+    for j in range(start, stop):
+        cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+        if cost == math.inf:
+            for c in range(3):
+                points[j, c] = before[j, c]
+            cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+        total += cost
+    return 0.5 * total
+
+
+@kernel
+def _jacobians(obs, k, x, y, z, scene, unknowns, scratch):
+    """Residual of observation k of the point (x, y, z); its derivatives go to j (2, wide) and j_point (2, 3)."""
+    by_cam, j, j_point = scratch.by_point_in_cam, scratch.j, scratch.j_point
+    i = obs.image[k]
+    r, q = scene.cam_from_world[i], scene.cam_from_rig[i]
     a = r[0] * x + r[1] * y + r[2] * z + r[9]
     b = r[3] * x + r[4] * y + r[5] * z + r[10]
     d = r[6] * x + r[7] * y + r[8] * z + r[11]
     u, v = project_with_jacobian_one(
-        np.int64(scene.models[c]),
-        scene.params[c],
-        q[0] * a + q[1] * b + q[2] * d + q[9],
-        q[3] * a + q[4] * b + q[5] * d + q[10],
-        q[6] * a + q[7] * b + q[8] * d + q[11],
-        jac,
-        scratch.j_params,
+        np.int64(scene.model[i]), scene.params[i], a, b, d, by_cam, scratch.by_params
     )
-    for i in range(2):
-        # d pixel / d x_rig
-        gx = jac[i, 0] * q[0] + jac[i, 1] * q[3] + jac[i, 2] * q[6]
-        gy = jac[i, 0] * q[1] + jac[i, 1] * q[4] + jac[i, 2] * q[7]
-        gz = jac[i, 0] * q[2] + jac[i, 1] * q[5] + jac[i, 2] * q[8]
-        j_frame[i, 0], j_frame[i, 1], j_frame[i, 2] = gx, gy, gz
-        j_frame[i, 3] = gz * b - gy * d
-        j_frame[i, 4] = gx * d - gz * a
-        j_frame[i, 5] = gy * a - gx * b
-        j_point[i, 0] = gx * r[0] + gy * r[3] + gz * r[6]
-        j_point[i, 1] = gx * r[1] + gy * r[4] + gz * r[7]
-        j_point[i, 2] = gx * r[2] + gy * r[5] + gz * r[8]
-        for p in range(6):
-            j_frame[i, p] *= frame_free[f, p]
+    free, count = unknowns.frame_free[i], unknowns.num_free[i]
+    for row in range(2):
+        gx, gy, gz = by_cam[row, 0], by_cam[row, 1], by_cam[row, 2]
+        j_point[row, 0] = gx * r[0] + gy * r[3] + gz * r[6]
+        j_point[row, 1] = gx * r[1] + gy * r[4] + gz * r[7]
+        j_point[row, 2] = gx * r[2] + gy * r[5] + gz * r[8]
+        for p in range(count):
+            j[row, 6 + p] = scratch.by_params[row, unknowns.free_params[i, p]]
+        e, f, g = a, b, d
+        if unknowns.has_rig[i]:
+            if unknowns.nodes[i, 2] >= 0:
+                own = unknowns.sensor_free[i]
+                at = 6 + count
+                j[row, at], j[row, at + 1], j[row, at + 2] = gx * own[0], gy * own[1], gz * own[2]
+                j[row, at + 3] = (gz * b - gy * d) * own[3]
+                j[row, at + 4] = (gx * d - gz * a) * own[4]
+                j[row, at + 5] = (gy * a - gx * b) * own[5]
+            e, f, g = a - q[9], b - q[10], d - q[11]  # x_rig and d pixel / d x_rig
+            e, f, g = (
+                q[0] * e + q[3] * f + q[6] * g,
+                q[1] * e + q[4] * f + q[7] * g,
+                q[2] * e + q[5] * f + q[8] * g,
+            )
+            gx, gy, gz = (
+                gx * q[0] + gy * q[3] + gz * q[6],
+                gx * q[1] + gy * q[4] + gz * q[7],
+                gx * q[2] + gy * q[5] + gz * q[8],
+            )
+        j[row, 0], j[row, 1], j[row, 2] = gx * free[0], gy * free[1], gz * free[2]
+        j[row, 3] = (gz * f - gy * g) * free[3]
+        j[row, 4] = (gx * g - gz * e) * free[4]
+        j[row, 5] = (gy * e - gx * f) * free[5]
     return u - obs.pixels[k, 0], v - obs.pixels[k, 1]
 
 
 @kernel
-def _invert_spd3(v, out):
-    """Inverse of a symmetric positive definite 3 x 3 matrix; False if it is not."""
-    a, b, c, d, e, f = v[0, 0], v[1, 0], v[2, 0], v[1, 1], v[2, 1], v[2, 2]
-    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * p + b * q + c * r
-    if not det > 1e-300:
-        return False
-    i = 1.0 / det
-    out[0, 0], out[1, 1], out[2, 2] = p * i, (a * f - c * c) * i, (a * d - b * b) * i
-    out[0, 1] = out[1, 0] = q * i
-    out[0, 2] = out[2, 0] = r * i
-    out[1, 2] = out[2, 1] = (b * c - a * e) * i
-    return True
+def _add_to_image(normal, gradient, j, weight, ru, rv, wide):
+    """Normal += weight J^T J, gradient += weight J^T r."""
+    for p in range(len(wide)):
+        a, b = weight * j[0, p], weight * j[1, p]
+        gradient[p] += a * ru + b * rv
+        add_two_rows(normal[p], a, j[0], b, j[1], wide)
 
 
 @kernel
-def _block_of(columns, sizes, count, column, size):
-    """The position of the block with this first column, appended if new."""
-    for b in range(count):
-        if columns[b] == column:
-            return b
-    columns[count], sizes[count] = column, size
-    return count
+def _add_to_entries(k, first, entries, unknowns, i, z, j, j_point, weight, lanes):
+    """W += weight J_a^T J_p in the entries that observation k touches."""
+    slot = entries.slot[k]
+    at = 6 + unknowns.num_free[i]
+    for c in range(3):
+        a, b = weight * j_point[0, c], weight * j_point[1, c]
+        if slot[0] >= 0:  # columns beyond the node's own are set to zero later
+            add_two_rows(z[first + slot[0], c], a, j[0], b, j[1], lanes)
+        if slot[1] >= 0:
+            w = z[first + slot[1], c]
+            for q in range(unknowns.num_free[i]):
+                w[q] += a * j[0, 6 + q] + b * j[1, 6 + q]
+        if slot[2] >= 0:
+            w = z[first + slot[2], c]
+            for q in range(6):
+                w[q] += a * j[0, at + q] + b * j[1, at + q]
 
 
 @kernel
-def _point_terms(obs, j, scene, unknowns, loss, scale_sq, scratch, w, columns, sizes, gp, s, g):
-    """Accumulate V, g_p and the W blocks of point j; its blocks' own terms go straight into S (lower) and g.
+def _factor_point(v0, v1, v2, v3, v4, v5, damping, factor):
+    """L of the damped [[v0, ., .], [v1, v3, .], [v2, v4, v5]]; zeros, so that the point stays, if it has none."""
+    grown = 1.0 + damping
+    l00 = math.sqrt(v0 * grown)
+    i0 = 1.0 / l00
+    l10, l20 = v1 * i0, v2 * i0
+    d1 = v3 * grown - l10 * l10
+    i1 = 1.0 / math.sqrt(d1) if d1 > 0.0 else 0.0
+    l21 = (v4 - l20 * l10) * i1
+    d2 = v5 * grown - l20 * l20 - l21 * l21
+    i2 = 1.0 / math.sqrt(d2) if d2 > 0.0 else 0.0
+    fine = v0 > 0.0 and i1 > 0.0 and i2 > 0.0 and i0 * i1 * i2 < math.inf
+    factor[0] = i0 if fine else 0.0
+    factor[1] = l10 if fine else 0.0
+    factor[2] = i1 if fine else 0.0
+    factor[3] = l20 if fine else 0.0
+    factor[4] = l21 if fine else 0.0
+    factor[5] = i2 if fine else 0.0
 
-    Returns the number of blocks and the cost.
-    """
-    j_frame, j_point, j_params, v = scratch.j_frame, scratch.j_point, scratch.j_params, scratch.v
-    count, cost = 0, 0.0
-    v[:, :] = 0.0
-    gp[:] = 0.0
-    for k in range(obs.offsets[j], obs.offsets[j + 1]):
-        ru, rv = _jacobians(obs, k, j, scene, unknowns.frame_free, scratch)
-        rho, weight = robust_loss(loss, ru * ru + rv * rv, scale_sq)
-        cost += rho
-        if weight == 0.0:
-            continue
-        ru, rv = _allow_for_curvature(loss, scale_sq, ru, rv, (j_frame, j_point, j_params))
-        for a in range(3):
-            j_point[0, a] *= unknowns.point_free[j]
-            j_point[1, a] *= unknowns.point_free[j]
-        for a in range(3):
-            gp[a] += weight * (j_point[0, a] * ru + j_point[1, a] * rv)
-            for b in range(a + 1):
-                v[a, b] += weight * (j_point[0, a] * j_point[0, b] + j_point[1, a] * j_point[1, b])
-        f, c = obs.frame[k], obs.camera[k]
-        first_f, first_c, nc = unknowns.frame_column[f], unknowns.camera_column[c], unknowns.num_free[c]
-        if nc > 0:
-            for i in range(nc):  # gather the free parameters' columns to the front
-                p = unknowns.free_params[c, i]
-                j_params[0, i], j_params[1, i] = j_params[0, p], j_params[1, p]
-            for a in range(nc):
-                g[first_c + a] += weight * (j_params[0, a] * ru + j_params[1, a] * rv)
-                for b in range(a + 1):
-                    s[first_c + a, first_c + b] += weight * (
-                        j_params[0, a] * j_params[0, b] + j_params[1, a] * j_params[1, b]
-                    )
-            block = _block_of(columns, sizes, count, first_c, nc)
-            if block == count:
-                count += 1
-                w[block, :, :] = 0.0
-            for a in range(nc):
-                for b in range(3):
-                    w[block, a, b] += weight * (
-                        j_params[0, a] * j_point[0, b] + j_params[1, a] * j_point[1, b]
-                    )
-        if first_f >= 0:
-            for a in range(6):
-                g[first_f + a] += weight * (j_frame[0, a] * ru + j_frame[1, a] * rv)
-                for b in range(a + 1):
-                    s[first_f + a, first_f + b] += weight * (
-                        j_frame[0, a] * j_frame[0, b] + j_frame[1, a] * j_frame[1, b]
-                    )
-            block = _block_of(columns, sizes, count, first_f, 6)
-            if block == count:
-                count += 1
-                w[block, :, :] = 0.0
-            for a in range(6):
-                for b in range(3):
-                    w[block, a, b] += weight * (j_frame[0, a] * j_point[0, b] + j_frame[1, a] * j_point[1, b])
-            for a in range(nc):  # cameras' columns come after all frames': the lower triangle
-                for b in range(6):
-                    s[first_c + a, first_f + b] += weight * (
-                        j_params[0, a] * j_frame[0, b] + j_params[1, a] * j_frame[1, b]
-                    )
-    return count, 0.5 * cost
+
+@kernel
+def _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes):
+    """W -> Z in the entries of point j, h, and reduced += Z h."""
+    f, h = kept.factor[j], kept.h[j]
+    h[0] = f[0] * g0
+    h[1] = f[2] * (g1 - f[1] * h[0])
+    h[2] = f[5] * (g2 - f[3] * h[0] - f[4] * h[1])
+    for e in range(entries.start[j], entries.start[j + 1]):
+        node = entries.node[e]
+        z0, z1, z2 = kept.z[e, 0], kept.z[e, 1], kept.z[e, 2]
+        for q in range(entries.width[node], len(lanes)):
+            z0[q] = z1[q] = z2[q] = 0.0
+        set_rows(z0, f[0], z0, 0.0, z0, 0.0, z0, lanes)
+        set_rows(z1, f[2], z1, -f[2] * f[1], z0, 0.0, z0, lanes)
+        set_rows(z2, f[5], z2, -f[5] * f[3], z0, -f[5] * f[4], z1, lanes)
+        add_rows(reduced[node], h[0], z0, h[1], z1, h[2], z2, lanes)
 
 
 @kernel(allocates=True)
-def build_reduced_system(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs):
-    """S (lower triangle), gradient g and the points' part of the right-hand side, over the points start..stop.
+def linearize(obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide):
+    """Linearise the points start..stop and eliminate them.
 
-    The damping is Marquardt's, on the diagonal of V here and of S by the caller. Returns the cost.
+    `sums` are added to: the images' normal matrices (images, wide, wide) and gradients (images, wide), and
+    sum Z h (nodes, lanes). Of KEPT points W stays in z, V in factor and g_p in h. The damping is Marquardt's, a
+    share of V's diagonal.
     """
-    scratch = Scratch(
-        np.empty((2, 3)),
-        np.empty((2, 6)),
-        np.empty((2, 3)),
-        np.empty((2, 8)),
-        np.empty((3, 3)),
-        np.empty((BLOCK, 3)),
+    scratch = Scratch(np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, len(wide))), np.empty((2, 3)))
+    _linearize_all(
+        obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
     )
-    return _eliminate(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs, scratch)
 
 
 @kernel
-def _eliminate(obs, start, stop, scene, unknowns, loss, scale_sq, damping, kept, s, g, rhs, scratch):
-    """The loop of `build_reduced_system`, apart from it so that it counts no references."""
-    v, y = scratch.v, scratch.y
-    cost = 0.0
+def _linearize_all(
+    obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
+):
+    """The loop of `linearize`, apart from it so that it counts no references."""
+    normal, gradient, reduced = sums
+    jac, jp, points = scratch.j, scratch.j_point, scene.points
     for j in range(start, stop):
-        own = slice(2 * obs.offsets[j], 2 * obs.offsets[j + 1])
-        w, columns, sizes = kept.w[own], kept.column[own], kept.size[own]
-        inverse, gp = kept.inverse[j], kept.gradient[j]
-        count, this = _point_terms(
-            obs, j, scene, unknowns, loss, scale_sq, scratch, w, columns, sizes, gp, s, g
-        )
-        cost += this
-        kept.count[j] = -1
-        if unknowns.point_free[j] == 0.0:
+        first, x, y, z = entries.start[j], points[j, 0], points[j, 1], points[j, 2]
+        for e in range(first, entries.start[j + 1]):
+            for c in range(3):
+                for q in range(len(lanes)):
+                    kept.z[e, c, q] = 0.0
+        v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
+        for k in range(obs.offsets[j], obs.offsets[j + 1]):
+            if not obs.used[k]:
+                continue
+            i = obs.image[k]
+            for q in range(6, len(wide)):
+                jac[0, q] = jac[1, q] = 0.0
+            ru, rv = _jacobians(obs, k, x, y, z, scene, unknowns, scratch)
+            _, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
+            if w == 0.0:
+                continue
+            ru, rv = _allow_for_curvature(loss, scale_sq, ru, rv, jac, jp)
+            _add_to_image(normal[i], gradient[i], jac, w, ru, rv, wide)
+            _add_to_entries(k, first, entries, unknowns, i, kept.z, jac, jp, w, lanes)
+            a0, a1, a2, b0, b1, b2 = jp[0, 0], jp[0, 1], jp[0, 2], jp[1, 0], jp[1, 1], jp[1, 2]
+            g0 += w * (a0 * ru + b0 * rv)
+            g1 += w * (a1 * ru + b1 * rv)
+            g2 += w * (a2 * ru + b2 * rv)
+            v0 += w * (a0 * a0 + b0 * b0)
+            v1 += w * (a1 * a0 + b1 * b0)
+            v2 += w * (a2 * a0 + b2 * b0)
+            v3 += w * (a1 * a1 + b1 * b1)
+            v4 += w * (a2 * a1 + b2 * b1)
+            v5 += w * (a2 * a2 + b2 * b2)
+        factor = kept.factor[j]
+        if unknowns.role[j] == KEPT:
+            factor[0], factor[1], factor[2], factor[3], factor[4], factor[5] = v0, v1, v2, v3, v4, v5
+            kept.h[j, 0], kept.h[j, 1], kept.h[j, 2] = g0, g1, g2
             continue
-        for a in range(3):
-            kept.damp[j, a] = damping * v[a, a]
-            v[a, a] += kept.damp[j, a] + 1e-12
-        if not _invert_spd3(v, inverse):
-            continue
-        kept.count[j] = count
-        for a in range(count):
-            ca = columns[a]
-            for p in range(sizes[a]):
-                w0, w1, w2 = w[a, p, 0], w[a, p, 1], w[a, p, 2]
-                for c in range(3):
-                    y[p, c] = w0 * inverse[0, c] + w1 * inverse[1, c] + w2 * inverse[2, c]
-                rhs[ca + p] += y[p, 0] * gp[0] + y[p, 1] * gp[1] + y[p, 2] * gp[2]
-            for b in range(count):
-                cb = columns[b]
-                if cb < ca and sizes[a] == 6 and sizes[b] == 6:
-                    for p in range(6):  # between frames: of known length, so that the loops unroll
-                        y0, y1, y2 = y[p, 0], y[p, 1], y[p, 2]
-                        for q in range(6):
-                            s[ca + p, cb + q] -= y0 * w[b, q, 0] + y1 * w[b, q, 1] + y2 * w[b, q, 2]
-                elif cb < ca:
-                    for p in range(sizes[a]):
-                        y0, y1, y2 = y[p, 0], y[p, 1], y[p, 2]
-                        for q in range(sizes[b]):
-                            s[ca + p, cb + q] -= y0 * w[b, q, 0] + y1 * w[b, q, 1] + y2 * w[b, q, 2]
-                elif cb == ca:
-                    for p in range(sizes[a]):
-                        for q in range(p + 1):
-                            s[ca + p, cb + q] -= (
-                                y[p, 0] * w[b, q, 0] + y[p, 1] * w[b, q, 1] + y[p, 2] * w[b, q, 2]
-                            )
-    return cost
+        if unknowns.role[j] == ELIMINATED:
+            _factor_point(v0, v1, v2, v3, v4, v5, damping, factor)
+        else:
+            for c in range(6):
+                factor[c] = 0.0
+        _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes)
+
+
+@kernel(allocates=True)
+def reduce_rows(start, stop, entries, z, row_start, column, blocks, lanes):
+    """Blocks -= Z Z^T in the rows start..stop of the lower triangle, where a row has a block."""
+    slot = np.full(len(entries.node_start), -1, np.int64)
+    for a in range(start, stop):
+        for b in range(row_start[a], row_start[a + 1]):
+            slot[column[b]] = b
+        _reduce_row(a, entries, z, slot, blocks, lanes)
+        for b in range(row_start[a], row_start[a + 1]):
+            slot[column[b]] = -1
 
 
 @kernel
-def substitute_back(offsets, start, stop, points, kept, step, moved):
-    """Steps of the points start..stop for the step of frames and cameras; moved = points + steps.
+def _reduce_row(a, entries, z, slot, blocks, lanes):
+    height = entries.width[a]
+    for at in range(entries.node_start[a], entries.node_start[a + 1]):
+        e = entries.by_node[at]
+        j = entries.point[e]
+        own = z[e]
+        for other in range(entries.start[j], entries.start[j + 1]):
+            target = slot[entries.node[other]]
+            if target < 0:
+                continue
+            block, theirs = blocks[target], z[other]
+            for p in range(height):
+                add_rows(block[p], -own[0, p], theirs[0], -own[1, p], theirs[1], -own[2, p], theirs[2], lanes)
 
-    Returns the points' part of the decrease that the linear model predicts, step^T (damping D step - g) / 2.
+
+@kernel
+def add_images(unknowns, normal, gradient, places, blocks, out, wide):
+    """Sum the images' normal matrices into the blocks, and their gradients into out (nodes, lanes).
+
+    `places` (images, 3, 3) says which block holds the nodes' products (frame, camera, sensor), -1 for none.
     """
-    predicted = 0.0
+    for i in range(len(normal)):
+        count = unknowns.num_free[i]
+        shared = unknowns.nodes[i, 1] >= 0
+        begin, end = (0, 6, 6 + count), (6 if shared else 6 + count, 6 + count, 12 + count)
+        for a in range(3):
+            node = unknowns.nodes[i, a]
+            if node < 0:
+                continue
+            for p in range(begin[a], end[a]):
+                out[node, p - begin[a]] += gradient[i, p]
+            for b in range(3):
+                if places[i, a, b] < 0:
+                    continue
+                block = blocks[places[i, a, b]]
+                for p in range(begin[a], end[a]):
+                    for q in range(begin[b], end[b]):
+                        block[p - begin[a], q - begin[b]] += normal[i, p, q]
+
+
+@kernel
+def _gather(entries, j, z, x, lane_sums, lanes):
+    """Sum Z_a^T x_a of point j, lane by lane first: so that the lanes are independent."""
+    for c in range(3):
+        for q in range(len(lanes)):
+            lane_sums[c, q] = 0.0
+    for e in range(entries.start[j], entries.start[j + 1]):
+        own, source = z[e], x[entries.node[e]]
+        for c in range(3):
+            add_product(lane_sums[c], own[c], source, lanes)
+    t0 = t1 = t2 = 0.0
+    for q in range(len(lanes)):
+        t0 += lane_sums[0, q]
+        t1 += lane_sums[1, q]
+        t2 += lane_sums[2, q]
+    return t0, t1, t2
+
+
+@kernel(allocates=True)
+def substitute_back(entries, start, stop, points, kept, step, damping, moved, lanes):
+    """Steps of the points start..stop for the step (nodes, lanes); moved = points + steps.
+
+    Returns the points' part of the decrease that the linear model predicts, step^T (D step - g) / 2.
+    """
+    sums = np.empty((3, len(lanes)))
+    return _substitute_all(entries, start, stop, points, kept, step, damping, moved, sums, lanes)
+
+
+@kernel
+def _substitute_all(entries, start, stop, points, kept, step, damping, moved, sums, lanes):
+    predicted, share = 0.0, damping / (1.0 + damping)
     for j in range(start, stop):
-        for c in range(3):
-            moved[j, c] = points[j, c]
-        if kept.count[j] < 0:
-            continue
-        inverse, gp, damp = kept.inverse[j], kept.gradient[j], kept.damp[j]
-        e0, e1, e2 = gp[0], gp[1], gp[2]
-        for block in range(2 * offsets[j], 2 * offsets[j] + kept.count[j]):
-            w, first = kept.w[block], kept.column[block]
-            for a in range(kept.size[block]):
-                e0 += w[a, 0] * step[first + a]
-                e1 += w[a, 1] * step[first + a]
-                e2 += w[a, 2] * step[first + a]
-        for c in range(3):
-            d = -(inverse[c, 0] * e0 + inverse[c, 1] * e1 + inverse[c, 2] * e2)
-            moved[j, c] += d
-            predicted += 0.5 * d * (damp[c] * d - gp[c])
+        f, h = kept.factor[j], kept.h[j]
+        d0 = d1 = d2 = 0.0
+        if f[0] > 0.0:
+            t0, t1, t2 = _gather(entries, j, kept.z, step, sums, lanes)
+            t0, t1, t2 = t0 + h[0], t1 + h[1], t2 + h[2]
+            d2 = -f[5] * t2
+            d1 = -f[2] * (t1 + f[4] * d2)
+            d0 = -f[0] * (t0 + f[1] * d1 + f[3] * d2)
+            l0, l1, l2 = 1.0 / f[0], 1.0 / f[2], 1.0 / f[5]
+            v0, v1, v2 = l0 * l0, f[1] * f[1] + l1 * l1, f[3] * f[3] + f[4] * f[4] + l2 * l2
+            predicted += 0.5 * share * (v0 * d0 * d0 + v1 * d1 * d1 + v2 * d2 * d2)
+            predicted += 0.5 * (h[0] * t0 + h[1] * t1 + h[2] * t2)
+        moved[j, 0], moved[j, 1], moved[j, 2] = points[j, 0] + d0, points[j, 1] + d1, points[j, 2] + d2
     return predicted
+
+
+@kernel(allocates=True)
+def multiply_eliminated(entries, start, stop, z, x, out, lanes):
+    """Out += Z (Z^T x) over the points start..stop, x and out (nodes, lanes): S is never formed."""
+    _multiply_all(entries, start, stop, z, x, out, np.empty((3, len(lanes))), lanes)
+
+
+@kernel
+def _multiply_all(entries, start, stop, z, x, out, sums, lanes):
+    for j in range(start, stop):
+        t0, t1, t2 = _gather(entries, j, z, x, sums, lanes)
+        for e in range(entries.start[j], entries.start[j + 1]):
+            add_rows(out[entries.node[e]], t0, z[e, 0], t1, z[e, 1], t2, z[e, 2], lanes)

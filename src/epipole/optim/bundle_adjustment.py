@@ -1,68 +1,24 @@
-"""Bundle adjustment: all poses, points and intrinsics together, by Levenberg-Marquardt on the Schur complement."""
+"""Bundle adjustment: all places, points and lenses together, by Levenberg-Marquardt on the Schur complement."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
-from scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._checks import require_same_length
-from epipole.cameras import CameraModel
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.optim import _bundle_kernels as kernels
+from epipole.optim.bundle_layout import BundleState, initial_state
+from epipole.optim.bundle_problem import BundleProblem
+from epipole.optim.bundle_system import BundleSystem, LinearSolver
 from epipole.optim.losses import Loss
 
-_CHUNK_OBSERVATIONS = 3000
-_MAX_SYSTEM_BYTES = 256 << 20
-"""Bound on the copies of the reduced system that parallel chunks fill."""
-
-
-class _Observations(NamedTuple):
-    """Observations sorted by point, as the kernels take them."""
-
-    offsets: np.ndarray
-    frame: np.ndarray
-    sensor: np.ndarray
-    camera: np.ndarray
-    pixels: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BundleProblem:
-    """What is adjusted. Observations are grouped by point: those of point j are offsets[j] to offsets[j + 1]."""
-
-    rig_from_world: Rigid3
-    """One row per frame."""
-    cam_from_rig: Rigid3
-    """One row per sensor; identity for a single camera; constant."""
-    camera_model: Int32[np.ndarray, " c"]
-    camera_params: Float64[np.ndarray, "c 8"]
-    points_in_world: Float64[np.ndarray, "p 3"]
-    offsets: Int64[np.ndarray, " p1"]
-    frame: Int32[np.ndarray, " k"]
-    sensor: Int32[np.ndarray, " k"]
-    camera: Int32[np.ndarray, " k"]
-    pixels: Float64[np.ndarray, "k 2"]
-    frame_free: Float64[np.ndarray, "f 6"]
-    """1 where a tangent component (translation, rotation) of a frame may change, else 0."""
-    params_free: Float64[np.ndarray, "c 8"]
-    """1 where a camera parameter may change, else 0."""
-    point_free: Float64[np.ndarray, " p"]
-    """1 where a point may move, else 0."""
-    prior_position: Float64[np.ndarray, "f 3"]
-    """Expected frame centres in world coordinates; NaN rows for none."""
-    params_expected: Float64[np.ndarray, "c 8"] | None = None
-    """Expected camera parameters, with `params_sigma`; None: nothing is known."""
-    params_sigma: Float64[np.ndarray, "c 8"] | None = None
-    """Standard deviations of the camera parameters about what is expected; infinite for no expectation."""
-    prior_sigma: float = 1.0
-    """Standard deviation of the prior positions, in world units; their loss is Cauchy's at this scale."""
+_LEAST_DAMPING, _MOST_DAMPING = 1e-10, 1e12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +31,47 @@ class BundleConfig:
     function_tolerance: float = 1e-6
     """Stop when the cost falls by less than this share of itself."""
     initial_damping: float = 1e-4
+    solver: LinearSolver = LinearSolver.AUTO
+    single_precision: bool = False
+    """Keep the eliminated points in single precision: half the memory. Cost and gradient stay double, so the minimum
+    is the same; only the way to it is rounded."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if self.max_iterations < 0 or not self.function_tolerance >= 0:
+            raise ConfigError("max_iterations and function_tolerance must not be negative")
+        if not (self.loss_scale_px > 0 and self.initial_damping > 0):
+            raise ConfigError("loss_scale_px and initial_damping must be positive")
+
+
+class StopReason(StrEnum):
+    """Why an adjustment ended."""
+
+    CONVERGED = "the cost no longer falls"
+    NO_STEP = "no step lowers the cost"
+    MAX_ITERATIONS = "the number of iterations allowed"
+    CANCELLED = "cancelled by the caller"
+    NOTHING_TO_DO = "nothing may move"
+    NO_OBSERVATIONS = "no observation can be used"
+
+
+@dataclass(frozen=True, slots=True)
+class BundleIteration:
+    """One step, as it is reported while the work goes on."""
+
+    iteration: int
+    cost: float
+    """After the step, the best so far."""
+    damping: float
+    is_accepted: bool
+    num_products: int
+    """Products with the reduced matrix, where it is not formed."""
+    seconds: float
+    """Since the start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,314 +79,179 @@ class BundleResult:
     """The adjusted quantities and how they were reached."""
 
     rig_from_world: Rigid3
+    cam_from_rig: Rigid3
     camera_params: Float64[np.ndarray, "c 8"]
     points_in_world: Float64[np.ndarray, "p 3"]
     initial_cost: float
     final_cost: float
     num_iterations: int
     seconds: float
-    converged: bool
+    reason: StopReason
+    damping: float
+    """The last; a resumed adjustment starts from it."""
+    used_mask: Bool[np.ndarray, " k"]
+    """False for observations that were no part of it: behind their camera at the start, or not finite."""
+    history: tuple[BundleIteration, ...]
+    solver: LinearSolver
+    summary: str
+    """Counts, and what the pictures do not fix; `str` of the result is the whole report."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether there was nothing more to gain."""
+        return self.reason in (StopReason.CONVERGED, StopReason.NO_STEP, StopReason.NOTHING_TO_DO)
 
     def __repr__(self) -> str:
         return (
             f"BundleResult(cost {self.initial_cost:.6g} -> {self.final_cost:.6g}, {self.num_iterations} iterations, "
-            f"{self.seconds:.2f} s, {'converged' if self.converged else 'stopped early'})"
+            f"{self.seconds:.2f} s, {'converged' if self.converged else self.reason.value})"
         )
 
+    def __str__(self) -> str:
+        residuals = max(2 * int(self.used_mask.sum()), 1)
+        per_observation = 1e6 * self.seconds / max(self.num_iterations * self.used_mask.sum(), 1)
+        lines = [
+            self.summary,
+            f"cost        {self.initial_cost:.9g} -> {self.final_cost:.9g}",
+            f"error       {(2 * self.initial_cost / residuals) ** 0.5:.4g} -> "
+            f"{(2 * self.final_cost / residuals) ** 0.5:.4g} px (root mean square of a coordinate, after the loss)",
+            f"iterations  {self.num_iterations}, {self.seconds:.3f} s, {per_observation:.3f} us for each observation",
+            f"solver      {self.solver.value}",
+            f"ended       {self.reason.value}",
+        ]
+        if self.history:
+            lines.append(" step          cost   damping  products  seconds")
+        for step in self.history:
+            cost = f"{step.cost:13.6e}" if step.is_accepted else "     rejected"
+            lines.append(
+                f"{step.iteration:5d} {cost} {step.damping:9.1e} {step.num_products:9d} {step.seconds:8.3f}"
+            )
+        return "\n".join(lines)
 
-@dataclass(slots=True)
-class _State:
-    frames: np.ndarray  # (f, 12): R row by row, t
-    params: np.ndarray
-    points: np.ndarray
 
-
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """Which columns of the reduced system belong to which frame and camera: frames first, cameras after."""
-
-    frame_column: np.ndarray
-    camera_column: np.ndarray
-    free_params: np.ndarray
-    num_free: np.ndarray
-    size: int
-    held: np.ndarray = field(repr=False)  # columns of frames' components that may not change
-
-
-def adjust_bundle(problem: BundleProblem, config: BundleConfig | None = None) -> BundleResult:
-    """Minimise half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), dense Cholesky of the Schur complement.
+def adjust_bundle(
+    problem: BundleProblem,
+    config: BundleConfig | None = None,
+    progress: Callable[[BundleIteration], bool] | None = None,
+) -> BundleResult:
+    """Minimise half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), with what the priors know.
 
     The damping follows Nielsen (1999): it falls by the gain ratio of actual to predicted decrease and doubles
-    its growth on each rejected step. The cost never rises.
+    its growth on each rejected step. The cost never rises. Nothing is held that the problem does not hold: see
+    `with_fixed_gauge`. The result is the same for any number of threads.
+
+    Args:
+        problem: what is adjusted; it is not changed.
+        config: options.
+        progress: called after every step; returning False ends the work there with what has been reached.
 
     Raises:
         ShapeError: the arrays of the problem do not fit together.
     """
-    config = config or BundleConfig()
+    with _parallel.single_threaded_blas():
+        return _adjust(problem, config or BundleConfig(), progress)
+
+
+def _adjust(
+    problem: BundleProblem, config: BundleConfig, progress: Callable[[BundleIteration], bool] | None
+) -> BundleResult:
     begin = time.perf_counter()
-    solver = _Solver(problem, config)
-    state = solver.initial_state()
-    cost = initial = solver.cost(state)
-    damping, growth, converged, iteration = config.initial_damping, 2.0, not solver.has_unknowns, 0
-    while not converged and iteration < config.max_iterations and np.isfinite(cost):
+    system = BundleSystem(
+        *(problem, config.loss, config.loss_scale_px, config.solver), single_precision=config.single_precision
+    )
+    state = initial_state(problem)
+    used = system.find_visible(state)
+    cost = initial = system.cost(state, state)
+    damping, growth, iteration = config.initial_damping, 2.0, 0
+    history: list[BundleIteration] = []
+    reason = StopReason.MAX_ITERATIONS
+    if not system.has_unknowns:
+        reason = StopReason.NOTHING_TO_DO
+    elif not used.any() or not np.isfinite(cost):
+        reason = StopReason.NO_OBSERVATIONS
+    while reason is StopReason.MAX_ITERATIONS and iteration < config.max_iterations:
         iteration += 1
-        candidate, predicted = solver.step(state, damping)
-        after = solver.cost(candidate) if candidate is not None else np.inf
+        candidate, after, predicted, products = _try_step(system, state, damping)
         gain = (cost - after) / predicted if predicted > 0 else -1.0
-        if candidate is not None and after <= cost and gain > 0:
-            converged = cost - after <= config.function_tolerance * cost
+        accepted, before = after <= cost and gain > 0, cost
+        if accepted:
             state, cost = candidate, after
-            damping *= max(1.0 / 10.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
-            growth = 2.0
+            damping, growth = damping * max(0.1, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3), 2.0
+            if before - after <= config.function_tolerance * before:
+                reason = StopReason.CONVERGED
         else:
-            converged = 0 <= predicted <= config.function_tolerance * 1e-3 * cost or damping > 1e12
+            if 0 <= predicted <= config.function_tolerance * 1e-3 * cost or damping > _MOST_DAMPING:
+                reason = StopReason.NO_STEP
             damping, growth = damping * growth, growth * 2.0
-        damping = max(damping, 1e-10)
+        damping = max(damping, _LEAST_DAMPING)
+        seconds = time.perf_counter() - begin
+        history.append(BundleIteration(iteration, cost, damping, accepted, products, seconds))
+        if progress is not None and not progress(history[-1]):
+            reason = StopReason.CANCELLED
+            break
     return BundleResult(
-        Rigid3(state.frames[:, :9].reshape(-1, 3, 3).copy(), state.frames[:, 9:].copy()),
-        state.params,
-        state.points,
-        initial,
-        cost,
-        iteration,
-        time.perf_counter() - begin,
-        converged,
+        rig_from_world=_motions(state.rig_from_world),
+        cam_from_rig=_motions(state.cam_from_rig),
+        camera_params=state.params,
+        points_in_world=state.points.copy(),
+        initial_cost=initial,
+        final_cost=cost,
+        num_iterations=iteration,
+        seconds=time.perf_counter() - begin,
+        reason=reason,
+        damping=damping,
+        used_mask=used,
+        history=tuple(history),
+        solver=system.solver,
+        summary=_summary(problem, used),
     )
 
 
-def free_params_mask(
-    models: Int32[np.ndarray, " c"],
-    *,
-    focal: bool = True,
-    principal_point: bool = False,
-    distortion: bool = True,
-) -> Float64[np.ndarray, "c 8"]:
-    """Mask of intrinsics that may change, by their meaning."""
-    mask = np.zeros((len(models), kernels.BLOCK))
-    for row, model in enumerate(models):
-        kind = CameraModel(int(model))
-        mask[row, list(kind.focal_indices)] = float(focal)
-        mask[row, list(kind.principal_point_indices)] = float(principal_point)
-        mask[row, list(kind.distortion_indices)] = float(distortion)
-    return mask
-
-
-def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
-    """Hold the seven freedoms that pictures leave open: one frame, and one coordinate of a second one's place.
-
-    The frame with most observations stays; of the frame farthest from it, the component of its translation
-    tangent along the line between both (the largest, in its own axes) stays, which holds the scale. Holding
-    components, rather than undoing a solved step, keeps the predicted decrease true.
-    """
-    free = problem.frame_free.copy()
-    counts = np.bincount(problem.frame, minlength=len(free))
-    movable = np.flatnonzero(free.any(axis=1) & (counts > 0))
-    if len(movable) < 2 or not free[movable].all() or np.isfinite(problem.prior_position).any():
-        return problem
-    if (counts[~free.any(axis=1)] > 0).sum() >= 2:
-        return problem
-    first = movable[np.argmax(counts[movable])]
-    free[first] = 0.0
-    centers = problem.rig_from_world.centers()
-    others = movable[movable != first]
-    second = others[np.argmax(np.linalg.norm(centers[others] - centers[first], axis=1))]
-    along = problem.rig_from_world.rotation[second] @ (centers[second] - centers[first])
-    free[second, np.argmax(np.abs(along))] = 0.0
-    return replace(problem, frame_free=free)
-
-
-class _Solver:
-    """The linear algebra of one problem; keeps the constant arrays."""
-
-    def __init__(self, problem: BundleProblem, config: BundleConfig) -> None:
-        require_same_length(
-            frame=problem.frame, sensor=problem.sensor, camera=problem.camera, pixels=problem.pixels
-        )
-        if len(problem.offsets) != len(problem.points_in_world) + 1 or problem.offsets[-1] != len(
-            problem.frame
-        ):
-            raise ShapeError(
-                "offsets must have one entry more than points and end at the number of observations"
-            )
-        self.problem, self.config = problem, config
-        self.observations = _Observations(
-            problem.offsets,
-            problem.frame,
-            problem.sensor,
-            problem.camera,
-            np.ascontiguousarray(problem.pixels),
-        )
-        self.sensors = _rows(problem.cam_from_rig)
-        self.layout = _lay_out(problem)
-        self.unknowns = kernels.Unknowns(
-            *(problem.point_free, problem.frame_free, self.layout.frame_column, self.layout.camera_column),
-            *(self.layout.free_params, self.layout.num_free),
-        )
-        self.has_unknowns = bool(self.layout.size or problem.point_free.any())
-        self.eliminated = _room_for_elimination(len(problem.frame), len(problem.points_in_world))
-        copies = _MAX_SYSTEM_BYTES // max(8 * self.layout.size**2, 1)
-        # Small problems stay in one piece: handing out a chunk costs as much as a few hundred observations.
-        self.num_chunks = int(np.clip(len(problem.frame) // _CHUNK_OBSERVATIONS, 1, 16))
-        self.num_systems = min(self.num_chunks, int(np.clip(copies, 1, 8)))
-        self.params_weight = np.zeros_like(problem.camera_params)
-        self.params_expected = problem.camera_params
-        if problem.params_expected is not None and problem.params_sigma is not None:
-            self.params_weight = np.where(problem.params_free > 0, 1.0 / problem.params_sigma**2, 0.0)
-            self.params_expected = problem.params_expected
-        self.has_prior = np.isfinite(problem.prior_position).all(axis=1)
-
-    def initial_state(self) -> _State:
-        return _State(
-            _rows(self.problem.rig_from_world),
-            self.problem.camera_params.copy(),
-            self.problem.points_in_world.copy(),
-        )
-
-    def _scene(self, state: _State) -> kernels.Scene:
-        return kernels.Scene(
-            state.frames, self.sensors, self.problem.camera_model, state.params, state.points
-        )
-
-    def _loss(self) -> tuple[int, float]:
-        return int(self.config.loss), float(self.config.loss_scale_px**2)
-
-    def cost(self, state: _State) -> float:
-        """Half the robust sum of squares, priors included."""
-        parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.total_cost(self.observations, a, b, self._scene(state), *self._loss()),
-            len(state.points),
-            self.num_chunks,
-        )
-        offsets = state.params - self.params_expected
-        return (
-            float(sum(parts))
-            + self._prior_terms(state)[0]
-            + 0.5 * float((self.params_weight * offsets**2).sum())
-        )
-
-    def step(self, state: _State, damping: float) -> tuple[_State | None, float]:
-        """One damped Gauss-Newton step: the moved state (None if the system is not definite), predicted decrease."""
-        system, gradient, rhs = self._reduced_system(state, damping)
-        _, prior_gradient, prior_diagonal = self._prior_terms(state)
-        n, layout = self.layout.size, self.layout
-        diagonal = np.einsum("ii->i", system)
-        undamped = self._undamped_diagonal
-        for f in np.flatnonzero(self.has_prior & (layout.frame_column >= 0)):
-            c = layout.frame_column[f]
-            gradient[c : c + 3] += prior_gradient[f]
-            diagonal[c : c + 3] += prior_diagonal[f]
-            undamped[c : c + 3] += prior_diagonal[f]
-        for c in np.flatnonzero(layout.num_free):
-            chosen = layout.free_params[c, : layout.num_free[c]]
-            columns = layout.camera_column[c] + np.arange(len(chosen))
-            weight = self.params_weight[c, chosen]
-            gradient[columns] += weight * (state.params[c, chosen] - self.params_expected[c, chosen])
-            diagonal[columns] += weight
-            undamped[columns] += weight
-        damp = damping * undamped + 1e-12
-        diagonal += damp
-        diagonal[layout.held] = 1.0
-        step = np.zeros(n)
-        if n:
-            try:
-                factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
-            except np.linalg.LinAlgError:
-                return None, -1.0
-            step = cho_solve(factor, rhs - gradient, check_finite=False)
-            step[layout.held] = 0.0
-            if not np.isfinite(step).all():
-                return None, -1.0
-        moved = _State(
-            self._moved_frames(state, step), self._moved_params(state, step), np.empty_like(state.points)
-        )
-        parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.substitute_back(
-                self.problem.offsets, a, b, state.points, self.eliminated, step, moved.points
-            ),
-            len(state.points),
-            self.num_chunks,
-        )
-        return moved, float(sum(parts)) + 0.5 * float(step @ (damp * step - gradient))
-
-    def _reduced_system(self, state: _State, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        n = self.layout.size
-
-        def build(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            s, g, rhs = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-            kernels.build_reduced_system(
-                *(self.observations, start, stop, self._scene(state), self.unknowns, *self._loss()),
-                *(damping, self.eliminated, s, g, rhs),
-            )
-            return s, g, rhs
-
-        parts = _parallel.map_chunks(build, len(state.points), self.num_systems)
-        system, gradient, rhs = parts[0] if parts else (np.zeros((n, n)), np.zeros(n), np.zeros(n))
-        for s, g, r in parts[1:]:
-            system += s
-            gradient += g
-            rhs += r
-        # Damp by the Schur complement's own diagonal: it scales as the problem does.
-        self._undamped_diagonal = np.maximum(np.einsum("ii->i", system).copy(), 0.0)
-        return system, gradient, rhs
-
-    def _moved_frames(self, state: _State, step: np.ndarray) -> np.ndarray:
-        moved = state.frames.copy()
-        free = np.flatnonzero(self.layout.frame_column >= 0)
-        if len(free):
-            xi = step[self.layout.frame_column[free][:, None] + np.arange(6)]
-            old = Rigid3(state.frames[free, :9].reshape(-1, 3, 3), state.frames[free, 9:])
-            moved[free] = _rows(Rigid3.exp(xi) @ old)
-        return moved
-
-    def _moved_params(self, state: _State, step: np.ndarray) -> np.ndarray:
-        moved = state.params.copy()
-        for c in np.flatnonzero(self.layout.num_free):
-            count, first = self.layout.num_free[c], self.layout.camera_column[c]
-            moved[c, self.layout.free_params[c, :count]] += step[first : first + count]
-        return moved
-
-    def _prior_terms(self, state: _State) -> tuple[float, np.ndarray, np.ndarray]:
-        """Cauchy loss of (centre - prior) / sigma; d centre / d translation tangent = -R^T, so J^T J is diagonal."""
-        if not self.has_prior.any():
-            return 0.0, np.zeros((len(state.frames), 3)), np.zeros(len(state.frames))
-        rotation = state.frames[:, :9].reshape(-1, 3, 3)
-        centers = -(np.swapaxes(rotation, 1, 2) @ state.frames[:, 9:, None])[..., 0]
-        weight = 1.0 / self.problem.prior_sigma**2
-        residual = np.where(self.has_prior[:, None], centers - self.problem.prior_position, 0.0)
-        squared = weight * (residual**2).sum(axis=1)
-        robust = weight / (1.0 + squared)
-        gradient = -robust[:, None] * (rotation @ residual[..., None])[..., 0]
-        return 0.5 * float(np.log1p(squared).sum()), gradient, robust * self.has_prior
-
-
-def _room_for_elimination(num_observations: int, num_points: int) -> kernels.Eliminated:
-    return kernels.Eliminated(
-        np.empty((2 * num_observations, kernels.BLOCK, 3)),
-        np.empty(2 * num_observations, np.int64),
-        np.empty(2 * num_observations, np.int64),
-        np.empty(num_points, np.int64),
-        np.empty((num_points, 3, 3)),
-        np.empty((num_points, 3)),
-        np.empty((num_points, 3)),
+def with_result(problem: BundleProblem, result: BundleResult) -> BundleProblem:
+    """The problem with its quantities as adjusted: to go on from, with `initial_damping=result.damping`."""
+    return replace(
+        problem,
+        rig_from_world=result.rig_from_world,
+        cam_from_rig=result.cam_from_rig,
+        camera_params=result.camera_params,
+        points_in_world=result.points_in_world,
     )
 
 
-def _rows(motion: Rigid3) -> np.ndarray:
-    return np.concatenate([motion.rotation.reshape(-1, 9), motion.translation], axis=1)
+def _try_step(
+    system: BundleSystem, state: BundleState, damping: float
+) -> tuple[BundleState, float, float, int]:
+    """The state after one damped Gauss-Newton step, its cost, the decrease predicted, and products it took."""
+    equations = system.linearize(state, damping)
+    step, products = system.solve(equations)
+    if step is None:
+        return state, np.inf, -1.0, products
+    moved, predicted = system.substitute_back(state, equations, step, damping)
+    return moved, system.cost(moved, state), predicted, products
 
 
-def _lay_out(problem: BundleProblem) -> _Layout:
-    used_frame = np.bincount(problem.frame, minlength=len(problem.frame_free)) > 0
-    used_camera = np.bincount(problem.camera, minlength=len(problem.params_free)) > 0
-    movable = problem.frame_free.any(axis=1) & used_frame
-    frame_column = np.where(movable, 6 * (np.cumsum(movable) - 1), -1).astype(np.int64)
-    free = problem.params_free * used_camera[:, None] > 0
-    num_free = free.sum(axis=1).astype(np.int64)
-    num_frame_columns = 6 * int(movable.sum())
-    camera_column = num_frame_columns + np.concatenate([[0], np.cumsum(num_free)[:-1]]).astype(np.int64)
-    free_params = np.zeros(free.shape, np.int64)
-    for c in range(len(free)):
-        free_params[c, : num_free[c]] = np.flatnonzero(free[c])
-    held = np.flatnonzero(problem.frame_free[movable].ravel() == 0)
-    size = num_frame_columns + int(num_free.sum())
-    return _Layout(frame_column, camera_column, free_params, num_free, size, held)
+def _motions(rows: np.ndarray) -> Rigid3:
+    return Rigid3(rows[:, :9].reshape(-1, 3, 3).copy(), rows[:, 9:].copy())
+
+
+def _summary(problem: BundleProblem, used: np.ndarray) -> str:
+    """Counts of what took part, and of what too little was seen of."""
+    owner = np.repeat(np.arange(len(problem.point_free)), np.diff(problem.offsets))[used]
+    by_point = np.bincount(owner, minlength=len(problem.point_free))
+    by_frame = np.bincount(problem.frame[used], minlength=len(problem.frame_free))
+    free_point, free_frame = problem.point_free > 0, problem.frame_free.any(axis=1)
+    lines = [
+        f"{int((by_frame > 0).sum())} frames, {int((problem.params_free.any(axis=1)).sum())} free cameras, "
+        f"{int((by_point > 0).sum())} points, {int(used.sum())} observations"
+    ]
+    weak = {
+        "observations left out: behind their camera, or not finite": int((~used).sum()),
+        "points seen once: nothing fixes their depth": int((free_point & (by_point == 1)).sum()),
+        "free points that nothing sees": int((free_point & (by_point == 0)).sum()),
+        "frames with fewer than three observations: they are not fixed": int(
+            (free_frame & (by_frame > 0) & (by_frame < 3)).sum()
+        ),
+        "free frames that see nothing": int((free_frame & (by_frame == 0)).sum()),
+    }
+    lines += [f"{count} {what}" for what, count in weak.items() if count]
+    return "\n".join(lines)

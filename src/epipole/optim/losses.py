@@ -20,6 +20,7 @@ class Loss(IntEnum):
     SOFT_L1 = 2
     CAUCHY = 3
     TRUNCATED = 4
+    TUKEY = 5
 
 
 def evaluate_loss(loss: Loss, squared: Any, scale: float) -> Float64[np.ndarray, "*batch"]:
@@ -31,4 +32,6 @@ def evaluate_loss(loss: Loss, squared: Any, scale: float) -> Float64[np.ndarray,
         return 2.0 * c * (np.sqrt(1.0 + s / c) - 1.0)
     if loss is Loss.CAUCHY:
         return c * np.log1p(s / c)
+    if loss is Loss.TUKEY:
+        return c / 3.0 * (1.0 - np.maximum(1.0 - s / c, 0.0) ** 3)
     return np.minimum(s, c) if loss is Loss.TRUNCATED else s

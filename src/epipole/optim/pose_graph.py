@@ -17,12 +17,10 @@ from scipy.sparse.linalg import splu
 from scipy.stats import chi2
 
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, skew
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
+from epipole.geometry.tangents import inverse_right_jacobian
 
 Motion = Rigid2 | Rigid3 | Similarity3
-
-BERNOULLI = (1.0, 0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30240.0, 0.0, -1.0 / 1209600.0)
-"""Coefficients of the series of the inverse right Jacobian in ad(r)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,33 +279,8 @@ def _residuals(graph: PoseGraph, places: Motion) -> np.ndarray:
 def _residuals_and_jacobians(graph: PoseGraph, places: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
     residual = (graph.first_from_second.inverse() @ between).log()
-    by_second = _inverse_right_jacobian(residual)
+    by_second = inverse_right_jacobian(residual)
     return residual, -by_second @ between.inverse().adjoint(), by_second
-
-
-def _inverse_right_jacobian(xi: np.ndarray) -> np.ndarray:
-    """D log(exp(xi) exp(delta)) / d delta as a series in ad(xi), to the eighth power: 1e-9 below one radian."""
-    d = xi.shape[1]
-    ad = np.zeros((len(xi), d, d))
-    if d == 3:
-        ad[:, 0, 1], ad[:, 1, 0] = -xi[:, 2], xi[:, 2]
-        ad[:, 0, 2], ad[:, 1, 2] = xi[:, 1], -xi[:, 0]
-        return _series(ad)
-    ad[:, :3, :3] = ad[:, 3:6, 3:6] = skew(xi[:, 3:6])
-    ad[:, :3, 3:6] = skew(xi[:, :3])
-    if d == 7:
-        ad[:, :3, :3] += xi[:, 6, None, None] * np.eye(3)
-        ad[:, :3, 6] = -xi[:, :3]
-    return _series(ad)
-
-
-def _series(ad: np.ndarray) -> np.ndarray:
-    out, power = np.zeros_like(ad), np.broadcast_to(np.eye(ad.shape[-1]), ad.shape)
-    for coefficient in BERNOULLI:
-        if coefficient:
-            out = out + coefficient * power
-        power = power @ ad
-    return out
 
 
 def _moved(places: Motion, step: np.ndarray) -> Motion:

@@ -1,0 +1,330 @@
+"""Sparse Cholesky factorisation by blocks: the multifrontal method (Duff and Reid 1983; Liu, SIAM Review 1992).
+
+Nodes (places, cameras, ...) are eliminated in a given order. Neighbouring columns of one structure form a supernode s
+with k pivots and m >= k rows. Its front is assembled from the matrix and from what its children left, then
+    F = [A11 .; A21 A22],   L11 = chol(A11),   L21 = A21 L11^-T,   U = A22 - L21 L21^T,
+where U goes to the parent. Panels [L11; L21] are (m, k), updates U (m - k, m - k), both column by column, lower.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite import binding
+from numba import types
+from numba.extending import get_cython_function_address
+
+from epipole._jit import kernel
+
+
+def _linked(module: str, name: str, *arguments: types.Type) -> types.ExternalFunction:
+    """A routine that SciPy ships, by name, so that kernels that call it can be kept on disk."""
+    symbol = f"epipole_{name}"
+    binding.add_symbol(symbol, get_cython_function_address(f"scipy.linalg.{module}", name))
+    return types.ExternalFunction(symbol, types.void(*arguments))
+
+
+_CHAR, _INT, _REAL = types.CPointer(types.uint8), types.CPointer(types.int32), types.CPointer(types.float64)
+_potrf = _linked("cython_lapack", "dpotrf", _CHAR, _INT, _REAL, _INT, _INT)
+_trsm = _linked(
+    "cython_blas", "dtrsm", _CHAR, _CHAR, _CHAR, _CHAR, _INT, _INT, _REAL, _REAL, _INT, _REAL, _INT
+)
+_syrk = _linked("cython_blas", "dsyrk", _CHAR, _CHAR, _INT, _INT, _REAL, _REAL, _INT, _REAL, _REAL, _INT)
+_trsv = _linked("cython_blas", "dtrsv", _CHAR, _CHAR, _CHAR, _INT, _REAL, _INT, _REAL, _INT)
+_gemv = _linked(
+    "cython_blas", "dgemv", _CHAR, _INT, _INT, _REAL, _REAL, _INT, _REAL, _INT, _REAL, _REAL, _INT
+)
+
+_LOWER, _PLAIN, _TRANSPOSED, _RIGHT = (np.array([ord(c)], np.uint8) for c in "LNTR")
+_ONE, _MINUS_ONE, _STEP = np.array([1.0]), np.array([-1.0]), np.array([1], np.int32)
+
+
+class Supernodes(NamedTuple):
+    """The symbolic factorisation. Places are positions in the order of elimination."""
+
+    first: np.ndarray
+    """(supernodes + 1,), the first place of each; its pivots run to the next one's."""
+    row_start: np.ndarray
+    """(supernodes + 1,), where its rows beyond the pivots start."""
+    row: np.ndarray
+    """Places of these rows."""
+    row_offset: np.ndarray
+    """For each of them, its first scalar row in the own front."""
+    row_in_parent: np.ndarray
+    """For each of them, its first scalar row in the parent's front."""
+    parent: np.ndarray
+    first_child: np.ndarray
+    next_child: np.ndarray
+    num_pivots: np.ndarray
+    """Scalars."""
+    num_rows: np.ndarray
+    """Scalars, pivots included."""
+    panel_start: np.ndarray
+    update_start: np.ndarray
+    scalar_of_place: np.ndarray
+    """(places + 1,), the first scalar of each place."""
+    block_start: np.ndarray
+    """(supernodes + 1,), where the matrix blocks of each start."""
+    block: np.ndarray
+    """Which block of the matrix."""
+    block_row: np.ndarray
+    """Its first scalar row in the front."""
+    block_column: np.ndarray
+    """Its first scalar column in the front."""
+    block_height: np.ndarray
+    block_width: np.ndarray
+    block_turned: np.ndarray
+    """Whether the matrix holds its transpose."""
+
+
+@kernel
+def elimination_tree(start, neighbour, parent, ancestor):
+    """Parent of each column (Liu 1986); `neighbour` are places, of which smaller ones count."""
+    for i in range(len(parent)):
+        parent[i] = ancestor[i] = -1
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            while j != -1 and j < i:
+                following = ancestor[j]
+                ancestor[j] = i
+                if following == -1:
+                    parent[j] = i
+                j = following
+
+
+@kernel
+def postorder(parent, first_child, next_child, order):
+    """Columns so that each comes right after its subtree; first_child and next_child are scratch."""
+    n = len(parent)
+    for i in range(n):
+        first_child[i] = next_child[i] = -1
+    for i in range(n - 1, -1, -1):
+        if parent[i] >= 0:
+            next_child[i] = first_child[parent[i]]
+            first_child[parent[i]] = i
+    count = 0
+    for root in range(n):
+        if parent[root] >= 0:
+            continue
+        node = root
+        while True:
+            while first_child[node] >= 0:  # down to a leaf; a child is taken off its parent's list
+                child = first_child[node]
+                first_child[node] = next_child[child]
+                node = child
+            order[count] = node
+            count += 1
+            if node == root:
+                break
+            node = parent[node]
+
+
+@kernel
+def column_structure(start, neighbour, parent, mark, column_start, fill, row):
+    """Row counts (`fill` of a first pass, with `row` empty) or the rows below each column's diagonal, ascending."""
+    counting = len(row) == 0
+    n = len(parent)
+    for j in range(n):
+        fill[j] = 0
+        mark[j] = -1
+    for i in range(n):
+        mark[i] = i
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            while j < i and mark[j] != i:
+                if not counting:
+                    row[column_start[j] + fill[j]] = i
+                fill[j] += 1
+                mark[j] = i
+                j = parent[j]
+
+
+@kernel
+def merge_columns(parent, count, size, first, pivots, entries):
+    """Supernodes from columns: first places into `first`; returns their number.
+
+    A supernode joins the one that follows and is its parent where this stores few zeros (Ashcraft and Grimes
+    1989; the shares are CHOLMOD's). `pivots` and `entries` are scratch: scalar columns and true entries.
+    """
+    top = 0
+    for j in range(len(parent)):
+        below = count[j]  # scalar rows below the diagonal block
+        k, true = size[j], size[j] * (size[j] + 1) // 2 + size[j] * below
+        begin = j
+        while top > 0 and 0 <= parent[begin - 1] <= j:
+            joined = pivots[top - 1] + k
+            stored = joined * (joined + 1) // 2 + joined * below
+            zeros = stored - true - entries[top - 1]
+            share = 0.05 if joined > 192 else (0.1 if joined > 64 else 0.8)
+            if joined > 24 and zeros > share * stored:
+                break
+            k, true = joined, true + entries[top - 1]
+            top -= 1
+            begin = first[top]
+        first[top], pivots[top], entries[top] = begin, k, true
+        top += 1
+    first[top] = len(parent)
+    return top
+
+
+@kernel
+def rows_in_parents(nodes, where):
+    """Fill row_in_parent; `where` is scratch, one entry a place."""
+    for p in range(len(nodes.parent)):
+        offset = 0
+        for place in range(nodes.first[p], nodes.first[p + 1]):
+            where[place] = offset
+            offset += nodes.scalar_of_place[place + 1] - nodes.scalar_of_place[place]
+        for e in range(nodes.row_start[p], nodes.row_start[p + 1]):
+            where[nodes.row[e]] = nodes.row_offset[e]
+        child = nodes.first_child[p]
+        while child >= 0:
+            for e in range(nodes.row_start[child], nodes.row_start[child + 1]):
+                nodes.row_in_parent[e] = where[nodes.row[e]]
+            child = nodes.next_child[child]
+
+
+@kernel
+def place_blocks(nodes, supernode_of_place, later, earlier, row_of_block):
+    """The first scalar row of each matrix block in its front, from its later and earlier place."""
+    for b in range(len(later)):
+        s, place = supernode_of_place[earlier[b]], later[b]
+        if place < nodes.first[s + 1]:
+            row_of_block[b] = nodes.scalar_of_place[place] - nodes.scalar_of_place[nodes.first[s]]
+            continue
+        low, high = nodes.row_start[s], nodes.row_start[s + 1]
+        while high - low > 1:
+            middle = (low + high) // 2
+            if nodes.row[middle] <= place:
+                low = middle
+            else:
+                high = middle
+        row_of_block[b] = nodes.row_offset[low]
+
+
+@kernel
+def _assemble(nodes, s, blocks, panels, updates):
+    """Sum the front of supernode s: its own blocks, and its children's updates."""
+    m, k = nodes.num_rows[s], nodes.num_pivots[s]
+    r = m - k
+    panel, update = nodes.panel_start[s], nodes.update_start[s]
+    for e in range(panel, panel + m * k):
+        panels[e] = 0.0
+    for e in range(update, update + r * r):
+        updates[e] = 0.0
+    for e in range(nodes.block_start[s], nodes.block_start[s + 1]):
+        b, at = nodes.block[e], panel + nodes.block_row[e] + m * nodes.block_column[e]
+        for j in range(nodes.block_width[e]):
+            for i in range(nodes.block_height[e]):
+                panels[at + i + m * j] += blocks[b, j, i] if nodes.block_turned[e] else blocks[b, i, j]
+    child = nodes.first_child[s]
+    while child >= 0:
+        _extend_add(nodes, child, m, k, panel, update, panels, updates)
+        child = nodes.next_child[child]
+
+
+@kernel
+def _extend_add(nodes, child, m, k, panel, update, panels, updates):
+    """Add the child's update to the front (m rows, k pivots) at `panel` and `update`."""
+    height = nodes.num_rows[child] - nodes.num_pivots[child]
+    begin, end, base = nodes.row_start[child], nodes.row_start[child + 1], nodes.num_pivots[child]
+    r = m - k
+    for e in range(begin, end):
+        first = nodes.row_offset[e] - base
+        width = (nodes.row_offset[e + 1] - base if e + 1 < end else height) - first
+        for j in range(width):
+            column = nodes.row_in_parent[e] + j
+            source = nodes.update_start[child] + (first + j) * height
+            if column < k:
+                target = panel + column * m
+                shift = 0
+                for f in range(e, end):
+                    low = nodes.row_offset[f] - base
+                    high = nodes.row_offset[f + 1] - base if f + 1 < end else height
+                    shift = nodes.row_in_parent[f] - low
+                    for i in range(low, high):
+                        panels[target + shift + i] += updates[source + i]
+            else:
+                target = update + (column - k) * r
+                for f in range(e, end):
+                    low = nodes.row_offset[f] - base
+                    high = nodes.row_offset[f + 1] - base if f + 1 < end else height
+                    shift = nodes.row_in_parent[f] - low - k
+                    for i in range(low, high):
+                        updates[target + shift + i] += updates[source + i]
+
+
+@kernel(allocates=True)
+def factor_supernodes(nodes, chosen, blocks, panels, updates):
+    """Factor the chosen supernodes, children before parents; False where the matrix is not definite."""
+    return _factor_all(nodes, chosen, blocks, panels, updates, np.zeros(4, np.int32))
+
+
+@kernel
+def _factor_all(nodes, chosen, blocks, panels, updates, dims):
+    for s in chosen:
+        _assemble(nodes, s, blocks, panels, updates)
+        m, k = nodes.num_rows[s], nodes.num_pivots[s]
+        dims[0], dims[1], dims[2] = m, k, m - k
+        panel, update = nodes.panel_start[s], nodes.update_start[s]
+        corner = panels[panel:]
+        _potrf(_LOWER.ctypes, dims[1:].ctypes, corner.ctypes, dims.ctypes, dims[3:].ctypes)
+        if dims[3] != 0:
+            return False
+        if m == k:
+            continue
+        below, rest = panels[panel + k :], updates[update:]
+        _trsm(
+            *(_RIGHT.ctypes, _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes, dims[2:].ctypes),
+            *(dims[1:].ctypes, _ONE.ctypes, corner.ctypes, dims.ctypes, below.ctypes, dims.ctypes),
+        )
+        _syrk(
+            *(_LOWER.ctypes, _PLAIN.ctypes, dims[2:].ctypes, dims[1:].ctypes, _MINUS_ONE.ctypes),
+            *(below.ctypes, dims.ctypes, _ONE.ctypes, rest.ctypes, dims[2:].ctypes),
+        )
+    return True
+
+
+@kernel(allocates=True)
+def solve_supernodes(nodes, panels, x):
+    """x, in the order of elimination, becomes (L L^T)^-1 x."""
+    _solve_all(nodes, panels, x, np.zeros(3, np.int32), np.empty(max(1, nodes.num_rows.max())))
+
+
+@kernel
+def _solve_all(nodes, panels, x, dims, work):
+    count = len(nodes.parent)
+    for step in range(2 * count):
+        forward = step < count
+        s = step if forward else 2 * count - 1 - step
+        m, k = nodes.num_rows[s], nodes.num_pivots[s]
+        dims[0], dims[1], dims[2] = m, k, m - k
+        begin = nodes.scalar_of_place[nodes.first[s]]
+        corner, below, own = panels[nodes.panel_start[s] :], panels[nodes.panel_start[s] + k :], x[begin:]
+        turned = _PLAIN if forward else _TRANSPOSED
+        for e in range(nodes.row_start[s], nodes.row_start[s + 1]):
+            place = nodes.row[e]
+            source, at = nodes.scalar_of_place[place], nodes.row_offset[e] - k
+            for i in range(nodes.scalar_of_place[place + 1] - source):
+                work[at + i] = 0.0 if forward else x[source + i]
+        if forward:
+            _trsv(
+                *(_LOWER.ctypes, turned.ctypes, _PLAIN.ctypes, dims[1:].ctypes),
+                *(corner.ctypes, dims.ctypes, own.ctypes, _STEP.ctypes),
+            )
+        if m > k:
+            source, target = (own, work) if forward else (work, own)
+            _gemv(
+                *(turned.ctypes, dims[2:].ctypes, dims[1:].ctypes, _MINUS_ONE.ctypes, below.ctypes),
+                *(dims.ctypes, source.ctypes, _STEP.ctypes, _ONE.ctypes, target.ctypes, _STEP.ctypes),
+            )
+        if not forward:
+            _trsv(
+                *(_LOWER.ctypes, turned.ctypes, _PLAIN.ctypes, dims[1:].ctypes),
+                *(corner.ctypes, dims.ctypes, own.ctypes, _STEP.ctypes),
+            )
+            continue
+        for e in range(nodes.row_start[s], nodes.row_start[s + 1]):
+            place = nodes.row[e]
+            target_at, at = nodes.scalar_of_place[place], nodes.row_offset[e] - k
+            for i in range(nodes.scalar_of_place[place + 1] - target_at):
+                x[target_at + i] += work[at + i]

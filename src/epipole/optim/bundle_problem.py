@@ -1,0 +1,158 @@
+"""What bundle adjustment adjusts: places, lenses and points, what was seen of them, and what else is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64, Int32, Int64
+
+from epipole.cameras import CameraModel
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3
+
+NUM_PARAMS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointDistances:
+    """Known distances between points: a scale bar, a calibration object."""
+
+    first: Int64[np.ndarray, " d"]
+    second: Int64[np.ndarray, " d"]
+    distance: Float64[np.ndarray, " d"]
+    sigma: Float64[np.ndarray, " d"]
+    """Standard deviations, in world units."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class BundlePriors:
+    """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error."""
+
+    position_in_world: Float64[np.ndarray, "f 3"] | None = None
+    """Expected frame centres (GPS); NaN rows for none. Cauchy's loss at one standard deviation."""
+    position_sigma: float | Float64[np.ndarray, "f 3"] = 1.0
+    """Standard deviations of these, in world units; per axis where one number will not do."""
+    rig_from_world: Rigid3 | None = None
+    """Expected motions of the frames (odometry, an earlier adjustment)."""
+    rig_information: Float64[np.ndarray, "f 6 6"] | None = None
+    """Inverse covariances of log(rig_from_world expected^-1), (translation, rotation); zero for none."""
+    down_in_rig: Float64[np.ndarray, "f 3"] | None = None
+    """Measured unit direction of gravity (an accelerometer at rest); NaN rows for none."""
+    down_in_world: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    down_sigma_rad: float = 0.02
+    params_expected: Float64[np.ndarray, "c 8"] | None = None
+    """Expected camera parameters."""
+    params_sigma: Float64[np.ndarray, "c 8"] | None = None
+    """Standard deviations of the camera parameters about these; infinite for no expectation."""
+    distances: PointDistances | None = None
+
+    @property
+    def fixes_place(self) -> bool:
+        """Whether something here says where the frames are."""
+        at = self.position_in_world is not None and bool(
+            np.isfinite(self.position_in_world).all(axis=1).any()
+        )
+        return at or (self.rig_information is not None and bool(self.rig_information.any()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleProblem:
+    """What is adjusted. Observations are grouped by point: those of point j are offsets[j] to offsets[j + 1]."""
+
+    rig_from_world: Rigid3
+    """One row per frame."""
+    cam_from_rig: Rigid3
+    """One row per sensor; identity for a single camera."""
+    camera_model: Int32[np.ndarray, " c"]
+    camera_params: Float64[np.ndarray, "c 8"]
+    points_in_world: Float64[np.ndarray, "p 3"]
+    offsets: Int64[np.ndarray, " p1"]
+    frame: Int32[np.ndarray, " k"]
+    sensor: Int32[np.ndarray, " k"]
+    camera: Int32[np.ndarray, " k"]
+    pixels: Float64[np.ndarray, "k 2"]
+    frame_free: Float64[np.ndarray, "f 6"]
+    """1 where a tangent component (translation, rotation) of a frame may change, else 0."""
+    params_free: Float64[np.ndarray, "c 8"]
+    """1 where a camera parameter may change, else 0."""
+    point_free: Float64[np.ndarray, " p"]
+    """1 where a point may move, else 0."""
+    sensor_free: Float64[np.ndarray, "s 6"] | None = None
+    """1 where a tangent component of cam_from_rig may change, else 0; None: none may."""
+    priors: BundlePriors | None = None
+
+    def __post_init__(self) -> None:
+        """Check that everything fits.
+
+        Raises:
+            ShapeError: it does not; the message says what.
+        """
+        num_frames, num_sensors = len(self.rig_from_world.translation), len(self.cam_from_rig.translation)
+        num_points, num_seen, num_cameras = (
+            len(self.points_in_world),
+            len(self.pixels),
+            len(self.camera_params),
+        )
+        lengths = {
+            "frame_free": (len(self.frame_free), num_frames),
+            "camera_model": (len(self.camera_model), num_cameras),
+            "params_free": (len(self.params_free), num_cameras),
+            "point_free": (len(self.point_free), num_points),
+            "offsets": (len(self.offsets), num_points + 1),
+            "sensor_free": (num_sensors if self.sensor_free is None else len(self.sensor_free), num_sensors),
+        }
+        lengths |= {name: (len(getattr(self, name)), num_seen) for name in ("frame", "sensor", "camera")}
+        for name, (found, wanted) in lengths.items():
+            if found != wanted:
+                raise ShapeError(f"{name} must have {wanted} rows, got {found}")
+        if self.offsets[0] != 0 or self.offsets[-1] != num_seen or (np.diff(self.offsets) < 0).any():
+            raise ShapeError(f"offsets must rise from 0 to the number of observations, {num_seen}")
+        for name, size in (("frame", num_frames), ("sensor", num_sensors), ("camera", num_cameras)):
+            index = getattr(self, name)
+            if len(index) and not (index.min() >= 0 and index.max() < size):
+                raise ShapeError(f"an observation names a {name} that is not there (there are {size})")
+
+
+def free_params_mask(
+    models: Int32[np.ndarray, " c"],
+    *,
+    focal: bool = True,
+    principal_point: bool = False,
+    distortion: bool = True,
+) -> Float64[np.ndarray, "c 8"]:
+    """Mask of intrinsics that may change, by their meaning."""
+    mask = np.zeros((len(models), NUM_PARAMS))
+    for row, model in enumerate(models):
+        kind = CameraModel(int(model))
+        mask[row, list(kind.focal_indices)] = float(focal)
+        mask[row, list(kind.principal_point_indices)] = float(principal_point)
+        mask[row, list(kind.distortion_indices)] = float(distortion)
+    return mask
+
+
+def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
+    """Hold the seven freedoms that pictures leave open: one frame, and one coordinate of a second one's place.
+
+    The frame with most observations stays; of the frame farthest from it, the component of its translation
+    tangent along the line between both (the largest, in its own axes) stays, which holds the scale. Holding
+    components, rather than undoing a solved step, keeps the predicted decrease true. Nothing is held where
+    expected places or two frames that stay say it all.
+    """
+    free = problem.frame_free.copy()
+    counts = np.bincount(problem.frame, minlength=len(free))
+    movable = np.flatnonzero(free.any(axis=1) & (counts > 0))
+    if len(movable) < 2 or not free[movable].all():
+        return problem
+    if problem.priors is not None and problem.priors.fixes_place:
+        return problem
+    if (counts[~free.any(axis=1)] > 0).sum() >= 2:
+        return problem
+    first = movable[np.argmax(counts[movable])]
+    free[first] = 0.0
+    centers = problem.rig_from_world.centers()
+    others = movable[movable != first]
+    second = others[np.argmax(np.linalg.norm(centers[others] - centers[first], axis=1))]
+    along = problem.rig_from_world.rotation[second] @ (centers[second] - centers[first])
+    free[second, np.argmax(np.abs(along))] = 0.0
+    return replace(problem, frame_free=free)
