@@ -2,6 +2,8 @@
 
 from epipole.io.atomic import atomic_folder as atomic_folder
 from epipole.io.atomic import atomic_write as atomic_write
+from epipole.io.bal import read_bal as read_bal
+from epipole.io.bal import write_bal as write_bal
 from epipole.io.bundler import write_bundler as write_bundler
 from epipole.io.colmap import params_from_colmap as params_from_colmap
 from epipole.io.colmap import params_to_colmap as params_to_colmap

@@ -79,7 +79,7 @@ class BundleSystem:
         )
         self.pattern: BlockPattern
         self.plan: CholeskyPlan | None = None
-        self._choose_solver(solver)
+        self._choose_solver(LinearSolver(solver))
         n = self.layout.num_nodes
         self._row_start = np.searchsorted(self.pattern.row, np.arange(n + 1)).astype(np.int64)
         self._diagonal = np.flatnonzero(self.pattern.row == self.pattern.column)
@@ -317,7 +317,7 @@ def conjugate_gradients(
     precondition: Callable[[np.ndarray], np.ndarray],
     rhs: np.ndarray,
     *,
-    forcing: float = 0.01,
+    forcing: float = 0.1,
     max_products: int = 300,
 ) -> tuple[np.ndarray, int]:
     """Preconditioned conjugate gradients (Hestenes and Stiefel 1952), stopped when it pays no more.

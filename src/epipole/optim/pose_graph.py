@@ -16,9 +16,11 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 from scipy.stats import chi2
 
+from epipole import _parallel
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.geometry.tangents import inverse_right_jacobian
+from epipole.optim.block_cholesky import BlockPattern, plan_cholesky
 
 Motion = Rigid2 | Rigid3 | Similarity3
 
@@ -125,7 +127,8 @@ def optimize_pose_graph(
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
     """
-    return _optimize(graph, config or PoseGraphConfig(), np.ones(len(graph.first)), progress)
+    with _parallel.single_threaded_blas():
+        return _optimize(graph, config or PoseGraphConfig(), np.ones(len(graph.first)), progress)
 
 
 def optimize_pose_graph_robustly(
@@ -145,7 +148,13 @@ def optimize_pose_graph_robustly(
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
     """
-    config = config or PoseGraphConfig()
+    with _parallel.single_threaded_blas():
+        return _optimize_robustly(graph, may_be_wrong_mask, config or PoseGraphConfig())
+
+
+def _optimize_robustly(
+    graph: PoseGraph, may_be_wrong_mask: np.ndarray | None, config: PoseGraphConfig
+) -> PoseGraphResult:
     doubtful = np.abs(graph.second - graph.first) != 1 if may_be_wrong_mask is None else may_be_wrong_mask
     bound = float(chi2.ppf(config.confidence, graph.dimension))
     initial_cost = pose_graph_cost(graph)
@@ -233,18 +242,17 @@ def _optimize(
     except np.linalg.LinAlgError as error:
         raise DegenerateGeometryError("an edge's information matrix is not positive definite") from error
     n, d = len(graph), graph.dimension
-    pattern = _Pattern(n, d, graph.first, graph.second)
+    equations = _NormalEquations(n, d, graph.first, graph.second)
     places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
     cost = initial = 0.5 * float((weights * _squared(graph, places)).sum())
     for iteration in range(1, config.max_iterations + 1):
         residual, by_first, by_second = _residuals_and_jacobians(graph, places)
         residual = (root @ residual[..., None])[..., 0]
         by_first, by_second = root @ by_first, root @ by_second
-        hessian = pattern.hessian(by_first, by_second)
-        gradient = pattern.gradient(by_first, by_second, residual)
+        blocks, gradient = equations.fill(by_first, by_second, residual)
         lowered = False
         for _ in range(12):
-            step = pattern.solve(hessian, gradient, damping)
+            step = equations.solve(blocks, gradient, damping)
             if step is not None:
                 moved = _moved(places, step)
                 after = 0.5 * float((weights * _squared(graph, moved)).sum())
@@ -288,8 +296,8 @@ def _moved(places: Motion, step: np.ndarray) -> Motion:
     return places @ moved
 
 
-class _Pattern:
-    """Where the blocks of the normal equations stand: found once, filled at every step."""
+class _NormalEquations:
+    """The normal equations of a graph: laid out once, filled and factored at every step."""
 
     def __init__(self, n: int, d: int, first: np.ndarray, second: np.ndarray) -> None:
         self.n, self.d, self.first, self.second = n, d, first, second
@@ -298,61 +306,58 @@ class _Pattern:
         column = np.full(n, -1)
         column[self.free] = np.arange(len(self.free))
         i, j = column[first], column[second]
-        rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
-        self.used = (rows >= 0) & (columns >= 0)
-        rows, columns = rows[self.used], columns[self.used]
-        size = len(self.free)
-        # One place per block of the matrix; several edges may share it. Columns first, as CSC stores them.
-        unique, self.block = np.unique(columns.astype(np.int64) * max(size, 1) + rows, return_inverse=True)
-        self.num_blocks = len(unique)
-        block_columns, block_rows = unique // max(size, 1), unique % max(size, 1)
-        at = (
-            block_rows[:, None, None] * d + np.arange(d)[None, :, None] + np.zeros((1, 1, d), np.int64)
-        ).ravel()
-        where = (
-            block_columns[:, None, None] * d + np.arange(d)[None, None, :] + np.zeros((1, d, 1), np.int64)
-        ).ravel()
-        self.order = np.lexsort((at, where))
-        self.indices = at[self.order].astype(np.int32)
-        self.indptr = np.searchsorted(where[self.order], np.arange(size * d + 1)).astype(np.int32)
-        self.diagonal = np.flatnonzero(self.indices == where[self.order])
+        size, nodes = max(len(self.free), 1), np.arange(len(self.free))
+        self.both = np.flatnonzero((i >= 0) & (j >= 0) & (i != j))
+        self.turned = (i < j)[self.both]
+        keys = np.maximum(i, j)[self.both] * size + np.minimum(i, j)[self.both]
+        unique, at = np.unique(np.concatenate([nodes * (size + 1), keys]), return_inverse=True)
+        self.diagonal, self.between = at[: len(nodes)], at[len(nodes) :]
+        pattern = BlockPattern(np.full(len(self.free), d), unique // size, unique % size)
+        self.num_blocks, self.plan = len(unique), plan_cholesky(pattern)
 
-    def hessian(self, by_first: np.ndarray, by_second: np.ndarray) -> np.ndarray:
-        """The entries of J^T J in CSC order."""
+    def fill(
+        self, by_first: np.ndarray, by_second: np.ndarray, residual: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The blocks of J^T J, and J^T r."""
         a, b = np.swapaxes(by_first, 1, 2), np.swapaxes(by_second, 1, 2)
-        cross = a @ by_second
-        blocks = np.concatenate([a @ by_first, b @ by_second, cross, np.swapaxes(cross, 1, 2)])[self.used]
-        summed = np.zeros((self.num_blocks, self.d, self.d))
-        np.add.at(summed, self.block, blocks)
-        return summed.ravel()[self.order]
+        corners = _summed(
+            np.concatenate([self.first, self.second]), np.concatenate([a @ by_first, b @ by_second]), self.n
+        )
+        blocks = np.zeros((self.num_blocks, self.d, self.d))
+        cross = np.where(
+            self.turned[:, None, None],
+            b[self.both] @ by_first[self.both],
+            a[self.both] @ by_second[self.both],
+        )
+        blocks += _summed(self.between, cross, self.num_blocks)
+        blocks[self.diagonal] += corners[self.free]
+        ends = np.concatenate([a @ residual[:, :, None], b @ residual[:, :, None]])
+        gradient = _summed(np.concatenate([self.first, self.second]), ends, self.n)
+        return blocks, gradient[self.free].ravel()
 
-    def gradient(self, by_first: np.ndarray, by_second: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """J^T r."""
-        out = np.zeros((self.n, self.d))
-        np.add.at(out, self.first, np.einsum("kji,kj->ki", by_first, residual))
-        np.add.at(out, self.second, np.einsum("kji,kj->ki", by_second, residual))
-        return out[self.free].ravel()
-
-    def solve(self, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
+    def solve(self, blocks: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
         """The damped Gauss-Newton step of every place (n, d); None where the system is singular."""
-        values = hessian.copy()
-        values[self.diagonal] += damping * values[self.diagonal] + 1e-300
-        size = len(self.free) * self.d
         step = np.zeros((self.n, self.d))
-        if size == 0:
+        if len(self.free) == 0:
             return step
-        matrix = sparse.csc_matrix((values, self.indices, self.indptr), shape=(size, size))
-        try:
-            factor = splu(
-                matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-            )
-        except RuntimeError:
+        damped, entry = blocks.copy(), np.arange(self.d)
+        kept = damped[self.diagonal[:, None], entry, entry]
+        # The floor holds places whose edges all have weight zero.
+        damped[self.diagonal[:, None], entry, entry] += damping * kept + 1e-15 * kept.max()
+        factor = self.plan.factorize(damped)
+        if factor is None:
             return None
         found = factor.solve(-gradient)
         if not np.isfinite(found).all():
             return None
         step[self.free] = found.reshape(-1, self.d)
         return step
+
+
+def _summed(row: np.ndarray, values: np.ndarray, num_rows: int) -> np.ndarray:
+    """Sums of the values that share a row."""
+    which = sparse.csr_matrix((np.ones(len(row)), (row, np.arange(len(row)))), shape=(num_rows, len(row)))
+    return (which @ values.reshape(len(row), -1)).reshape(num_rows, *values.shape[1:])
 
 
 def _anchors(n: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:

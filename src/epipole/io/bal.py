@@ -1,0 +1,110 @@
+"""Bundle problems in the text format of Bundle Adjustment in the Large (Agarwal, Snavely, Seitz and Szeliski, ECCV 2010).
+
+Snavely's camera looks along -z with y up: p = -(X, Y) / Z, pixel = f (1 + k1 |p|^2 + k2 |p|^4) p from the middle of the
+picture, y up. Turned half around its x axis it is a RADIAL camera with the principal point at (0, 0) and y down; the
+two are the same to the last digit, signs apart.
+"""
+
+from __future__ import annotations
+
+import bz2
+from pathlib import Path
+
+import numpy as np
+
+from epipole.cameras import CameraModel
+from epipole.errors import FileFormatError, ShapeError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.io.atomic import atomic_write
+from epipole.optim import BundleProblem, free_params_mask
+
+_TURN = np.diag([1.0, -1.0, -1.0])
+_PER_CAMERA = 9
+
+
+def read_bal(path: str | Path) -> BundleProblem:
+    """Read a problem (.txt, or .bz2 of it): one camera for each frame, everything but principal points free.
+
+    Raises:
+        FileFormatError: the file cannot be read, is cut short, or holds something that is no finite number or no index.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+        words = (bz2.decompress(data) if path.suffix == ".bz2" else data).split()
+    except (OSError, EOFError) as error:
+        raise FileFormatError(path, f"cannot be read: {error}") from error
+    try:
+        num_cameras, num_points, num_seen = (int(word) for word in words[:3])
+        values = np.array(words[3:], np.float64)
+    except ValueError as error:
+        raise FileFormatError(path, f"is no bundle problem: {error}") from error
+    wanted = 4 * num_seen + _PER_CAMERA * num_cameras + 3 * num_points
+    if min(num_cameras, num_points, num_seen) < 0 or len(values) != wanted:
+        raise FileFormatError(path, f"must hold {wanted} numbers after the first three, has {len(values)}")
+    if not np.isfinite(values).all():
+        raise FileFormatError(path, "holds numbers that are not finite")
+    seen = values[: 4 * num_seen].reshape(-1, 4)
+    cameras = values[4 * num_seen :][: _PER_CAMERA * num_cameras].reshape(-1, _PER_CAMERA)
+    points = values[len(values) - 3 * num_points :].reshape(-1, 3)
+    if num_seen and not (
+        seen[:, :2].min() >= 0 and seen[:, 0].max() < num_cameras and seen[:, 1].max() < num_points
+    ):
+        raise FileFormatError(path, "an observation names a camera or a point that is not there")
+    seen = seen[np.argsort(seen[:, 1], kind="stable")]
+    counts = np.bincount(seen[:, 1].astype(np.int64), minlength=num_points)
+    params = np.zeros((num_cameras, 8))
+    params[:, [0, 3, 4]] = cameras[:, 6:9]
+    model = np.full(num_cameras, int(CameraModel.RADIAL), np.int32)
+    frame = seen[:, 0].astype(np.int32)
+    return BundleProblem(
+        Rigid3(_TURN @ Rotation3.exp(cameras[:, :3]).matrix, cameras[:, 3:6] @ _TURN),
+        Rigid3.identity(1),
+        model,
+        params,
+        points.copy(),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        frame,
+        np.zeros(num_seen, np.int32),
+        frame.copy(),
+        seen[:, 2:] * [1.0, -1.0],
+        np.ones((num_cameras, 6)),
+        free_params_mask(model),
+        np.ones(num_points),
+    )
+
+
+def write_bal(path: str | Path, problem: BundleProblem) -> None:
+    """Write a problem whose frames each have one picture, by a RADIAL camera with its principal point at (0, 0).
+
+    A camera that several frames share is written for each of them; what is held, and priors, have no place in the
+    format.
+
+    Raises:
+        ShapeError: the cameras are of another kind, or the frames are rigs.
+        WorkspaceError: the file cannot be written.
+    """
+    num_frames = len(problem.rig_from_world.translation)
+    camera = np.zeros(num_frames, np.int64)
+    camera[problem.frame] = problem.camera
+    used = np.unique(problem.camera)
+    if (camera[problem.frame] != problem.camera).any() or problem.cam_from_rig.log().any():
+        raise ShapeError("the format holds one camera for each frame, and no rigs")
+    if (problem.camera_model[used] != int(CameraModel.RADIAL)).any() or problem.camera_params[
+        used, 1:3
+    ].any():
+        raise ShapeError("the format holds RADIAL cameras with their principal point at (0, 0)")
+    owner = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
+    rotation = Rotation3(_TURN @ problem.rig_from_world.rotation).log()
+    lens = problem.camera_params[camera][:, [0, 3, 4]]
+    numbers = np.concatenate([rotation, problem.rig_from_world.translation @ _TURN, lens], axis=1).ravel()
+    pixels = problem.pixels * [1.0, -1.0]
+    lines = [f"{num_frames} {len(problem.points_in_world)} {len(owner)}"]
+    lines += [
+        f"{f} {p} {u!r} {v!r}"
+        for f, p, (u, v) in zip(problem.frame.tolist(), owner.tolist(), pixels.tolist(), strict=True)
+    ]
+    lines += [repr(number) for number in [*numbers.tolist(), *problem.points_in_world.ravel().tolist()]]
+    text = ("\n".join(lines) + "\n").encode()
+    with atomic_write(path) as part:
+        part.write_bytes(bz2.compress(text) if Path(path).suffix == ".bz2" else text)
