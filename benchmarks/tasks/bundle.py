@@ -1,7 +1,7 @@
 """Bundle adjustment problems as plain arrays: those of Agarwal et al. (BAL), and synthetic ones of any size.
 
-Conventions: x_cam = R X + t, the camera looks along +z with y down; intrinsics are f, cx, cy, k1, k2 of COLMAP's
-RADIAL model, pixel = f (1 + k1 r^2 + k2 r^4) x / z + c with r = |(x / z, y / z)|.
+Conventions: x_cam = R X + t, the camera looks along +z with y down; intrinsics are f, cx, cy, k1, k2 of
+COLMAP's RADIAL model, pixel = f (1 + k1 r^2 + k2 r^4) x / z + c with r = |(x / z, y / z)|.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _CHUNK_OBSERVATIONS = 1 << 19
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleTask:
-    """A start to adjust from. The focal lengths and the first distortion terms are free, principal points are not."""
+    """A start. Focal lengths and the first distortion terms are free, principal points are held."""
 
     name: str
     rotation: np.ndarray
@@ -50,7 +50,7 @@ class BundleTask:
 
 
 def true_noise_floor(task: BundleTask) -> float | None:
-    """Expected least cost, sigma^2 / 2 for each residual beyond the unknowns without the gauge; None for real tasks."""
+    """Expected least cost: sigma^2 / 2 for each residual beyond unknowns less the gauge; None: unknown."""
     if task.noise_px is None:
         return None
     unknowns = 6 * len(task.rotation) + 3 * len(task.points) + (1 + task.num_distortion) * len(task.params)
@@ -129,7 +129,7 @@ def bal_task(path: Path | str) -> BundleTask:
 def ring_task(
     num_frames: int, num_points: int, track_length: int = 6, noise_px: float = 0.7, seed: int = 0
 ) -> BundleTask:
-    """Cameras on a circle of radius 10 around a ball of points, each point seen from `track_length` places in a row."""
+    """Cameras on a circle about a ball of points, each of them seen from `track_length` places in a row."""
     if not 2 <= track_length <= num_frames:
         raise ValueError(f"track_length must be from 2 to the number of frames, is {track_length}")
     random = np.random.default_rng(seed)
@@ -233,10 +233,10 @@ class _Facades(NamedTuple):
 
 
 def city_task(num_frames: int, num_points: int, num_observations: int, seed: int = 0) -> BundleTask:
-    """Streets on a grid, driven one after the other by a car that looks ahead and at the facades on both sides.
+    """Streets on a grid, driven one after the other by a car that looks ahead and at the facades beside it.
 
-    Every point is seen 2 times or more, by some of the pictures nearest to it that have it in view; the start is off
-    by a few centimetres and 0.2 degrees, smoothly along the drive and without drift, and points by 10 cm.
+    Every point is seen 2 times or more, by some of the pictures nearest to it that have it in view; the start
+    is off by some centimetres and 0.2 degrees, smoothly along the drive, without drift, and points by 10 cm.
 
     Raises:
         ValueError: fewer than two observations a point, or more than the pictures have in view.
@@ -299,7 +299,7 @@ def _in_camera(drive: _Drive, frame: np.ndarray, points: np.ndarray) -> np.ndarr
 def _part_of_city(
     drive: _Drive, part: tuple[int, int, int], quota: int, random: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points start to stop of num_points (`part`) along the drive: where they are, how often seen, by which frames."""
+    """Points `part` = (start, stop, of how many) along the drive: places, times seen, by which frames."""
     start, stop, num_points = part
     first = np.arange(start, stop) * len(drive.center) // num_points
     points, visible = np.empty((stop - start, 3)), np.zeros(stop - start, np.int64)

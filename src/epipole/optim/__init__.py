@@ -6,6 +6,8 @@ from epipole.optim.bundle_adjustment import BundleResult as BundleResult
 from epipole.optim.bundle_adjustment import StopReason as StopReason
 from epipole.optim.bundle_adjustment import adjust_bundle as adjust_bundle
 from epipole.optim.bundle_adjustment import with_result as with_result
+from epipole.optim.bundle_covariance import BundleCovariance as BundleCovariance
+from epipole.optim.bundle_covariance import bundle_covariance as bundle_covariance
 from epipole.optim.bundle_problem import BundlePriors as BundlePriors
 from epipole.optim.bundle_problem import BundleProblem as BundleProblem
 from epipole.optim.bundle_problem import PointDistances as PointDistances

@@ -203,12 +203,24 @@ def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
 
 
 @kernel
-def total_cost(obs, start, stop, scene, loss, scale_sq, before):
-    """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point fell behind a camera.
+def total_cost(obs, start, stop, scene, loss, scale_sq):
+    """Half the sum of rho(|r|^2) over the points start..stop; infinite when a point is behind a camera."""
+    total, points = 0.0, scene.points
+    for j in range(start, stop):
+        total += _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+    return 0.5 * total
 
-    A point whose step took it behind a camera goes back to where it was `before`: one such point must not
-    stop the other millions.
+
+@kernel(allocates=True)
+def settle_points(obs, start, stop, scene, role, loss, scale_sq, before):
+    """Move the points start..stop to where the moved cameras want them, if that is better; half the sum of rho.
+
+    One Gauss-Newton step of each point alone (the inner iteration of Ruhe and Wedin, SIAM Review 1980). A joint step
+    goes straight where a bend of the whole model goes in an arc: the points then disagree with the cameras by the
+    square of the angle, and without this the step would be refused. A point that its step took behind a camera
+    starts from where it was `before`: one such point must not stop the other millions.
     """
+    work = (np.empty((2, 3)), np.empty((2, 8)), np.empty(6))
     total, points = 0.0, scene.points
     for j in range(start, stop):
         cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
@@ -216,8 +228,58 @@ def total_cost(obs, start, stop, scene, loss, scale_sq, before):
             for c in range(3):
                 points[j, c] = before[j, c]
             cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+        if role[j] == ELIMINATED and cost < math.inf:
+            x, y, z = _newton_point(obs, j, scene, loss, scale_sq, work)
+            settled = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
+            if settled < cost:
+                points[j, 0], points[j, 1], points[j, 2] = x, y, z
+                cost = settled
         total += cost
     return 0.5 * total
+
+
+@kernel
+def _newton_point(obs, j, scene, loss, scale_sq, work):
+    """Where a Gauss-Newton step takes point j, all else held."""
+    by_cam, by_params, factor = work
+    x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
+    v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
+    for k in range(obs.offsets[j], obs.offsets[j + 1]):
+        if not obs.used[k]:
+            continue
+        i = obs.image[k]
+        r = scene.cam_from_world[i]
+        u, v = project_with_jacobian_one(
+            np.int64(scene.model[i]),
+            scene.params[i],
+            r[0] * x + r[1] * y + r[2] * z + r[9],
+            r[3] * x + r[4] * y + r[5] * z + r[10],
+            r[6] * x + r[7] * y + r[8] * z + r[11],
+            by_cam,
+            by_params,
+        )
+        ru, rv = u - obs.pixels[k, 0], v - obs.pixels[k, 1]
+        _, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
+        a0 = by_cam[0, 0] * r[0] + by_cam[0, 1] * r[3] + by_cam[0, 2] * r[6]
+        a1 = by_cam[0, 0] * r[1] + by_cam[0, 1] * r[4] + by_cam[0, 2] * r[7]
+        a2 = by_cam[0, 0] * r[2] + by_cam[0, 1] * r[5] + by_cam[0, 2] * r[8]
+        b0 = by_cam[1, 0] * r[0] + by_cam[1, 1] * r[3] + by_cam[1, 2] * r[6]
+        b1 = by_cam[1, 0] * r[1] + by_cam[1, 1] * r[4] + by_cam[1, 2] * r[7]
+        b2 = by_cam[1, 0] * r[2] + by_cam[1, 1] * r[5] + by_cam[1, 2] * r[8]
+        g0, g1, g2 = g0 + w * (a0 * ru + b0 * rv), g1 + w * (a1 * ru + b1 * rv), g2 + w * (a2 * ru + b2 * rv)
+        v0 += w * (a0 * a0 + b0 * b0)
+        v1 += w * (a1 * a0 + b1 * b0)
+        v2 += w * (a2 * a0 + b2 * b0)
+        v3 += w * (a1 * a1 + b1 * b1)
+        v4 += w * (a2 * a1 + b2 * b1)
+        v5 += w * (a2 * a2 + b2 * b2)
+    _factor_point(v0, v1, v2, v3, v4, v5, 1e-9, factor)
+    h0 = factor[0] * g0
+    h1 = factor[2] * (g1 - factor[1] * h0)
+    h2 = factor[5] * (g2 - factor[3] * h0 - factor[4] * h1)
+    d2 = -factor[5] * h2
+    d1 = -factor[2] * (h1 + factor[4] * d2)
+    return x - factor[0] * (h0 + factor[1] * d1 + factor[3] * d2), y + d1, z + d2
 
 
 @kernel
@@ -511,3 +573,45 @@ def _multiply_all(entries, start, stop, z, x, out, sums, lanes):
         t0, t1, t2 = _gather(entries, j, z, x, sums, lanes)
         for e in range(entries.start[j], entries.start[j + 1]):
             add_rows(out[entries.node[e]], t0, z[e, 0], t1, z[e, 1], t2, z[e, 2], lanes)
+
+
+@kernel
+def point_covariances(entries, start, stop, kept, row_start, column, inverse, width, out):
+    """Covariances L^-T (I + sum Z_a^T (S^-1)_ab Z_b) L^-1 of the points start..stop, for unit noise.
+
+    `inverse` holds the blocks of S^-1 where S has blocks, its lower triangle by rows. Points that stay get zeros.
+    """
+    for j in range(start, stop):
+        first, last, f, m = entries.start[j], entries.start[j + 1], kept.factor[j], out[j]
+        for a in range(3):
+            for b in range(3):
+                m[a, b] = 1.0 if a == b else 0.0
+        for e in range(first, last):
+            for other in range(first, last):
+                a, b = entries.node[e], entries.node[other]
+                low, high = row_start[max(a, b)], row_start[max(a, b) + 1]
+                while high - low > 1:
+                    middle = (low + high) // 2
+                    if column[middle] <= min(a, b):
+                        low = middle
+                    else:
+                        high = middle
+                for p in range(width[a]):
+                    for q in range(width[b]):
+                        value = inverse[low, p, q] if a >= b else inverse[low, q, p]
+                        for c in range(3):
+                            for d in range(3):
+                                m[c, d] += kept.z[e, c, p] * value * kept.z[other, d, q]
+        # L^-1 = [[i0, 0, 0], [k10, i1, 0], [k20, k21, i2]]; m -> L^-T m L^-1
+        k10, k21 = -f[2] * f[1] * f[0], -f[5] * f[4] * f[2]
+        k20 = -f[5] * (f[3] * f[0] + f[4] * k10)
+        for row in range(3):
+            r0, r1, r2 = m[row, 0], m[row, 1], m[row, 2]
+            m[row, 0] = r0 * f[0] + r1 * k10 + r2 * k20
+            m[row, 1] = r1 * f[2] + r2 * k21
+            m[row, 2] = r2 * f[5]
+        for col in range(3):
+            r0, r1, r2 = m[0, col], m[1, col], m[2, col]
+            m[0, col] = f[0] * r0 + k10 * r1 + k20 * r2
+            m[1, col] = f[2] * r1 + k21 * r2
+            m[2, col] = f[5] * r2

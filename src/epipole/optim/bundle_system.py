@@ -13,6 +13,7 @@ from enum import StrEnum
 import numpy as np
 
 from epipole import _parallel
+from epipole.errors import DegenerateGeometryError
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim import _bundle_layout_kernels as layout_kernels
 from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
@@ -70,7 +71,7 @@ class BundleSystem:
         self.layout: BundleLayout = lay_out(problem)
         self._loss = (int(loss), float(loss_scale_px**2))
         entries, num_points = self.layout.entries, len(problem.points_in_world)
-        self._kept = kernels.Eliminated(
+        self.kept = kernels.Eliminated(
             np.empty(
                 (len(entries.node), 3, len(self.layout.lanes)), np.float32 if single_precision else np.float64
             ),
@@ -81,7 +82,7 @@ class BundleSystem:
         self.plan: CholeskyPlan | None = None
         self._choose_solver(LinearSolver(solver))
         n = self.layout.num_nodes
-        self._row_start = np.searchsorted(self.pattern.row, np.arange(n + 1)).astype(np.int64)
+        self.row_start = np.searchsorted(self.pattern.row, np.arange(n + 1)).astype(np.int64)
         self._diagonal = np.flatnonzero(self.pattern.row == self.pattern.column)
         self._places = self._places_of_images()
         work = np.zeros(n, np.int64)
@@ -106,7 +107,7 @@ class BundleSystem:
         pairs = int(
             layout_kernels.count_pairs(entries.start, entries.node, np.zeros(self.layout.num_nodes, np.int64))
         )
-        iterative_s = _USUAL_PRODUCTS * self._kept.z.nbytes / _BYTES_PER_S
+        iterative_s = _USUAL_PRODUCTS * self.kept.z.nbytes / _BYTES_PER_S
         if asked is not LinearSolver.ITERATIVE and (
             asked is LinearSolver.DIRECT or pairs * _PAIR_S / 2 < 2 * iterative_s + 1
         ):
@@ -130,11 +131,24 @@ class BundleSystem:
         found = (a >= b) & (b >= 0)
         return np.where(found, at, -1).astype(np.int64)
 
-    def cost(self, state: BundleState, before: BundleState) -> float:
-        """Half the robust sum of squares, priors included; puts points of `state` back that fell behind a camera."""
+    def cost(self, state: BundleState) -> float:
+        """Half the robust sum of squares, priors included."""
         layout, scene = self.layout, self.layout.scene(state)
         parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.total_cost(layout.observations, a, b, scene, *self._loss, before.points),
+            lambda a, b, _: kernels.total_cost(layout.observations, a, b, scene, *self._loss),
+            len(state.points),
+            layout.num_chunks,
+        )
+        return float(sum(parts)) + prior_terms(self.problem.priors, layout, state).cost
+
+    def settle(self, state: BundleState, before: BundleState) -> float:
+        """The cost, after each point went where the cameras of the state want it."""
+        layout, scene = self.layout, self.layout.scene(state)
+        role = layout.unknowns.role
+        parts = _parallel.map_chunks(
+            lambda a, b, _: kernels.settle_points(
+                layout.observations, a, b, scene, role, *self._loss, before.points
+            ),
             len(state.points),
             layout.num_chunks,
         )
@@ -164,7 +178,7 @@ class BundleSystem:
         within = np.einsum("nii->ni", blocks[self._diagonal])
         curvature = within.copy()
         if self.plan is not None:
-            self._subtract_eliminated(self._row_start, self.pattern.column, blocks)
+            self._subtract_eliminated(self.row_start, self.pattern.column, blocks)
             left = np.einsum("nii->ni", blocks[self._diagonal])
         else:
             corner = blocks[self._diagonal]
@@ -192,7 +206,7 @@ class BundleSystem:
             )
             kernels.linearize(
                 *(layout.observations, start, stop, scene, layout.unknowns, layout.entries),
-                *(*self._loss, damping, self._kept, sums, layout.lanes, layout.wide),
+                *(*self._loss, damping, self.kept, sums, layout.lanes, layout.wide),
             )
             return sums
 
@@ -210,12 +224,12 @@ class BundleSystem:
         entries, lanes = self.layout.entries, self.layout.lanes
         _parallel.map_items(
             lambda p: kernels.reduce_rows(
-                edges[p], edges[p + 1], entries, self._kept.z, row_start, column, blocks, lanes
+                edges[p], edges[p + 1], entries, self.kept.z, row_start, column, blocks, lanes
             ),
             len(edges) - 1 if self.layout.num_chunks > 1 else 0,
         )
         if self.layout.num_chunks == 1:
-            kernels.reduce_rows(0, edges[-1], entries, self._kept.z, row_start, column, blocks, lanes)
+            kernels.reduce_rows(0, edges[-1], entries, self.kept.z, row_start, column, blocks, lanes)
 
     def _add_priors(self, terms: PriorTerms, blocks: np.ndarray, gradient: np.ndarray) -> None:
         gradient += terms.gradient
@@ -232,21 +246,21 @@ class BundleSystem:
         key = self.pattern.row * n + self.pattern.column
         for j in np.flatnonzero(layout.point_node >= 0):
             own = int(layout.point_node[j])
-            v0, v1, v2, v3, v4, v5 = self._kept.factor[j]
+            v0, v1, v2, v3, v4, v5 = self.kept.factor[j]
             blocks[self._diagonal[own], :3, :3] += [[v0, v1, v2], [v1, v3, v4], [v2, v4, v5]]
-            gradient[own, :3] += self._kept.h[j]
+            gradient[own, :3] += self.kept.h[j]
             for e in range(entries.start[j], entries.start[j + 1]):
                 node = int(entries.node[e])
                 at = np.searchsorted(key, max(own, node) * n + min(own, node))
                 width = entries.width[node]
-                w = self._kept.z[e, :, :width]
+                w = self.kept.z[e, :, :width]
                 if node > own:
                     blocks[at, :width, :3] += w.T
                 else:
                     blocks[at, :3, :width] += w
-                self._kept.z[e] = 0.0
-            self._kept.factor[j] = 0.0
-            self._kept.h[j] = 0.0
+                self.kept.z[e] = 0.0
+            self.kept.factor[j] = 0.0
+            self.kept.h[j] = 0.0
 
     def solve(self, system: Linearization) -> tuple[np.ndarray | None, int]:
         """The step of the nodes (nodes, lanes), None where the matrix is not definite; products it took."""
@@ -264,6 +278,25 @@ class BundleSystem:
             step[mask] = factor.solve(system.rhs[mask])
         step[layout.held_mask] = 0.0
         return (step if np.isfinite(step).all() else None), products
+
+    def inverse_blocks(self, system: Linearization) -> np.ndarray:
+        """The blocks of S^-1 where S has blocks.
+
+        Raises:
+            DegenerateGeometryError: S is not positive definite.
+        """
+        lanes = len(self.layout.lanes)
+        if self.plan is None or self.layout.num_nodes == 0:
+            return np.zeros((0, lanes, lanes))
+        factor = self.plan.factorize(system.blocks)
+        if factor is None:
+            raise DegenerateGeometryError(
+                "the normal equations are not positive definite: something is not fixed"
+            )
+        out = np.zeros((len(self.pattern.row), lanes, lanes))
+        found = factor.selected_inverse()
+        out[:, : found.shape[1], : found.shape[2]] = found
+        return out
 
     def _iterate(self, system: Linearization) -> tuple[np.ndarray, int]:
         inverse = self._preconditioner_blocks.copy()
@@ -285,7 +318,7 @@ class BundleSystem:
         def work(start: int, stop: int, _: int) -> np.ndarray:
             part = np.zeros_like(x)
             kernels.multiply_eliminated(
-                self.layout.entries, start, stop, self._kept.z, x, part, self.layout.lanes
+                self.layout.entries, start, stop, self.kept.z, x, part, self.layout.lanes
             )
             return part
 
@@ -301,7 +334,7 @@ class BundleSystem:
         moved = layout.moved(state, step)
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.substitute_back(
-                layout.entries, a, b, state.points, self._kept, step, damping, moved.points, layout.lanes
+                layout.entries, a, b, state.points, self.kept, step, damping, moved.points, layout.lanes
             ),
             len(state.points),
             layout.num_chunks,

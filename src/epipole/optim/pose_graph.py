@@ -357,7 +357,8 @@ class _NormalEquations:
 def _summed(row: np.ndarray, values: np.ndarray, num_rows: int) -> np.ndarray:
     """Sums of the values that share a row."""
     which = sparse.csr_matrix((np.ones(len(row)), (row, np.arange(len(row)))), shape=(num_rows, len(row)))
-    return (which @ values.reshape(len(row), -1)).reshape(num_rows, *values.shape[1:])
+    flat = values.reshape(len(row), int(np.prod(values.shape[1:])))
+    return (which @ flat).reshape(num_rows, *values.shape[1:])
 
 
 def _anchors(n: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:

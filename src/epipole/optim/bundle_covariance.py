@@ -1,0 +1,135 @@
+"""How well an adjustment knows what it found: first-order covariances of places, lenses and points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole import _parallel
+from epipole.errors import DegenerateGeometryError
+from epipole.optim import _bundle_kernels as kernels
+from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
+from epipole.optim.bundle_layout import BundleLayout, initial_state
+from epipole.optim.bundle_problem import BundleProblem
+from epipole.optim.bundle_system import BundleSystem, LinearSolver
+
+_NO_DAMPING = 1e-12
+_UNKNOWN = 1e9
+"""An uncertainty so many times (in variance) that with all other unknowns held is no knowledge: rounding decides it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleCovariance:
+    """Covariances; zero for what was held, infinite for what the pictures do not fix."""
+
+    rig_from_world: Float64[np.ndarray, "f 6 6"]
+    """Of xi in exp(xi) @ rig_from_world, (translation, rotation)."""
+    cam_from_rig: Float64[np.ndarray, "s 6 6"]
+    camera_params: Float64[np.ndarray, "c 8 8"]
+    points_in_world: Float64[np.ndarray, "p 3 3"]
+    noise_px: float
+    """Standard deviation of a pixel coordinate that they are for."""
+
+
+def bundle_covariance(
+    problem: BundleProblem,
+    result: BundleResult,
+    config: BundleConfig | None = None,
+    *,
+    noise_px: float | None = None,
+) -> BundleCovariance:
+    """Covariances at a minimum: the inverse of J^T J, its wanted blocks alone (Takahashi et al. 1973), times the noise.
+
+    They hold for errors of pixels that are independent, small, and of one size, and relative to what the problem
+    holds: where the gauge is free they are infinite (see `with_fixed_gauge`).
+
+    Args:
+        problem: what was adjusted.
+        result: its minimum.
+        config: the loss that was minimised.
+        noise_px: standard deviation of the pixels' errors; None: the residuals' own, after the loss.
+
+    Raises:
+        DegenerateGeometryError: there are no more residuals than unknowns, and no noise is given.
+    """
+    config = config or BundleConfig()
+    found = with_result(problem, result)
+    system = BundleSystem(
+        found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
+    )
+    state, layout = initial_state(found), system.layout
+    system.find_visible(state)
+    if noise_px is None:
+        freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
+        if freedom <= 0:
+            raise DegenerateGeometryError(
+                "no more residuals than unknowns: the noise cannot be told from them"
+            )
+        noise_px = float(np.sqrt(2.0 * result.final_cost / freedom))
+    with _parallel.single_threaded_blas():
+        equations = system.linearize(state, _NO_DAMPING)
+        inverse = system.inverse_blocks(equations)
+    diagonal = np.flatnonzero(system.pattern.row == system.pattern.column)
+    known_to = np.einsum("nii->ni", equations.blocks[diagonal]) * np.einsum("nii->ni", inverse[diagonal])
+    lost = (known_to > _UNKNOWN).any(axis=1)
+    points = np.empty((len(found.point_free), 3, 3))
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.point_covariances(
+            *(layout.entries, a, b, system.kept, system.row_start, system.pattern.column, inverse),
+            *(layout.entries.width, points),
+        ),
+        len(points),
+        layout.num_chunks,
+    )
+    points[_unseen(layout, lost, system.kept.factor)] = np.inf
+    inverse = inverse[diagonal]
+    inverse[layout.held_mask] = 0.0
+    np.swapaxes(inverse, 1, 2)[layout.held_mask] = 0.0
+    inverse[lost] = np.inf
+    kept = layout.point_node >= 0
+    points[kept] = inverse[layout.point_node[kept], :3, :3]
+    variance = noise_px**2
+    return BundleCovariance(
+        variance * _of_nodes(inverse, layout.frame_node),
+        variance * _of_nodes(inverse, layout.sensor_node),
+        variance * _of_params(inverse, layout),
+        variance * points,
+        noise_px,
+    )
+
+
+def _num_unknowns(layout: BundleLayout) -> int:
+    nodes = int(layout.entries.width.sum()) - int(layout.held_mask.sum())
+    return nodes + 3 * int((layout.unknowns.role == kernels.ELIMINATED).sum())
+
+
+def _unseen(layout: BundleLayout, lost: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Free points that a single direction, or a node of unknown place, sees."""
+    i0, l10, i1, l20, l21, i2 = factor.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Variance of each coordinate before it was tied to the others: 1 / V_aa, against that after, 1 / d_a.
+        weak = (i2**2 * (1.0 / i2**2 + l20**2 + l21**2) > _UNKNOWN) | (
+            i1**2 * (1.0 / i1**2 + l10**2) > _UNKNOWN
+        )
+    entries = layout.entries
+    touched = np.zeros(len(factor), bool)
+    touched[entries.point[lost[entries.node]]] = True
+    return (layout.unknowns.role == kernels.ELIMINATED) & (weak | (i0 == 0.0) | touched)
+
+
+def _of_nodes(inverse: np.ndarray, node: np.ndarray) -> np.ndarray:
+    out = np.zeros((len(node), 6, 6))
+    free = node >= 0
+    out[free] = inverse[node[free], :6, :6]
+    return out
+
+
+def _of_params(inverse: np.ndarray, layout: BundleLayout) -> np.ndarray:
+    out = np.zeros((len(layout.num_free), 8, 8))
+    for c in np.flatnonzero(layout.num_free):
+        own = layout.free_params[c, : layout.num_free[c]]
+        at = layout.camera_column[c] + np.arange(len(own))
+        out[np.ix_([c], own, own)] = inverse[layout.camera_node[c]][np.ix_(at, at)]
+    return out
