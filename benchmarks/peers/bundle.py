@@ -99,10 +99,13 @@ class Epipole(BundlePeer):
     def solve(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
         """Adjust everything that the task leaves free; compiled code is loaded before the clock starts."""
         small = ring_task(6, 60) if not _own_cameras(task) else task
-        self._adjust(small, replace(limits, max_iterations=1))
-        return self._adjust(task, limits)
+        self.adjust(small, replace(limits, max_iterations=1))
+        return self.adjust(task, limits)
 
-    def _adjust(self, task: BundleTask, limits: BundleLimits) -> BundleSolution:
+    def adjust(
+        self, task: BundleTask, limits: BundleLimits, *, single_precision: bool = False
+    ) -> BundleSolution:
+        """As `solve`, cold."""
         from epipole.optim import BundleConfig, Loss, adjust_bundle
 
         start = time.perf_counter()
@@ -112,6 +115,7 @@ class Epipole(BundlePeer):
             loss_scale_px=limits.loss_scale_px,
             max_iterations=limits.max_iterations,
             function_tolerance=limits.function_tolerance,
+            single_precision=single_precision,
         )
         built = time.perf_counter()
         found = adjust_bundle(problem, config)

@@ -5,7 +5,6 @@ ones, four times as slow (measured on 8 lanes, AVX-512). These functions say it 
 the row's; arithmetic is in double precision whatever the rows hold.
 """
 
-from collections.abc import Callable
 from inspect import unwrap
 from typing import Any
 
@@ -17,7 +16,7 @@ from numba.extending import intrinsic
 _DOUBLE = ir.DoubleType()
 
 
-def _intrinsic(function: Callable[..., Any]) -> Any:
+def _intrinsic(function: Any) -> Any:
     return intrinsic(unwrap(function))
 
 
@@ -52,7 +51,7 @@ def _spread(builder: Any, value: Any, width: int) -> Any:
     return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width))
 
 
-def _combination(num_terms: int, *, adds: bool) -> Callable[..., Any]:
+def _combination(num_terms: int, *, adds: bool) -> Any:
     """Code for target (+)= sum of factor row, the arguments being target, factor, row, factor, row, ..., lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -32,7 +32,7 @@ def read_bal(path: str | Path) -> BundleProblem:
     try:
         data = path.read_bytes()
         words = (bz2.decompress(data) if path.suffix == ".bz2" else data).split()
-    except (OSError, EOFError) as error:
+    except (OSError, ValueError) as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     try:
         num_cameras, num_points, num_seen = (int(word) for word in words[:3])

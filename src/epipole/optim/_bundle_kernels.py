@@ -21,9 +21,8 @@ import numpy as np
 from epipole._jit import kernel
 from epipole._lane_kernels import add_product, add_rows, add_two_rows, set_rows
 from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
+from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
-TRIVIAL, HUBER, SOFT_L1, CAUCHY, TRUNCATED, TUKEY = 0, 1, 2, 3, 4, 5
-LEAST_CURVATURE = 0.7
 HELD, ELIMINATED, KEPT = 0, 1, 2
 
 
@@ -108,61 +107,6 @@ class Scratch(NamedTuple):
     j: np.ndarray
     """(2, wide)"""
     j_point: np.ndarray
-
-
-@kernel
-def robust_loss(kind, s, scale_sq):
-    """(rho, rho') of the squared residual s; rho(s) = s for small s."""
-    if kind == TRIVIAL:
-        return s, 1.0
-    if kind == HUBER:
-        if s <= scale_sq:
-            return s, 1.0
-        root = math.sqrt(s * scale_sq)
-        return 2.0 * root - scale_sq, scale_sq / root
-    if kind == SOFT_L1:
-        root = math.sqrt(1.0 + s / scale_sq)
-        return 2.0 * scale_sq * (root - 1.0), 1.0 / root
-    if kind == CAUCHY:
-        return scale_sq * math.log1p(s / scale_sq), 1.0 / (1.0 + s / scale_sq)
-    if kind == TUKEY:
-        share = max(1.0 - s / scale_sq, 0.0)
-        return scale_sq / 3.0 * (1.0 - share**3), share * share
-    if s < scale_sq:
-        return s, 1.0
-    return scale_sq, 0.0
-
-
-@kernel
-def _allow_for_curvature(kind, scale_sq, ru, rv, j, j_point):
-    """Triggs' second-order correction of a robust term (Triggs et al. 2000, section 4.3): J, r -> J', r'.
-
-    Along r the loss curves by rho' + 2 s rho'' < rho' only. With k = 1 + 2 s rho'' / rho' and the unit vector d
-    along r, J' = (I - (1 - sqrt(k)) d d^T) J and r' = r / sqrt(k) give that curvature and the same gradient.
-    Weighting alone (k = 1) converges linearly and takes about a third more steps; smaller k than LEAST_CURVATURE
-    overshoots where residuals are large (measured: it takes more steps again).
-    """
-    s = ru * ru + rv * rv
-    if kind == HUBER:
-        k = 1.0 if s <= scale_sq else 0.0
-    elif kind == SOFT_L1:
-        k = scale_sq / (scale_sq + s)
-    elif kind == CAUCHY:
-        k = (scale_sq - s) / (scale_sq + s)
-    elif kind == TUKEY:
-        k = 1.0 - 4.0 * s / max(scale_sq - s, 1e-12 * scale_sq)
-    else:
-        k = 1.0
-    if k == 1.0 or s == 0.0:
-        return ru, rv
-    root, size = math.sqrt(max(k, LEAST_CURVATURE)), math.sqrt(s)
-    du, dv = ru / size, rv / size
-    for jacobian in (j, j_point):
-        for i in range(jacobian.shape[1]):
-            along = (1.0 - root) * (du * jacobian[0, i] + dv * jacobian[1, i])
-            jacobian[0, i] -= along * du
-            jacobian[1, i] -= along * dv
-    return ru / root, rv / root
 
 
 @kernel
@@ -434,7 +378,7 @@ def _linearize_all(
             _, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
             if w == 0.0:
                 continue
-            ru, rv = _allow_for_curvature(loss, scale_sq, ru, rv, jac, jp)
+            ru, rv = allow_for_curvature(loss, scale_sq, ru, rv, jac, jp)
             _add_to_image(normal[i], gradient[i], jac, w, ru, rv, wide)
             _add_to_entries(k, first, entries, unknowns, i, kept.z, jac, jp, w, lanes)
             a0, a1, a2, b0, b1, b2 = jp[0, 0], jp[0, 1], jp[0, 2], jp[1, 0], jp[1, 1], jp[1, 2]

@@ -52,7 +52,7 @@ class CholeskyPlan:
     order: Int64[np.ndarray, " n"]
     """The node eliminated at each place."""
     supernodes: kernels.Supernodes
-    groups: tuple[Int64[np.ndarray, " g"], ...]
+    groups: tuple[np.ndarray, ...]
     """Supernodes of subtrees that do not depend on each other; last, those above all of them."""
     panel_size: int
     update_size: int

@@ -88,12 +88,12 @@ def bundle_covariance(
     inverse[layout.held_mask] = 0.0
     np.swapaxes(inverse, 1, 2)[layout.held_mask] = 0.0
     inverse[lost] = np.inf
-    kept = layout.point_node >= 0
-    points[kept] = inverse[layout.point_node[kept], :3, :3]
+    kept = layout.nodes.point >= 0
+    points[kept] = inverse[layout.nodes.point[kept], :3, :3]
     variance = noise_px**2
     return BundleCovariance(
-        variance * _of_nodes(inverse, layout.frame_node),
-        variance * _of_nodes(inverse, layout.sensor_node),
+        variance * _of_nodes(inverse, layout.nodes.frame),
+        variance * _of_nodes(inverse, layout.nodes.sensor),
         variance * _of_params(inverse, layout),
         variance * points,
         noise_px,
@@ -130,6 +130,6 @@ def _of_params(inverse: np.ndarray, layout: BundleLayout) -> np.ndarray:
     out = np.zeros((len(layout.num_free), 8, 8))
     for c in np.flatnonzero(layout.num_free):
         own = layout.free_params[c, : layout.num_free[c]]
-        at = layout.camera_column[c] + np.arange(len(own))
-        out[np.ix_([c], own, own)] = inverse[layout.camera_node[c]][np.ix_(at, at)]
+        at = layout.nodes.camera_column[c] + np.arange(len(own))
+        out[np.ix_([c], own, own)] = inverse[layout.nodes.camera[c]][np.ix_(at, at)]
     return out

@@ -41,9 +41,29 @@ class Images(NamedTuple):
     camera: np.ndarray
 
 
+class Nodes(NamedTuple):
+    """The node of each thing; -1 for what is held. They are numbered in this order: those that most others meet first."""
+
+    sensor: np.ndarray
+    camera: np.ndarray
+    """A camera's own, or its frame's where no other image shares either: its columns then come after the frame's six."""
+    point: np.ndarray
+    """Of points that are not eliminated."""
+    frame: np.ndarray
+    camera_column: np.ndarray
+    """The first column of each camera in its node."""
+    width: np.ndarray
+    """(nodes,), columns of each."""
+
+    @property
+    def shared_camera(self) -> np.ndarray:
+        """The node of each camera that has its own."""
+        return np.where(self.camera_column == 0, self.camera, -1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleLayout:
-    """Constant while a problem is solved. Nodes: sensors, shared cameras, kept points, frames, in this order."""
+    """Constant while a problem is solved."""
 
     images: Images
     models: np.ndarray
@@ -51,12 +71,7 @@ class BundleLayout:
     observations: kernels.Observations
     unknowns: kernels.Unknowns
     entries: kernels.Entries
-    sensor_node: np.ndarray
-    camera_node: np.ndarray
-    """The own node of a camera, or its frame's (its columns then come after the frame's six); -1 if it is held."""
-    camera_column: np.ndarray
-    point_node: np.ndarray
-    frame_node: np.ndarray
+    nodes: Nodes
     free_params: np.ndarray
     num_free: np.ndarray
     held_mask: np.ndarray
@@ -74,7 +89,7 @@ class BundleLayout:
     @property
     def num_border(self) -> int:
         """Nodes before the first frame: those that most others meet."""
-        return self.num_nodes - int((self.frame_node >= 0).sum())
+        return self.num_nodes - int((self.nodes.frame >= 0).sum())
 
     def scene(self, state: BundleState) -> kernels.Scene:
         """A state, image by image."""
@@ -93,7 +108,7 @@ class BundleLayout:
     def moved(self, state: BundleState, step: np.ndarray) -> BundleState:
         """The state after a step (nodes, lanes) of all but the points, which are left to be filled."""
         frames, sensors = state.rig_from_world.copy(), state.cam_from_rig.copy()
-        for rows, node in ((frames, self.frame_node), (sensors, self.sensor_node)):
+        for rows, node in ((frames, self.nodes.frame), (sensors, self.nodes.sensor)):
             free = np.flatnonzero(node >= 0)
             if len(free):
                 old = Rigid3(rows[free, :9].reshape(-1, 3, 3), rows[free, 9:])
@@ -102,7 +117,7 @@ class BundleLayout:
         for rank in range(int(self.num_free.max(initial=0))):
             own = np.flatnonzero(self.num_free > rank)
             params[own, self.free_params[own, rank]] += step[
-                self.camera_node[own], self.camera_column[own] + rank
+                self.nodes.camera[own], self.nodes.camera_column[own] + rank
             ]
         return BundleState(frames, sensors, params, np.empty_like(state.points))
 
@@ -131,83 +146,91 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
     if len(problem.points_in_world) and np.diff(problem.offsets).max() > _MAX_OBSERVATIONS_OF_A_POINT:
         raise ShapeError(f"a point has more than {_MAX_OBSERVATIONS_OF_A_POINT} observations")
     images, image = _images(problem)
-    used_camera = np.isin(np.arange(len(problem.params_free)), images.camera)
-    free = (problem.params_free > 0) & used_camera[:, None]
+    free = (problem.params_free > 0) & np.isin(np.arange(len(problem.params_free)), images.camera)[:, None]
     num_free = free.sum(axis=1).astype(np.int64)
     free_params = np.argsort(~free, axis=1, kind="stable").astype(np.int64)
-    may_move = problem.frame_free.any(axis=1) & (
-        np.bincount(images.frame, minlength=len(problem.frame_free)) > 0
-    )
-    sensor_free = (
-        np.zeros((len(problem.cam_from_rig.translation), 6))
-        if problem.sensor_free is None
-        else problem.sensor_free
-    )
-    sensor_moves = sensor_free.any(axis=1) & np.isin(np.arange(len(sensor_free)), images.sensor)
-    # A camera that a single image has goes with its frame, if the frame has no other image.
-    alone = np.bincount(images.camera, minlength=len(num_free)) == 1
-    single = np.bincount(images.frame, minlength=len(may_move)) == 1
-    joins = (alone[images.camera] & single[images.frame] & may_move[images.frame]) & (
-        num_free[images.camera] > 0
-    )
-    joined = np.zeros(len(num_free), bool)
-    joined[images.camera[joins]] = True
-    kept = _kept_points(problem)
-    counts = (int(sensor_moves.sum()), int(((num_free > 0) & ~joined).sum()), len(kept), int(may_move.sum()))
-    first = [0, *accumulate(counts)]
-    sensor_node = _numbered(sensor_moves, first[0])
-    camera_node = _numbered((num_free > 0) & ~joined, first[1])
-    point_node = np.full(len(problem.points_in_world), -1, np.int64)
-    point_node[kept] = first[2] + np.arange(len(kept))
-    frame_node = _numbered(may_move, first[3])
-    shared_node = camera_node.copy()
-    camera_node[images.camera[joins]] = frame_node[images.frame[joins]]
-    width = np.repeat([6, 0, 3, 6], counts).astype(np.int64)
-    own = np.flatnonzero(num_free > 0)
-    np.add.at(width, camera_node[own], num_free[own])
-    lanes = _padded(int(width.max(initial=1)))
-    has_sensor = sensor_node[images.sensor] >= 0
-    wide = _padded(int((6 + num_free[images.camera] + 6 * has_sensor).max(initial=6)))
-    rotation, translation = problem.cam_from_rig.rotation, problem.cam_from_rig.translation
-    is_identity = (rotation == np.eye(3)).all(axis=(1, 2)) & (translation == 0).all(axis=1)
-    nodes = np.stack(
-        [frame_node[images.frame], shared_node[images.camera], sensor_node[images.sensor]], axis=1
-    )
-    unknowns = kernels.Unknowns(
-        (problem.frame_free * may_move[:, None])[images.frame],
-        num_free[images.camera],
-        free_params[images.camera],
-        sensor_free[images.sensor].astype(np.float64),
-        ~is_identity[images.sensor] | has_sensor,
-        nodes,
-        _roles(problem, kept),
-    )
-    held = np.zeros((len(width), len(lanes)), bool)
-    held[frame_node[may_move], :6] = problem.frame_free[may_move] == 0
-    held[sensor_node[sensor_moves], :6] = sensor_free[sensor_moves] == 0
-    entries = _entries(problem, image, nodes, unknowns.role, width)
+    role = _roles(problem)
+    nodes = _number_nodes(problem, images, num_free, role)
+    unknowns = _unknowns(problem, images, nodes, num_free, free_params, role)
+    lanes = _padded(int(nodes.width.max(initial=1)))
+    columns = 6 + num_free[images.camera] + 6 * (nodes.sensor[images.sensor] >= 0)
+    wide = _padded(int(columns.max(initial=6)))
+    held = np.zeros((len(nodes.width), len(lanes)), bool)
+    moving, turning = nodes.frame >= 0, nodes.sensor >= 0
+    held[nodes.frame[moving], :6] = problem.frame_free[moving] == 0
+    held[nodes.sensor[turning], :6] = _sensor_free(problem)[turning] == 0
     observations = kernels.Observations(
         np.ascontiguousarray(problem.offsets),
         image,
         np.ascontiguousarray(problem.pixels),
         np.empty(len(image), bool),
     )
-    sums = 8 * len(images.frame) * len(wide) * (len(wide) + 1) + 8 * len(width) * len(lanes)
+    sums = 8 * len(images.frame) * len(wide) * (len(wide) + 1) + 8 * len(nodes.width) * len(lanes)
     # Small problems stay in one piece: handing out a chunk costs as much as a few hundred observations.
     chunks = np.clip(len(image) // _CHUNK_OBSERVATIONS, 1, min(16, max(2, _MAX_SUMS_BYTES // max(sums, 1))))
     return BundleLayout(
-        *(
-            images,
-            np.ascontiguousarray(problem.camera_model[images.camera]),
-            observations,
-            unknowns,
-            entries,
-            sensor_node,
-            camera_node,
-            np.where(joined, 6, 0),
-        ),
-        *(point_node, frame_node, free_params, num_free, held, lanes, wide, int(chunks)),
+        images=images,
+        models=np.ascontiguousarray(problem.camera_model[images.camera]),
+        observations=observations,
+        unknowns=unknowns,
+        entries=_entries(problem, image, unknowns, nodes.width),
+        nodes=nodes,
+        free_params=free_params,
+        num_free=num_free,
+        held_mask=held,
+        lanes=lanes,
+        wide=wide,
+        num_chunks=int(chunks),
     )
+
+
+def _number_nodes(problem: BundleProblem, images: Images, num_free: np.ndarray, role: np.ndarray) -> Nodes:
+    num_frames = len(problem.frame_free)
+    used = np.bincount(images.frame, minlength=num_frames)
+    may_move = problem.frame_free.any(axis=1) & (used > 0)
+    sensor_free = _sensor_free(problem)
+    may_turn = sensor_free.any(axis=1) & np.isin(np.arange(len(sensor_free)), images.sensor)
+    alone = np.bincount(images.camera, minlength=len(num_free)) == 1
+    joins = alone[images.camera] & (used[images.frame] == 1) & may_move[images.frame]
+    joins &= num_free[images.camera] > 0
+    joined = np.zeros(len(num_free), bool)
+    joined[images.camera[joins]] = True
+    masks = (may_turn, (num_free > 0) & ~joined, role == kernels.KEPT, may_move)
+    counts = [int(mask.sum()) for mask in masks]
+    first = [0, *accumulate(counts)]
+    sensor, camera, point, frame = (_numbered(mask, at) for mask, at in zip(masks, first, strict=False))
+    camera[images.camera[joins]] = frame[images.frame[joins]]
+    width = np.repeat([6, 0, 3, 6], counts).astype(np.int64)
+    own = np.flatnonzero(num_free > 0)
+    np.add.at(width, camera[own], num_free[own])
+    return Nodes(sensor, camera, point, frame, np.where(joined, 6, 0), width)
+
+
+def _unknowns(
+    problem: BundleProblem,
+    images: Images,
+    nodes: Nodes,
+    num_free: np.ndarray,
+    free_params: np.ndarray,
+    role: np.ndarray,
+) -> kernels.Unknowns:
+    rotation, translation = problem.cam_from_rig.rotation, problem.cam_from_rig.translation
+    is_identity = (rotation == np.eye(3)).all(axis=(1, 2)) & (translation == 0).all(axis=1)
+    of_sensor = nodes.sensor[images.sensor]
+    return kernels.Unknowns(
+        (problem.frame_free * (nodes.frame >= 0)[:, None])[images.frame],
+        num_free[images.camera],
+        free_params[images.camera],
+        _sensor_free(problem).astype(np.float64)[images.sensor],
+        ~is_identity[images.sensor] | (of_sensor >= 0),
+        np.stack([nodes.frame[images.frame], nodes.shared_camera[images.camera], of_sensor], axis=1),
+        role,
+    )
+
+
+def _sensor_free(problem: BundleProblem) -> np.ndarray:
+    held = np.zeros((len(problem.cam_from_rig.translation), 6))
+    return held if problem.sensor_free is None else problem.sensor_free
 
 
 def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points: bool) -> BlockPattern:
@@ -226,13 +249,13 @@ def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points
         first, second = layout.unknowns.nodes[:, a], layout.unknowns.nodes[:, b]
         both = np.asarray((first >= 0) & (second >= 0))
         keys.append(np.maximum(first, second)[both] * n + np.minimum(first, second)[both])
-    for j in np.flatnonzero(layout.point_node >= 0):
-        own = layout.point_node[j]
+    for j in np.flatnonzero(layout.nodes.point >= 0):
+        own = layout.nodes.point[j]
         met = entries.node[entries.start[j] : entries.start[j + 1]].astype(np.int64)
         keys.append(np.maximum(own, met) * n + np.minimum(own, met))
     if problem.priors is not None and problem.priors.distances is not None:
         distances = problem.priors.distances
-        ends = layout.point_node[np.stack([distances.first, distances.second])]
+        ends = layout.nodes.point[np.stack([distances.first, distances.second])]
         both = np.asarray((ends >= 0).all(axis=0))
         keys.append(ends[:, both].max(axis=0) * n + ends[:, both].min(axis=0))
     unique = np.unique(np.concatenate(keys))
@@ -260,17 +283,12 @@ def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
     return Images(by_frame, by_sensor, by_camera), image
 
 
-def _kept_points(problem: BundleProblem) -> np.ndarray:
-    """Free points with a known distance: it ties them, so they cannot be eliminated one by one."""
-    if problem.priors is None or problem.priors.distances is None:
-        return np.empty(0, np.int64)
-    ends = np.unique(np.concatenate([problem.priors.distances.first, problem.priors.distances.second]))
-    return ends[problem.point_free[ends] > 0]
-
-
-def _roles(problem: BundleProblem, kept: np.ndarray) -> np.ndarray:
+def _roles(problem: BundleProblem) -> np.ndarray:
+    """Free points are eliminated, unless a known distance ties them to others: then they cannot be, one by one."""
     role = np.where(problem.point_free > 0, kernels.ELIMINATED, kernels.HELD).astype(np.int8)
-    role[kept] = kernels.KEPT
+    if problem.priors is not None and problem.priors.distances is not None:
+        ends = np.concatenate([problem.priors.distances.first, problem.priors.distances.second])
+        role[ends[problem.point_free[ends] > 0]] = kernels.KEPT
     return role
 
 
@@ -283,16 +301,16 @@ def _padded(width: int) -> tuple[int, ...]:
 
 
 def _entries(
-    problem: BundleProblem, image: np.ndarray, nodes: np.ndarray, role: np.ndarray, width: np.ndarray
+    problem: BundleProblem, image: np.ndarray, unknowns: kernels.Unknowns, width: np.ndarray
 ) -> kernels.Entries:
-    num_points, num_nodes = len(role), len(width)
+    num_points, num_nodes = len(unknowns.role), len(width)
     start = np.zeros(num_points + 1, np.int64)
     slot = np.empty((len(image), 3), np.int16)
 
     def find(node: np.ndarray) -> None:
         _parallel.map_chunks(
             lambda a, b, _: layout_kernels.find_entries(
-                problem.offsets, image, nodes, role, a, b, start, node, slot
+                problem.offsets, image, unknowns.nodes, unknowns.role, a, b, start, node, slot
             ),
             num_points,
         )

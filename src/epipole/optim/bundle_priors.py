@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from epipole.optim.bundle_layout import BundleLayout, BundleState
 from epipole.optim.bundle_problem import BundlePriors
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class PriorTerms:
     """Half the sum of squares, its gradient and Gauss-Newton matrix, node by node."""
 
@@ -21,8 +21,18 @@ class PriorTerms:
     """(nodes, lanes)"""
     diagonal: np.ndarray
     """(nodes, lanes, lanes)"""
-    pairs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    pairs: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
     """Blocks (d, 3, 3) of pairs of nodes, rows and columns of the lower triangle."""
+
+
+class _Sums:
+    """What the terms add up to."""
+
+    def __init__(self, num_nodes: int, num_lanes: int) -> None:
+        self.cost = 0.0
+        self.gradient = np.zeros((num_nodes, num_lanes))
+        self.diagonal = np.zeros((num_nodes, num_lanes, num_lanes))
+        self.pairs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def add(self, node: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, first: int = 0) -> None:
         """Add terms with Jacobians (d, r, c) and residuals (d, r) on the columns of nodes from `first` on."""
@@ -36,82 +46,73 @@ class PriorTerms:
 
 def prior_terms(priors: BundlePriors | None, layout: BundleLayout, state: BundleState) -> PriorTerms:
     """All terms of the priors at a state."""
-    n, w = layout.num_nodes, len(layout.lanes)
-    terms = PriorTerms(0.0, np.zeros((n, w)), np.zeros((n, w, w)))
-    if priors is None:
-        return terms
-    rotation = state.rig_from_world[:, :9].reshape(-1, 3, 3)
-    _add_positions(priors, layout, rotation, state.rig_from_world[:, 9:], terms)
-    _add_motions(priors, layout, Rigid3(rotation, state.rig_from_world[:, 9:]), terms)
-    _add_gravity(priors, layout, rotation, terms)
-    _add_params(priors, layout, state.params, terms)
-    _add_distances(priors, layout, state.points, terms)
+    terms = _Sums(layout.num_nodes, len(layout.lanes))
+    if priors is not None:
+        places = Rigid3(state.rig_from_world[:, :9].reshape(-1, 3, 3), state.rig_from_world[:, 9:])
+        _add_positions(priors, layout, places, terms)
+        _add_motions(priors, layout, places, terms)
+        _add_gravity(priors, layout, places, terms)
+        _add_params(priors, layout, state.params, terms)
+        _add_distances(priors, layout, state.points, terms)
     terms.gradient[layout.held_mask] = 0.0
     terms.diagonal[layout.held_mask] = 0.0
     np.swapaxes(terms.diagonal, 1, 2)[layout.held_mask] = 0.0
-    return terms
+    return PriorTerms(terms.cost, terms.gradient, terms.diagonal, tuple(terms.pairs))
 
 
-def _add_positions(
-    priors: BundlePriors,
-    layout: BundleLayout,
-    rotation: np.ndarray,
-    translation: np.ndarray,
-    terms: PriorTerms,
-) -> None:
+def _add_positions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
     """Cauchy's loss of (centre - expected) / sigma; d centre / d translation tangent = -R^T."""
     if priors.position_in_world is None:
         return
-    known = np.flatnonzero(np.isfinite(priors.position_in_world).all(axis=1) & (layout.frame_node >= 0))
+    known = np.flatnonzero(np.isfinite(priors.position_in_world).all(axis=1) & (layout.nodes.frame >= 0))
     sigma = np.asarray(priors.position_sigma, np.float64)
     weight = 1.0 / (sigma[known] if sigma.ndim else np.full((len(known), 3), sigma))
-    turned = np.swapaxes(rotation[known], 1, 2)
-    centers = -(turned @ translation[known, :, None])[..., 0]
-    residual = weight * (centers - priors.position_in_world[known])
+    turned = np.swapaxes(places.rotation[known], 1, 2)
+    residual = weight * (places[known].centers() - priors.position_in_world[known])
     squared = (residual**2).sum(axis=1)
     robust = 1.0 / np.sqrt(1.0 + squared)[:, None]
     terms.cost += 0.5 * float(np.log1p(squared).sum())
-    terms.add(layout.frame_node[known], -(robust * weight)[..., None] * turned, robust * residual)
+    terms.add(layout.nodes.frame[known], -(robust * weight)[..., None] * turned, robust * residual)
 
 
-def _add_motions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: PriorTerms) -> None:
+def _add_motions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
     """R = log(x expected^-1); under exp(xi) x it changes by the inverse left Jacobian of r."""
     if priors.rig_from_world is None or priors.rig_information is None:
         return
-    known = np.flatnonzero(priors.rig_information.any(axis=(1, 2)) & (layout.frame_node >= 0))
+    known = np.flatnonzero(priors.rig_information.any(axis=(1, 2)) & (layout.nodes.frame >= 0))
     residual = (places[known] @ priors.rig_from_world[known].inverse()).log()
     root = np.swapaxes(np.linalg.cholesky(priors.rig_information[known]), 1, 2)
     weighed = (root @ residual[..., None])[..., 0]
     terms.cost += 0.5 * float((weighed**2).sum())
-    terms.add(layout.frame_node[known], root @ inverse_left_jacobian(residual), weighed)
+    terms.add(layout.nodes.frame[known], root @ inverse_left_jacobian(residual), weighed)
 
 
-def _add_gravity(priors: BundlePriors, layout: BundleLayout, rotation: np.ndarray, terms: PriorTerms) -> None:
+def _add_gravity(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
     """R = (R down_in_world - down_in_rig) / sigma; d(R d) / d rotation tangent = -[R d]x."""
     if priors.down_in_rig is None:
         return
-    known = np.flatnonzero(np.isfinite(priors.down_in_rig).all(axis=1) & (layout.frame_node >= 0))
-    down = rotation[known] @ (np.array(priors.down_in_world) / np.linalg.norm(priors.down_in_world))
+    known = np.flatnonzero(np.isfinite(priors.down_in_rig).all(axis=1) & (layout.nodes.frame >= 0))
+    down = places.rotation[known] @ (np.array(priors.down_in_world) / np.linalg.norm(priors.down_in_world))
     residual = (down - priors.down_in_rig[known]) / priors.down_sigma_rad
     terms.cost += 0.5 * float((residual**2).sum())
-    terms.add(layout.frame_node[known], -skew(down) / priors.down_sigma_rad, residual, first=3)
+    terms.add(layout.nodes.frame[known], -skew(down) / priors.down_sigma_rad, residual, first=3)
 
 
-def _add_params(priors: BundlePriors, layout: BundleLayout, params: np.ndarray, terms: PriorTerms) -> None:
+def _add_params(priors: BundlePriors, layout: BundleLayout, params: np.ndarray, terms: _Sums) -> None:
     if priors.params_expected is None or priors.params_sigma is None:
         return
     for rank in range(int(layout.num_free.max(initial=0))):
         own = np.flatnonzero(layout.num_free > rank)
-        which, node = layout.free_params[own, rank], layout.camera_node[own]
+        which, node = layout.free_params[own, rank], layout.nodes.camera[own]
         weight = 1.0 / priors.params_sigma[own, which]
         residual = weight * (params[own, which] - priors.params_expected[own, which])
-        column = layout.camera_column[own] + rank
+        column = layout.nodes.camera_column[own] + rank
         terms.cost += 0.5 * float((residual**2).sum())
         np.add.at(terms.gradient, (node, column), weight * residual)
         np.add.at(terms.diagonal, (node, column, column), weight**2)
 
 
-def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarray, terms: PriorTerms) -> None:
+def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarray, terms: _Sums) -> None:
     """R = (|X_i - X_j| - d) / sigma."""
     if priors.distances is None:
         return
@@ -122,7 +123,7 @@ def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarra
     residual = weight * (length - priors.distances.distance)
     jacobian = (weight / np.maximum(length, 1e-300))[:, None, None] * between[:, None, :]
     terms.cost += 0.5 * float((residual**2).sum())
-    a, b = layout.point_node[first], layout.point_node[second]
+    a, b = layout.nodes.point[first], layout.nodes.point[second]
     terms.add(a, jacobian, residual[:, None])
     terms.add(b, -jacobian, residual[:, None])
     both = (a >= 0) & (b >= 0)

@@ -244,8 +244,8 @@ class BundleSystem:
         layout, entries = self.layout, self.layout.entries
         n = layout.num_nodes
         key = self.pattern.row * n + self.pattern.column
-        for j in np.flatnonzero(layout.point_node >= 0):
-            own = int(layout.point_node[j])
+        for j in np.flatnonzero(layout.nodes.point >= 0):
+            own = int(layout.nodes.point[j])
             v0, v1, v2, v3, v4, v5 = self.kept.factor[j]
             blocks[self._diagonal[own], :3, :3] += [[v0, v1, v2], [v1, v3, v4], [v2, v4, v5]]
             gradient[own, :3] += self.kept.h[j]
@@ -304,10 +304,10 @@ class BundleSystem:
         inverse[:, lanes, lanes] += system.damping + (lanes >= self.layout.entries.width[:, None])
         inverse[:] = np.linalg.inv(inverse)
         return conjugate_gradients(
-            lambda x: self._product(system, x), lambda r: (inverse @ r[..., None])[..., 0], system.rhs
+            lambda x: self.product(system, x), lambda r: (inverse @ r[..., None])[..., 0], system.rhs
         )
 
-    def _product(self, system: Linearization, x: np.ndarray) -> np.ndarray:
+    def product(self, system: Linearization, x: np.ndarray) -> np.ndarray:
         """S x without S."""
         row, column = self.pattern.row, self.pattern.column
         out = np.zeros_like(x)
@@ -339,8 +339,8 @@ class BundleSystem:
             len(state.points),
             layout.num_chunks,
         )
-        kept = np.flatnonzero(layout.point_node >= 0)
-        moved.points[kept] += step[layout.point_node[kept], :3]
+        kept = np.flatnonzero(layout.nodes.point >= 0)
+        moved.points[kept] += step[layout.nodes.point[kept], :3]
         nodes = 0.5 * float((step * (system.damping * step - system.gradient)).sum())
         return moved, float(sum(parts)) + nodes
 

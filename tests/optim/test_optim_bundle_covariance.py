@@ -1,0 +1,151 @@
+"""Covariances of adjusted bundles: those of dense algebra, those of a simulation, and none where nothing is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bundle_rings import NOISE_PX, ring
+from scipy.stats import chi2
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    PointDistances,
+    adjust_bundle,
+    bundle_covariance,
+    with_fixed_gauge,
+)
+
+EXACT = BundleConfig(function_tolerance=1e-12)
+
+
+def dense_inverse(problem, result):
+    """(J^T J)^-1 by numeric derivatives over all unknowns: of frames, then parameters, then points."""
+    places, points, params = result.rig_from_world, result.points_in_world, result.camera_params[0]
+    owner = np.repeat(np.arange(len(points)), np.diff(problem.offsets))
+
+    def residuals(twist, change, shift):
+        camera = Camera(CameraModel.RADIAL, 1000, 800, params[:5] + change[:5])
+        return camera.project(
+            (Rigid3.exp(twist) @ places)[problem.frame].apply((points + shift)[owner])
+        ).ravel()
+
+    zeros = (np.zeros((len(places.translation), 6)), np.zeros(8), np.zeros_like(points))
+    masks = (problem.frame_free, problem.params_free[0], np.repeat(problem.point_free[:, None], 3, axis=1))
+    columns, names = [], []
+    for part, mask in enumerate(masks):
+        for index in zip(*np.nonzero(mask)):
+            h = 1e-6 * (max(1.0, abs(params[index[0]])) if part == 1 else 1.0)
+            ends = []
+            for sign in (1.0, -1.0):
+                change = [z.copy() for z in zeros]
+                change[part][index] = sign * h
+                ends.append(residuals(*change))
+            columns.append((ends[0] - ends[1]) / (2 * h))
+            names.append((part, index))
+    jacobian = np.stack(columns, axis=1)
+    return np.linalg.inv(jacobian.T @ jacobian), names
+
+
+def test_they_are_the_blocks_of_the_dense_inverse(rng):
+    _, start = ring(rng, num_frames=5, num_points=25)
+    problem = with_fixed_gauge(replace(start, point_free=(np.arange(25) > 2).astype(float)))
+    result = adjust_bundle(problem, EXACT)
+    found = bundle_covariance(problem, result, noise_px=1.0)
+    inverse, names = dense_inverse(problem, result)
+    seen = np.zeros(3, int)
+    for a, (part, index) in enumerate(names):
+        for b, (other, index2) in enumerate(names):
+            if part != other or index[: -1 if part != 1 else None] != index2[: -1 if part != 1 else None]:
+                continue
+            table = (found.rig_from_world, found.camera_params, found.points_in_world)[part]
+            value = table[0][index[0], index2[0]] if part == 1 else table[index[0]][index[1], index2[1]]
+            assert value == pytest.approx(
+                inverse[a, b], rel=1e-5, abs=1e-5 * np.sqrt(inverse[a, a] * inverse[b, b])
+            )
+            seen[part] += 1
+    assert seen.min() >= 3
+
+
+def test_they_hold_in_simulation():
+    """Normalised squared errors of frames and points fall where chi-square says, over fifty noises."""
+    frames, points = [], []
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        truth, start = ring(rng, num_frames=6, num_points=60)
+        free = truth.frame_free.copy()
+        free[:2] = 0.0  # two held frames give the place and the scale
+        held = replace(
+            start, frame_free=free, params_free=np.zeros((1, 8)), camera_params=truth.camera_params
+        )
+        places = (truth.rig_from_world, start.rig_from_world)
+        rotation = np.concatenate([places[0].rotation[:2], places[1].rotation[2:]])
+        translation = np.concatenate([places[0].translation[:2], places[1].translation[2:]])
+        problem = replace(held, rig_from_world=Rigid3(rotation, translation))
+        result = adjust_bundle(problem, EXACT)
+        found = bundle_covariance(problem, result, noise_px=NOISE_PX)
+        error = (result.rig_from_world @ truth.rig_from_world.inverse()).log()[2:]
+        frames += [e @ np.linalg.solve(c, e) for e, c in zip(error, found.rig_from_world[2:])]
+        shift = result.points_in_world - truth.points_in_world
+        points += [e @ np.linalg.solve(c, e) for e, c in zip(shift, found.points_in_world)]
+    for squares, freedom in ((frames, 6), (points, 3)):
+        for quantile in (0.5, 0.9, 0.99):
+            share = np.mean(np.array(squares) < chi2.ppf(quantile, freedom))
+            # Points of one run share their frames' errors: the band is that of some 200 independent values.
+            assert share == pytest.approx(quantile, abs=3.5 * np.sqrt(quantile * (1 - quantile) / 200)), (
+                freedom
+            )
+
+
+def test_the_noise_is_the_residuals_own(rng):
+    _, start = ring(rng)
+    problem = with_fixed_gauge(start)
+    found = bundle_covariance(problem, adjust_bundle(problem, EXACT))
+    assert found.noise_px == pytest.approx(NOISE_PX, rel=0.05)
+
+
+def test_what_is_held_is_known_and_what_nothing_fixes_is_not(rng):
+    _, start = ring(rng)
+    free = adjust_bundle(start, EXACT)
+    everything = bundle_covariance(start, free, noise_px=1.0)
+    assert np.isinf(everything.rig_from_world).all() and np.isinf(everything.points_in_world).all()
+    held = with_fixed_gauge(start)
+    found = bundle_covariance(held, adjust_bundle(held, EXACT), noise_px=1.0)
+    first = np.flatnonzero(~held.frame_free.any(axis=1))[0]
+    assert not found.rig_from_world[first].any() and np.isfinite(found.points_in_world).all()
+    assert not found.camera_params[:, 1].any() and found.camera_params[0, 0, 0] > 0
+
+
+def test_a_point_seen_once_is_not_known(rng):
+    _, start = ring(rng)
+    keep = np.ones(len(start.frame), bool)
+    keep[1 : start.offsets[1]] = False  # of the first point's observations, one
+    offsets = np.concatenate([[0], np.cumsum(np.add.reduceat(keep, start.offsets[:-1]))])
+    parts = {name: getattr(start, name)[keep] for name in ("frame", "sensor", "camera", "pixels")}
+    problem = with_fixed_gauge(replace(start, offsets=offsets, **parts))
+    result = adjust_bundle(problem, EXACT)
+    found = bundle_covariance(problem, result)
+    assert np.isinf(found.points_in_world[0]).all() and np.isfinite(found.points_in_world[1:]).all()
+    assert "1 points seen once" in str(result)
+
+
+def test_known_distances_make_the_scale_known(rng):
+    truth, start = ring(rng)
+    between = np.linalg.norm(truth.points_in_world[0] - truth.points_in_world[1])
+    free = start.frame_free.copy()
+    free[0] = 0.0
+    unscaled = replace(start, frame_free=free)
+    assert np.isinf(bundle_covariance(unscaled, adjust_bundle(unscaled, EXACT)).points_in_world).any()
+    bar = PointDistances(np.array([0]), np.array([1]), np.array([between]), np.array([1e-3]))
+    scaled = replace(unscaled, priors=BundlePriors(distances=bar))
+    found = bundle_covariance(scaled, adjust_bundle(scaled, EXACT))
+    assert np.isfinite(found.points_in_world).all() and np.isfinite(found.rig_from_world).all()
+
+
+def test_no_more_residuals_than_unknowns_raises(rng):
+    _, start = ring(rng, num_frames=5, num_points=1)
+    with pytest.raises(DegenerateGeometryError, match="no more residuals"):
+        bundle_covariance(start, adjust_bundle(start))
