@@ -107,6 +107,13 @@ class Scratch(NamedTuple):
     j: np.ndarray
     """(2, wide)"""
     j_point: np.ndarray
+    factor: np.ndarray
+    """(6,)"""
+
+
+def make_scratch(wide: int) -> Scratch:
+    """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
+    return Scratch(np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, wide)), np.empty((2, 3)), np.empty(6))
 
 
 @kernel
@@ -155,8 +162,8 @@ def total_cost(obs, start, stop, scene, loss, scale_sq):
     return 0.5 * total
 
 
-@kernel(allocates=True)
-def settle_points(obs, start, stop, scene, role, loss, scale_sq, before):
+@kernel
+def settle_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch):
     """Move the points start..stop to where the moved cameras want them, if that is better; half the sum of rho.
 
     One Gauss-Newton step of each point alone (the inner iteration of Ruhe and Wedin, SIAM Review 1980). A joint step
@@ -164,7 +171,6 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before):
     square of the angle, and without this the step would be refused. A point that its step took behind a camera
     starts from where it was `before`: one such point must not stop the other millions.
     """
-    work = (np.empty((2, 3)), np.empty((2, 8)), np.empty(6))
     total, points = 0.0, scene.points
     for j in range(start, stop):
         cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
@@ -173,7 +179,7 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before):
                 points[j, c] = before[j, c]
             cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
         if role[j] == ELIMINATED and cost < math.inf:
-            x, y, z = _newton_point(obs, j, scene, loss, scale_sq, work)
+            x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
             settled = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
             if settled < cost:
                 points[j, 0], points[j, 1], points[j, 2] = x, y, z
@@ -183,9 +189,9 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before):
 
 
 @kernel
-def _newton_point(obs, j, scene, loss, scale_sq, work):
+def _newton_point(obs, j, scene, loss, scale_sq, scratch):
     """Where a Gauss-Newton step takes point j, all else held."""
-    by_cam, by_params, factor = work
+    by_cam, by_params, factor = scratch.by_point_in_cam, scratch.by_params, scratch.factor
     x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
     v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
@@ -340,25 +346,16 @@ def _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes):
         add_rows(reduced[node], h[0], z0, h[1], z1, h[2], z2, lanes)
 
 
-@kernel(allocates=True)
-def linearize(obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide):
+@kernel
+def linearize(
+    obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
+):
     """Linearise the points start..stop and eliminate them.
 
     `sums` are added to: the images' normal matrices (images, wide, wide) and gradients (images, wide), and
     sum Z h (nodes, lanes). Of KEPT points W stays in z, V in factor and g_p in h. The damping is Marquardt's, a
     share of V's diagonal.
     """
-    scratch = Scratch(np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, len(wide))), np.empty((2, 3)))
-    _linearize_all(
-        obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
-    )
-
-
-@kernel
-def _linearize_all(
-    obs, start, stop, scene, unknowns, entries, loss, scale_sq, damping, kept, sums, lanes, wide, scratch
-):
-    """The loop of `linearize`, apart from it so that it counts no references."""
     normal, gradient, reduced = sums
     jac, jp, points = scratch.j, scratch.j_point, scene.points
     for j in range(start, stop):
@@ -404,10 +401,9 @@ def _linearize_all(
         _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes)
 
 
-@kernel(allocates=True)
-def reduce_rows(start, stop, entries, z, row_start, column, blocks, lanes):
-    """Blocks -= Z Z^T in the rows start..stop of the lower triangle, where a row has a block."""
-    slot = np.full(len(entries.node_start), -1, np.int64)
+@kernel
+def reduce_rows(start, stop, entries, z, row_start, column, blocks, slot, lanes):
+    """Subtract Z Z^T from the rows start..stop of the lower triangle, where they have blocks; slot (nodes,) holds -1."""
     for a in range(start, stop):
         for b in range(row_start[a], row_start[a + 1]):
             slot[column[b]] = b
@@ -475,18 +471,12 @@ def _gather(entries, j, z, x, lane_sums, lanes):
     return t0, t1, t2
 
 
-@kernel(allocates=True)
-def substitute_back(entries, start, stop, points, kept, step, damping, moved, lanes):
-    """Steps of the points start..stop for the step (nodes, lanes); moved = points + steps.
+@kernel
+def substitute_back(entries, start, stop, points, kept, step, damping, moved, sums, lanes):
+    """Steps of the points start..stop for the step (nodes, lanes); moved = points + steps; sums (3, lanes) is scratch.
 
     Returns the points' part of the decrease that the linear model predicts, step^T (D step - g) / 2.
     """
-    sums = np.empty((3, len(lanes)))
-    return _substitute_all(entries, start, stop, points, kept, step, damping, moved, sums, lanes)
-
-
-@kernel
-def _substitute_all(entries, start, stop, points, kept, step, damping, moved, sums, lanes):
     predicted, share = 0.0, damping / (1.0 + damping)
     for j in range(start, stop):
         f, h = kept.factor[j], kept.h[j]
@@ -505,14 +495,9 @@ def _substitute_all(entries, start, stop, points, kept, step, damping, moved, su
     return predicted
 
 
-@kernel(allocates=True)
-def multiply_eliminated(entries, start, stop, z, x, out, lanes):
-    """Out += Z (Z^T x) over the points start..stop, x and out (nodes, lanes): S is never formed."""
-    _multiply_all(entries, start, stop, z, x, out, np.empty((3, len(lanes))), lanes)
-
-
 @kernel
-def _multiply_all(entries, start, stop, z, x, out, sums, lanes):
+def multiply_eliminated(entries, start, stop, z, x, out, sums, lanes):
+    """Out += Z (Z^T x) over the points start..stop, x and out (nodes, lanes): S is never formed. sums is scratch."""
     for j in range(start, stop):
         t0, t1, t2 = _gather(entries, j, z, x, sums, lanes)
         for e in range(entries.start[j], entries.start[j + 1]):

@@ -253,14 +253,12 @@ def _extend_add(nodes, child, m, k, panel, update, panels, updates):
                         updates[target + shift + i] += updates[source + i]
 
 
-@kernel(allocates=True)
-def factor_supernodes(nodes, chosen, blocks, panels, updates):
-    """Factor the chosen supernodes, children before parents; False where the matrix is not definite."""
-    return _factor_all(nodes, chosen, blocks, panels, updates, np.zeros(4, np.int32))
-
-
 @kernel
-def _factor_all(nodes, chosen, blocks, panels, updates, dims):
+def factor_supernodes(nodes, chosen, blocks, panels, updates, dims):
+    """Factor the chosen supernodes, children before parents; False where the matrix is not definite.
+
+    `dims` is scratch, four 32-bit integers: BLAS takes numbers by address.
+    """
     for s in chosen:
         _assemble(nodes, s, blocks, panels, updates)
         m, k = nodes.num_rows[s], nodes.num_pivots[s]
@@ -284,14 +282,9 @@ def _factor_all(nodes, chosen, blocks, panels, updates, dims):
     return True
 
 
-@kernel(allocates=True)
-def solve_supernodes(nodes, panels, x):
-    """x, in the order of elimination, becomes (L L^T)^-1 x."""
-    _solve_all(nodes, panels, x, np.zeros(3, np.int32), np.empty(max(1, nodes.num_rows.max())))
-
-
 @kernel
-def _solve_all(nodes, panels, x, dims, work):
+def solve_supernodes(nodes, panels, x, dims, work):
+    """x, in the order of elimination, becomes (L L^T)^-1 x; dims as in `factor_supernodes`, work for one front's rows."""
     count = len(nodes.parent)
     for step in range(2 * count):
         forward = step < count

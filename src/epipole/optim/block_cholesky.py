@@ -67,7 +67,9 @@ class CholeskyPlan:
         panels, updates = np.empty(self.panel_size), np.empty(self.update_size)
 
         def factor(g: int) -> bool:
-            return kernels.factor_supernodes(nodes, self.groups[g], blocks, panels, updates)
+            return kernels.factor_supernodes(
+                nodes, self.groups[g], blocks, panels, updates, np.zeros(4, np.int32)
+            )
 
         done = all(_parallel.map_items(factor, len(self.groups) - 1)) and factor(len(self.groups) - 1)
         return BlockFactor(self, panels) if done else None
@@ -84,7 +86,8 @@ class BlockFactor:
         """A^-1 rhs, scalars in the order of the nodes."""
         scalars = _scalars(self.plan.pattern.size, self.plan.order)
         x = rhs[scalars]
-        kernels.solve_supernodes(self.plan.supernodes, self.panels, x)
+        work = np.empty(int(self.plan.supernodes.num_rows.max(initial=1)))
+        kernels.solve_supernodes(self.plan.supernodes, self.panels, x, np.zeros(4, np.int32), work)
         out = np.empty_like(x)
         out[scalars] = x
         return out

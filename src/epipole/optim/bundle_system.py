@@ -147,7 +147,7 @@ class BundleSystem:
         role = layout.unknowns.role
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.settle_points(
-                layout.observations, a, b, scene, role, *self._loss, before.points
+                layout.observations, a, b, scene, role, *self._loss, before.points, self._scratch()
             ),
             len(state.points),
             layout.num_chunks,
@@ -192,6 +192,9 @@ class BundleSystem:
         blocks[self._diagonal[:, None], np.arange(len(layout.lanes)), np.arange(len(layout.lanes))] += damp
         return Linearization(gradient, reduced - gradient, blocks, damp)
 
+    def _scratch(self) -> kernels.Scratch:
+        return kernels.make_scratch(len(self.layout.wide))
+
     def _sum_over_points(
         self, state: BundleState, damping: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -206,7 +209,7 @@ class BundleSystem:
             )
             kernels.linearize(
                 *(layout.observations, start, stop, scene, layout.unknowns, layout.entries),
-                *(*self._loss, damping, self.kept, sums, layout.lanes, layout.wide),
+                *(*self._loss, damping, self.kept, sums, layout.lanes, layout.wide, self._scratch()),
             )
             return sums
 
@@ -221,15 +224,17 @@ class BundleSystem:
     def _subtract_eliminated(self, row_start: np.ndarray, column: np.ndarray, blocks: np.ndarray) -> None:
         """Blocks -= Z Z^T, in pieces of rows of like work."""
         edges = [0, *self._pieces.tolist(), self.layout.num_nodes]
-        entries, lanes = self.layout.entries, self.layout.lanes
-        _parallel.map_items(
-            lambda p: kernels.reduce_rows(
-                edges[p], edges[p + 1], entries, self.kept.z, row_start, column, blocks, lanes
-            ),
-            len(edges) - 1 if self.layout.num_chunks > 1 else 0,
-        )
         if self.layout.num_chunks == 1:
-            kernels.reduce_rows(0, edges[-1], entries, self.kept.z, row_start, column, blocks, lanes)
+            edges = [0, self.layout.num_nodes]
+
+        def reduce(piece: int) -> None:
+            slot = np.full(self.layout.num_nodes, -1, np.int64)
+            kernels.reduce_rows(
+                *(edges[piece], edges[piece + 1], self.layout.entries, self.kept.z),
+                *(row_start, column, blocks, slot, self.layout.lanes),
+            )
+
+        _parallel.map_items(reduce, len(edges) - 1)
 
     def _add_priors(self, terms: PriorTerms, blocks: np.ndarray, gradient: np.ndarray) -> None:
         gradient += terms.gradient
@@ -317,9 +322,9 @@ class BundleSystem:
 
         def work(start: int, stop: int, _: int) -> np.ndarray:
             part = np.zeros_like(x)
-            kernels.multiply_eliminated(
-                self.layout.entries, start, stop, self.kept.z, x, part, self.layout.lanes
-            )
+            lanes = self.layout.lanes
+            room = np.empty((3, len(lanes)))
+            kernels.multiply_eliminated(self.layout.entries, start, stop, self.kept.z, x, part, room, lanes)
             return part
 
         for part in _parallel.map_chunks(work, len(self.problem.points_in_world), self.layout.num_chunks):
@@ -334,7 +339,8 @@ class BundleSystem:
         moved = layout.moved(state, step)
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.substitute_back(
-                layout.entries, a, b, state.points, self.kept, step, damping, moved.points, layout.lanes
+                *(layout.entries, a, b, state.points, self.kept, step, damping, moved.points),
+                *(np.empty((3, len(layout.lanes))), layout.lanes),
             ),
             len(state.points),
             layout.num_chunks,
