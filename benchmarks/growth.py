@@ -21,7 +21,7 @@ from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.peers.bundle import BundleLimits, Epipole
 from benchmarks.tasks.bundle import city_task
 
-SIZES = (250, 500, 1000, 2000, 4000)
+SIZES = (250, 500, 1000, 2000, 4000, 10_000)
 POINTS_PER_FRAME, OBSERVATIONS_PER_POINT = 500, 5
 _UNIT = 1 if sys.platform == "darwin" else 1024
 

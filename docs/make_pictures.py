@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,8 @@ from epipole.cameras import Camera, CameraModel
 from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
+from epipole.mapping import bundle_problem_of
+from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.robust import (
     RansacConfig,
     estimate_absolute_pose,
@@ -20,7 +23,7 @@ from epipole.robust import (
     triangulate_points,
 )
 from epipole.synthetic import courtyard, courtyard_views, render
-from epipole.synthetic.problems import absolute_pose_problem
+from epipole.synthetic.problems import absolute_pose_problem, bundle_problem
 
 PICTURES = Path(__file__).with_name("pictures")
 CAMERA = Camera(CameraModel.PINHOLE, 720, 480, np.array([620.0, 620.0, 359.5, 239.5]))
@@ -183,6 +186,56 @@ def absolute_pose() -> None:
     curve("absolute_pose", counts, series, ("points, half of them wrong", "error of rotation (degrees)"))
 
 
+def bundle_adjustment() -> None:
+    """A ring of cameras from above: the start, the adjusted places, and their ellipses, forty times enlarged."""
+    problem = bundle_problem(24, 500, 4, 0.7)
+    bundle = with_fixed_gauge(bundle_problem_of(problem.start))
+    result = adjust_bundle(bundle)
+    covariance = bundle_covariance(bundle, result)
+    places, enlarged = result.rig_from_world, 40.0
+    # d centre = -R^T d translation
+    turned = np.swapaxes(places.rotation, 1, 2)
+    spread = turned @ covariance.rig_from_world[:, :3, :3] @ places.rotation
+    image = np.full((560, 720, 3), 255, np.uint8)
+
+    def pixel(at: np.ndarray) -> tuple[int, int]:
+        return round(360 + 55 * at[0]), round(285 - 55 * at[1])
+
+    for point in result.points_in_world:
+        cv2.circle(image, pixel(point), 1, (150, 150, 150), -1, cv2.LINE_AA)
+    starts, centers = bundle.rig_from_world.centers(), places.centers()
+    for f in range(len(centers)):
+        cv2.circle(image, pixel(starts[f]), 4, (170, 170, 170), 1, cv2.LINE_AA)
+        values, axes = np.linalg.eigh(spread[f][:2, :2])
+        lengths = tuple(np.rint(55 * enlarged * np.sqrt(np.maximum(values, 0.0))).astype(int).tolist())
+        angle = -np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))
+        cv2.ellipse(image, pixel(centers[f]), lengths, angle, 0, 360, RED, 1, cv2.LINE_AA)
+        cv2.circle(image, pixel(centers[f]), 3, BLUE, -1, cv2.LINE_AA)
+    for row, (text, color) in enumerate(
+        (
+            ("start", (150, 150, 150)),
+            ("adjusted", BLUE),
+            ("one standard deviation, 40 x, from the camera that is held", RED),
+        )
+    ):
+        cv2.putText(image, text, (14, 22 + 20 * row), cv2.FONT_HERSHEY_SIMPLEX, 0.45, color, 1, cv2.LINE_AA)
+    save("bundle_adjustment", image)
+
+
+def bundle_growth() -> None:
+    """Seconds and memory of ever larger cities, as `python -m benchmarks.growth` left them."""
+    cities = json.loads((PICTURES.parents[1] / "benchmarks/results/growth.json").read_text())["cities"]
+    millions, seconds, memory = (
+        np.array([city[key] for city in cities]) * factor
+        for key, factor in (("observations", 1e-6), ("seconds", 1.0), ("peak_gb", 1.0))
+    )
+    series = [("seconds to convergence", seconds, RED), ("peak memory (GB)", memory, BLUE)]
+    curve("bundle_growth", millions, series, ("million observations", "seconds, GB"))
+
+
 if __name__ == "__main__":
-    for draw in (homography, fundamental, relative_pose, triangulation, absolute_pose):
+    for draw in (
+        *(homography, fundamental, relative_pose, triangulation, absolute_pose),
+        *(bundle_adjustment, bundle_growth),
+    ):
         draw()

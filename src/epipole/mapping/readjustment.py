@@ -1,0 +1,89 @@
+"""Bundle adjustment of a whole model that already is: from a file, or with other freedoms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.mapping.adjustment import Freedom
+from epipole.optim import (
+    BundleConfig,
+    BundleIteration,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    adjust_bundle,
+    free_params_mask,
+)
+from epipole.scene import Reconstruction
+
+
+def bundle_problem_of(
+    model: Reconstruction, freedom: Freedom | None = None, priors: BundlePriors | None = None
+) -> BundleProblem:
+    """A model as a bundle problem: frames and points free, intrinsics as said, rigs held.
+
+    Args:
+        model: places, lenses, points and tracks; images without a place must have no part in tracks.
+        freedom: which intrinsics may change, of cameras that are not constant; None: focal length and distortion.
+        priors: what else is known; rows are those of the model's frames, cameras and points.
+    """
+    freedom, image = freedom or Freedom(), model.tracks.image
+    params_free = free_params_mask(
+        model.cameras.model,
+        focal=freedom.focal,
+        principal_point=freedom.principal_point,
+        distortion=freedom.distortion,
+    )
+    params_free[model.cameras.is_constant] = 0.0
+    places = model.frames.rig_from_world
+    return BundleProblem(
+        rig_from_world=Rigid3(np.nan_to_num(places.rotation), np.nan_to_num(places.translation)),
+        cam_from_rig=model.rigs.cam_from_rig,
+        camera_model=model.cameras.model,
+        camera_params=model.cameras.params,
+        points_in_world=model.points.xyz_in_world,
+        offsets=model.tracks.offsets,
+        frame=model.images.frame[image],
+        sensor=model.images.sensor[image],
+        camera=model.camera_of_image[image],
+        pixels=model.observed_pixels(),
+        frame_free=np.ones((len(model.frames), 6)),
+        params_free=params_free,
+        point_free=np.ones(len(model.points)),
+        priors=priors,
+    )
+
+
+def adjust_reconstruction(
+    model: Reconstruction,
+    config: BundleConfig | None = None,
+    freedom: Freedom | None = None,
+    priors: BundlePriors | None = None,
+    progress: Callable[[BundleIteration], bool] | None = None,
+) -> tuple[Reconstruction, BundleResult]:
+    """Adjust a model; the new one with how it was reached. The model given is not changed.
+
+    Its place, orientation and scale are free unless the priors say them: align it afterwards if they matter.
+    """
+    problem = bundle_problem_of(model, freedom, priors)
+    result = adjust_bundle(problem, config, progress)
+    registered = model.frames.is_registered()
+    places = model.frames.rig_from_world
+    moved = Rigid3(
+        np.where(registered[:, None, None], result.rig_from_world.rotation, places.rotation),
+        np.where(registered[:, None], result.rig_from_world.translation, places.translation),
+    )
+    adjusted = replace(
+        model,
+        cameras=replace(model.cameras, params=result.camera_params),
+        frames=replace(model.frames, rig_from_world=moved),
+        points=replace(model.points, xyz_in_world=result.points_in_world),
+    )
+    errors, counts = adjusted.reprojection_errors_px(), np.diff(model.tracks.offsets)
+    sums = np.bincount(model.tracks.point_of_observation(), errors, minlength=len(counts))
+    error_px = np.divide(sums, counts, out=np.zeros(len(counts)), where=counts > 0)
+    return replace(adjusted, points=replace(adjusted.points, error_px=error_px)), result
