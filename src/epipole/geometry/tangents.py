@@ -8,7 +8,8 @@ from jaxtyping import Float64
 from epipole.geometry.rotation3 import skew
 
 _BERNOULLI = (1.0, 0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30240.0, 0.0, -1.0 / 1209600.0)
-"""Coefficients of the series of the inverse right Jacobian in ad(r)."""
+"""Coefficients of the series of the inverse right Jacobian in ad(r): they fall faster than powers of a fifth."""
+_NEGLIGIBLE = 1e-10
 
 
 def inverse_right_jacobian(xi: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "n d d"]:
@@ -37,9 +38,12 @@ def inverse_left_jacobian(xi: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray,
 
 
 def _series(ad: np.ndarray) -> np.ndarray:
-    out, power = np.zeros_like(ad), np.broadcast_to(np.eye(ad.shape[-1]), ad.shape)
-    for coefficient in _BERNOULLI:
+    size = float(np.abs(ad).sum(axis=2).max(initial=0.0))
+    out, power, reach = np.zeros_like(ad), np.broadcast_to(np.eye(ad.shape[-1]), ad.shape), 1.0
+    for order, coefficient in enumerate(_BERNOULLI):
+        if order > 1 and reach < _NEGLIGIBLE:  # all later terms are smaller still
+            break
         if coefficient:
             out = out + coefficient * power
-        power = power @ ad
+        power, reach = power @ ad, reach * size / 5.0
     return out

@@ -9,7 +9,7 @@ from epipole.mapping.model_builder import MatchComponents as MatchComponents
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.model_builder import connect_matches as connect_matches
-from epipole.mapping.resection import refine_resection as refine_resection
-from epipole.mapping.resection import resect_image as resect_image
 from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconstruction
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
+from epipole.mapping.resection import refine_resection as refine_resection
+from epipole.mapping.resection import resect_image as resect_image

@@ -70,7 +70,7 @@ class PoseGraphConfig:
     """Options of pose graph optimisation."""
 
     max_iterations: int = 100
-    relative_tolerance: float = 1e-9
+    relative_tolerance: float = 1e-7
     """Stop when a step lowers the cost by a smaller share."""
     confidence: float = 0.99
     """Robust only: an edge is right if its residual lies within this quantile of the chi-square distribution."""
@@ -109,7 +109,7 @@ class PoseGraphResult:
 
 def pose_graph_cost(graph: PoseGraph) -> float:
     """Half the sum of r^T Omega r."""
-    return 0.5 * float(_squared(graph, graph.world_from_body).sum())
+    return 0.5 * float(_squared(graph, _residuals(graph, graph.world_from_body)[1]).sum())
 
 
 def optimize_pose_graph(
@@ -244,18 +244,21 @@ def _optimize(
     n, d = len(graph), graph.dimension
     equations = _NormalEquations(n, d, graph.first, graph.second)
     places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
-    cost = initial = 0.5 * float((weights * _squared(graph, places)).sum())
+    between, residual = _residuals(graph, places)
+    squared = _squared(graph, residual)
+    cost = initial = 0.5 * float((weights * squared).sum())
     for iteration in range(1, config.max_iterations + 1):
-        residual, by_first, by_second = _residuals_and_jacobians(graph, places)
-        residual = (root @ residual[..., None])[..., 0]
-        by_first, by_second = root @ by_first, root @ by_second
-        blocks, gradient = equations.fill(by_first, by_second, residual)
+        by_second = inverse_right_jacobian(residual)
+        by_first = root @ (-by_second @ between.inverse().adjoint())
+        blocks, gradient = equations.fill(by_first, root @ by_second, (root @ residual[..., None])[..., 0])
         lowered = False
         for _ in range(12):
             step = equations.solve(blocks, gradient, damping)
             if step is not None:
                 moved = _moved(places, step)
-                after = 0.5 * float((weights * _squared(graph, moved)).sum())
+                between_after, residual_after = _residuals(graph, moved)
+                squared_after = _squared(graph, residual_after)
+                after = 0.5 * float((weights * squared_after).sum())
                 if after <= cost:
                     lowered = True
                     break
@@ -264,31 +267,24 @@ def _optimize(
             converged = True  # no step helps: as low as rounding allows
             break
         gain, cost, places = cost - after, after, moved
+        between, residual, squared = between_after, residual_after, squared_after
         damping = 0.0 if damping < 1e-7 else 0.1 * damping
         if progress is not None and not progress(iteration, cost):
             break
         if gain <= config.relative_tolerance * cost + 1e-300:
             converged = True
             break
-    kept = weights > 0
-    return PoseGraphResult(places, initial, cost, iteration, converged, kept, _squared(graph, places))
+    return PoseGraphResult(places, initial, cost, iteration, converged, weights > 0, squared)
 
 
-def _squared(graph: PoseGraph, places: Motion) -> np.ndarray:
-    residual = _residuals(graph, places)
-    return np.einsum("ki,kij,kj->k", residual, graph.information, residual)
-
-
-def _residuals(graph: PoseGraph, places: Motion) -> np.ndarray:
+def _residuals(graph: PoseGraph, places: Motion) -> tuple[Any, np.ndarray]:
+    """x_i^-1 x_j of every edge, and log(z^-1 x_i^-1 x_j)."""
     between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
-    return (graph.first_from_second.inverse() @ between).log()
+    return between, (graph.first_from_second.inverse() @ between).log()
 
 
-def _residuals_and_jacobians(graph: PoseGraph, places: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    between: Any = places[graph.first].inverse() @ places[graph.second]  # type: ignore[operator]
-    residual = (graph.first_from_second.inverse() @ between).log()
-    by_second = inverse_right_jacobian(residual)
-    return residual, -by_second @ between.inverse().adjoint(), by_second
+def _squared(graph: PoseGraph, residual: np.ndarray) -> np.ndarray:
+    return (residual * (graph.information @ residual[..., None])[..., 0]).sum(axis=1)
 
 
 def _moved(places: Motion, step: np.ndarray) -> Motion:
