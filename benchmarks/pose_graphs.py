@@ -20,7 +20,17 @@ from rich.table import Table
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.tasks.sfm import data_root
 
-GRAPHS = ("sphere2500", "torus3D", "parking-garage", "sphere_noisy_init", "intel")
+GRAPHS = (
+    {
+        name: f"{name}.g2o"
+        for name in ("sphere2500", "torus3D", "parking-garage", "sphere_noisy_init", "intel")
+    }
+    | {
+        f"manhattan-{start}": f"manhattan/originalDataset/{start}/manhattanOlson3500.g2o"
+        for start in ("Olson", "g2o")
+    }
+    | {"ringCity": "ringCity/originalDataset/ringCity.g2o"}
+)
 
 
 def with_epipole(path: str) -> tuple[float, float, int]:
@@ -90,7 +100,7 @@ def in_own_process(run: Any, path: str) -> Any:
 def main() -> None:
     """Run every graph and print the table."""
     parser = argparse.ArgumentParser(description="Pose graphs: epipole and GTSAM side by side.")
-    parser.add_argument("--graph", nargs="+", choices=GRAPHS, default=GRAPHS)
+    parser.add_argument("--graph", nargs="+", choices=list(GRAPHS), default=list(GRAPHS))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
     arguments = parser.parse_args()
@@ -103,7 +113,7 @@ def main() -> None:
         runs: dict[str, list[Any]] = {program: [] for program in PROGRAMS}
         for _ in range(arguments.rounds):
             for program, run in PROGRAMS.items():
-                runs[program].append(in_own_process(run, str(folder / f"{name}.g2o")))
+                runs[program].append(in_own_process(run, str(folder / GRAPHS[name])))
         for program, found in runs.items():
             if isinstance(found[0], str):
                 table.add_row(name, program, found[0], "", "")

@@ -179,13 +179,36 @@ def _optimize_robustly(
         if ((weights == 0.0) | (weights == 1.0)).all() and mu > 1.0:
             break
         mu *= 1.4
-    kept = weights > 0.5
-    final = _optimize(
-        replace(graph, world_from_body=current.world_from_body), config, kept.astype(float), None
-    )
-    return replace(
-        final, kept_mask=kept, initial_cost=initial_cost, num_iterations=iterations + final.num_iterations
-    )
+    final = _settled(graph, config, current.world_from_body, ~doubtful | (weights > 0.5))
+    found = _tightened(graph, config, final, doubtful, bound)
+    return replace(found, initial_cost=initial_cost, num_iterations=iterations + found.num_iterations)
+
+
+def _settled(graph: PoseGraph, config: PoseGraphConfig, places: Motion, kept: np.ndarray) -> PoseGraphResult:
+    return _optimize(replace(graph, world_from_body=places), config, kept.astype(float), None)
+
+
+def _tightened(
+    graph: PoseGraph, config: PoseGraphConfig, found: PoseGraphResult, doubtful: np.ndarray, bound: float
+) -> PoseGraphResult:
+    """The same or a better choice of edges: cut at the noise that the edges show, then at the noise they claim.
+
+    Where information matrices claim far more noise than there is, a false loop may bend the graph within their bounds. Against
+    the median of all residuals it stands out.
+    """
+    claimed = float(chi2.ppf(0.5, graph.dimension))
+    share = float(np.median(found.squared_residuals[found.kept_mask])) / claimed
+    if not share < 0.5:
+        return found
+    tried = found
+    for cut in (share * bound, share * bound, bound, bound):
+        kept = ~doubtful | (tried.squared_residuals <= cut)
+        tried = _settled(graph, config, tried.world_from_body, kept)
+    truncated = [
+        float(np.where(doubtful, np.minimum(r.squared_residuals, bound), r.squared_residuals).sum())
+        for r in (found, tried)
+    ]
+    return tried if truncated[1] < truncated[0] else found
 
 
 def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
