@@ -1,8 +1,9 @@
 """Short rows of numbers as one vector of the processor.
 
 A row of 8 to 20 numbers is too short for the compiler to turn a loop over it into vector instructions: it unrolls it into single
-ones, four times as slow (measured on 8 lanes, AVX-512). These functions say it outright. `lanes` is a tuple whose length is
-the row's; arithmetic is in double precision whatever the rows hold.
+ones, four times as slow (measured on 8 lanes, AVX-512). These functions say it outright, with multiplications and additions fused by
+name: the compiler would fuse as it likes, and differently where it inlines. `lanes` is a tuple whose length is the row's;
+arithmetic is in double precision whatever the rows hold.
 """
 
 from inspect import unwrap
@@ -51,18 +52,24 @@ def _spread(builder: Any, value: Any, width: int) -> Any:
     return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), width), [0] * width))
 
 
+def _fused(builder: Any, a: Any, b: Any, c: Any, width: int) -> Any:
+    """A b + c, rounded once."""
+    vector = ir.VectorType(_DOUBLE, width)
+    kind = ir.FunctionType(vector, [vector] * 3)
+    function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{width}f64")
+    return builder.call(function, [a, b, c])
+
+
 def _combination(num_terms: int, *, adds: bool) -> Any:
     """Code for target (+)= sum of factor row, the arguments being target, factor, row, factor, row, ..., lanes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         kinds, width = signature.args, len(signature.args[-1])
         total = _load(context, builder, kinds[0], arguments[0], width) if adds else None
-        terms = None
         for factor in range(1, 2 * num_terms, 2):
             row = _load(context, builder, kinds[factor + 1], arguments[factor + 1], width)
-            term = builder.fmul(_spread(builder, arguments[factor], width), row)
-            terms = term if terms is None else builder.fadd(terms, term)
-        total = terms if total is None else builder.fadd(total, terms)
+            spread = _spread(builder, arguments[factor], width)
+            total = builder.fmul(spread, row) if total is None else _fused(builder, spread, row, total, width)
         _store(context, builder, kinds[0], arguments[0], total, width)
         return context.get_dummy_value()
 
@@ -91,6 +98,19 @@ def set_rows(typingctx, target, a, x, b, y, c, z, lanes):  # type: ignore[no-unt
 
 
 @_intrinsic
+def scale_row(typingctx, target, a, x, lanes):  # type: ignore[no-untyped-def]
+    """Target = a x; target may be x."""
+    return types.void(target, types.float64, x, lanes), _combination(1, adds=False)
+
+
+@_intrinsic
+def set_two_rows(typingctx, target, a, x, b, y, lanes):  # type: ignore[no-untyped-def]
+    """Target = a x + b y; target may be one of them."""
+    double = types.float64
+    return types.void(target, double, x, double, y, lanes), _combination(2, adds=False)
+
+
+@_intrinsic
 def add_product(typingctx, target, x, y, lanes):  # type: ignore[no-untyped-def]
     """Target += x y, lane by lane."""
     signature = types.void(target, x, y, lanes)
@@ -98,7 +118,7 @@ def add_product(typingctx, target, x, y, lanes):  # type: ignore[no-untyped-def]
     def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         kinds, width = signature.args, len(signature.args[-1])
         rows = [_load(context, builder, kinds[k], arguments[k], width) for k in range(3)]
-        total = builder.fadd(rows[0], builder.fmul(rows[1], rows[2]))
+        total = _fused(builder, rows[1], rows[2], rows[0], width)
         _store(context, builder, kinds[0], arguments[0], total, width)
         return context.get_dummy_value()
 

@@ -5,10 +5,12 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
+from importlib import import_module
 from itertools import pairwise
 from typing import TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 Result = TypeVar("Result")
 
@@ -98,5 +100,12 @@ def run_inline_here() -> None:
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
     """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster."""
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _blas_libraries().limit(limits=1, user_api="blas"):
         yield
+
+
+@cache
+def _blas_libraries() -> ThreadpoolController:
+    """Those of NumPy and SciPy, looked for once: that takes two milliseconds."""
+    import_module("scipy.linalg")
+    return ThreadpoolController()

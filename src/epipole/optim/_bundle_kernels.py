@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole._lane_kernels import add_product, add_rows, add_two_rows, set_rows
+from epipole._lane_kernels import add_product, add_rows, add_two_rows, scale_row, set_rows, set_two_rows
 from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
 from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
@@ -109,11 +109,15 @@ class Scratch(NamedTuple):
     j_point: np.ndarray
     factor: np.ndarray
     """(6,)"""
+    zeros: np.ndarray
+    """(wide,)"""
 
 
 def make_scratch(wide: int) -> Scratch:
     """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
-    return Scratch(np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, wide)), np.empty((2, 3)), np.empty(6))
+    return Scratch(
+        np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, wide)), np.empty((2, 3)), np.empty(6), np.zeros(wide)
+    )
 
 
 @kernel
@@ -340,8 +344,8 @@ def _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes):
         z0, z1, z2 = kept.z[e, 0], kept.z[e, 1], kept.z[e, 2]
         for q in range(entries.width[node], len(lanes)):
             z0[q] = z1[q] = z2[q] = 0.0
-        set_rows(z0, f[0], z0, 0.0, z0, 0.0, z0, lanes)
-        set_rows(z1, f[2], z1, -f[2] * f[1], z0, 0.0, z0, lanes)
+        scale_row(z0, f[0], z0, lanes)
+        set_two_rows(z1, f[2], z1, -f[2] * f[1], z0, lanes)
         set_rows(z2, f[5], z2, -f[5] * f[3], z0, -f[5] * f[4], z1, lanes)
         add_rows(reduced[node], h[0], z0, h[1], z1, h[2], z2, lanes)
 
@@ -362,8 +366,7 @@ def linearize(
         first, x, y, z = entries.start[j], points[j, 0], points[j, 1], points[j, 2]
         for e in range(first, entries.start[j + 1]):
             for c in range(3):
-                for q in range(len(lanes)):
-                    kept.z[e, c, q] = 0.0
+                scale_row(kept.z[e, c], 0.0, scratch.zeros, lanes)
         v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
         for k in range(obs.offsets[j], obs.offsets[j + 1]):
             if not obs.used[k]:
