@@ -19,6 +19,7 @@ from epipole.optim.bundle_problem import BundleProblem
 _LANES = (8, 12, 16, 20)
 _CHUNK_OBSERVATIONS = 3000
 _MAX_SUMS_BYTES = 256 << 20
+_FEW_NODES = 1000
 _MAX_OBSERVATIONS_OF_A_POINT = np.iinfo(np.int16).max // 3
 
 
@@ -240,10 +241,14 @@ def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points
     if with_points:
         mark, count = np.empty((2, n), np.int64)
         arguments = (entries.start, entries.node, entries.point, entries.by_node, entries.node_start, mark)
-        total = layout_kernels.find_pattern(*arguments, count, np.empty(0, np.int64))
-        column = np.empty(total, np.int64)
-        if total:
+        # Few nodes have room for all pairs; else the pairs are counted first.
+        room = n * (n + 1) // 2 if n < _FEW_NODES else 0
+        column = np.empty(room, np.int64)
+        total = layout_kernels.find_pattern(*arguments, count, column)
+        if total and not room:
+            column = np.empty(total, np.int64)
             layout_kernels.find_pattern(*arguments, count, column)
+        column = column[:total]
         keys.append(np.repeat(np.arange(n), count) * n + column)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         first, second = layout.unknowns.nodes[:, a], layout.unknowns.nodes[:, b]

@@ -51,6 +51,8 @@ class Linearization:
     """What the step of the nodes solves for: S step = rhs."""
     blocks: np.ndarray
     """The lower triangle of S by blocks where it was formed; else of its part that does not come from points."""
+    corner: np.ndarray
+    """The diagonal blocks of S (nodes, lanes, lanes), without damping."""
     damping: np.ndarray
     """Added to S's diagonal (nodes, lanes), included in `blocks`."""
 
@@ -175,22 +177,20 @@ class BundleSystem:
         )
         self._add_priors(prior_terms(self.problem.priors, layout, state), blocks, gradient)
         self._move_kept_points(blocks, gradient)
-        within = np.einsum("nii->ni", blocks[self._diagonal])
-        curvature = within.copy()
+        corner = blocks[self._diagonal]
+        curvature = np.einsum("nii->ni", corner).copy()
         if self.plan is not None:
             self._subtract_eliminated(self.row_start, self.pattern.column, blocks)
-            left = np.einsum("nii->ni", blocks[self._diagonal])
-        else:
             corner = blocks[self._diagonal]
+        else:
             n = np.arange(layout.num_nodes + 1)
             self._subtract_eliminated(n, n[:-1], corner)
-            self._preconditioner_blocks = corner
-            left = np.einsum("nii->ni", corner)
+        left = np.einsum("nii->ni", corner)
         damp = damping * np.maximum(left, _LEAST_CURVATURE * curvature) + 1e-300
         damp[layout.held_mask] = 1.0
         damp[np.arange(len(layout.lanes)) >= layout.entries.width[:, None]] = 0.0
         blocks[self._diagonal[:, None], np.arange(len(layout.lanes)), np.arange(len(layout.lanes))] += damp
-        return Linearization(gradient, reduced - gradient, blocks, damp)
+        return Linearization(gradient, reduced - gradient, blocks, corner, damp)
 
     def _scratch(self) -> kernels.Scratch:
         return kernels.make_scratch(len(self.layout.wide))
@@ -304,7 +304,7 @@ class BundleSystem:
         return out
 
     def _iterate(self, system: Linearization) -> tuple[np.ndarray, int]:
-        inverse = self._preconditioner_blocks.copy()
+        inverse = system.corner.copy()
         lanes = np.arange(len(self.layout.lanes))
         inverse[:, lanes, lanes] += system.damping + (lanes >= self.layout.entries.width[:, None])
         inverse[:] = np.linalg.inv(inverse)
