@@ -43,6 +43,10 @@ SOFT, REACH = (
     1.5,
 )  # Cauchy's scale in deviations of the noise; the farthest item of the polish in thresholds
 POLISH_STEPS = 10
+BEYOND = (
+    3.64  # thresholds that the polish of an approximate model looks: 99 % of two Gaussian numbers (MAGSAC)
+)
+BROAD_SLACK = 1.3  # where the polish looks beyond what the score counts
 POLISH_SLACK = 1.1  # polishing minimises another cost; a score that rises more was a step astray
 LOG_REJECT = 7.0  # a good model is rejected with a probability of about exp(-7)
 
@@ -100,7 +104,7 @@ def noise_variance(residuals, threshold_sq, size):
 
 
 @kernel(allocates=True)
-def polish(problem, model, threshold_sq, residuals):
+def polish(problem, model, threshold_sq, residuals, breadth):
     """Iteratively reweighted least squares at the scale of the noise, in place; returns the score.
 
     Truncation at the threshold weighs every inlier alike and drops good items where the noise is wide (at two
@@ -114,6 +118,9 @@ def polish(problem, model, threshold_sq, residuals):
     score_before = score(problem, model, threshold_sq, math.inf)
     noise_sq = max(noise_variance(residuals, threshold_sq, residual_size(problem)), 1e-6 * threshold_sq)
     reach_sq = min(max(9.0 * noise_sq, threshold_sq), REACH * REACH * threshold_sq)
+    if breadth > 1.0:  # the threshold is the greatest deviation there may be
+        noise_sq = threshold_sq / (breadth * breadth)
+        reach_sq = BEYOND * BEYOND * noise_sq
     for _ in range(POLISH_STEPS):
         linearize(problem, model, reach_sq, SOFT * SOFT * noise_sq, a, b)
         length = 0.0
@@ -129,7 +136,7 @@ def polish(problem, model, threshold_sq, residuals):
         if length < 1e-8 * noise_sq:
             break
     after = score(problem, model, threshold_sq, math.inf)
-    if not after < POLISH_SLACK * score_before:
+    if not after < (POLISH_SLACK if breadth <= 1.0 else BROAD_SLACK) * score_before:
         copy_numbers(before, model)
         return score_before
     return after
@@ -262,7 +269,8 @@ def _start_of_ranked(n, size):
 @kernel(allocates=True)
 def ransac(
     problem,
-    threshold_sq,
+    asked_sq,
+    breadth,
     confidence,
     min_iterations,
     max_iterations,
@@ -275,9 +283,12 @@ def ransac(
 ):
     """Write the best model, the squared residuals (n) and the information matrix J^T J of its inliers.
 
-    Samples are uniform, or PROSAC's if `ranking` holds the items, best first. Returns (score, iterations); the score
-    is infinite if no model was found.
+    Samples are uniform, or PROSAC's if `ranking` holds the items, best first. Models that are only nearly true, as planes
+    of the world are nearly plane, are searched for at `breadth` times the threshold and polished far beyond it: there the
+    threshold takes the part of MAGSAC's greatest deviation (Barath et al., CVPR 2020). Returns (score, iterations); the
+    score is infinite if no model was found.
     """
+    threshold_sq = breadth * breadth * asked_sq
     n, size = num_items(problem), sample_size(problem)
     state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
     state[0] = seed
@@ -318,9 +329,11 @@ def ransac(
     if best_score < math.inf:
         refine(problem, best, threshold_sq, np.int64(FINAL_STEPS))
         residuals_sq(problem, best, threshold_sq, residuals)
-        best_score = polish(problem, best, threshold_sq, residuals)
-        residuals_sq(problem, best, threshold_sq, residuals)
-        _inform(problem, best, threshold_sq, information)
+        best_score = polish(problem, best, threshold_sq, residuals, breadth)
+        if breadth > 1.0:
+            best_score = score(problem, best, asked_sq, math.inf)
+        residuals_sq(problem, best, asked_sq, residuals)
+        _inform(problem, best, asked_sq, information)
     return best_score, iteration
 
 

@@ -152,6 +152,7 @@ def fit_motions(pairs, wanted, use, search, fits):
             score, iterations = ransac(
                 RelativePoseProblem(items[:, :seen].copy()),
                 (search.max_error_px / scale) ** 2,
+                1.0,
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,
@@ -208,6 +209,7 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
             score, iterations = ransac(
                 FundamentalProblem(items[:, :count].copy()),
                 (search.max_error_px / fits.frame[p, 4]) ** 2,
+                1.0,
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,
@@ -238,6 +240,7 @@ def fit_homographies(pairs, use, search, fits):
             score, iterations = ransac(
                 HomographyProblem(items[:, :count].copy()),
                 (search.max_error_px / fits.frame[p, 4]) ** 2,
+                1.0,
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,

@@ -147,6 +147,7 @@ def run_loop(
     quality: np.ndarray | None,
     *,
     of_order_one: bool = False,
+    breadth: float = 1.0,
 ) -> Found:
     """Robustly fit a problem whose column k is the caller's item order[k].
 
@@ -158,6 +159,7 @@ def run_loop(
         config: threshold in the caller's unit.
         quality: (n,) for PROSAC, or None.
         of_order_one: the problem's steps are of one unit, so that one which moves nothing can be told by its size.
+        breadth: above 1 for models that are only nearly true: thresholds to search at, before looking farther still.
     """
     m = len(order)
     size, freedom = loop.sizes(problem)
@@ -172,6 +174,7 @@ def run_loop(
     score, iterations = loop.ransac(
         problem,
         float(threshold_sq),
+        breadth,
         config.confidence,
         config.min_iterations,
         config.max_iterations,

@@ -129,6 +129,9 @@ def estimate_essential_matrix(
     )
 
 
+_BREADTH_OF_PLANES = 1.5
+
+
 def estimate_fundamental_matrix(
     pixels1: Any, pixels2: Any, config: RansacConfig | None = None, *, quality: Any = None
 ) -> Estimate[Matrix3]:
@@ -163,6 +166,9 @@ def estimate_homography(
 ) -> Estimate[Matrix3]:
     """Homography, x2 ~ H x1, |H| = 1: four points, then a truncated transfer error that weighs both pictures alike.
 
+    Planes of the world are not quite plane, and the matches that show it lie beyond any threshold for pixels: models are
+    searched for at one and a half thresholds, and the best is fitted to all matches within 3.64, the nearer the more.
+
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
         pixels2: the same in image 2.
@@ -175,7 +181,8 @@ def estimate_homography(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config or RansacConfig(), quality)
+    config = config or RansacConfig()
+    found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config, quality, _BREADTH_OF_PLANES)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -209,7 +216,7 @@ def _fit_motion(
 
 
 def _fit_pixels(
-    kind: Any, pixels1: Any, pixels2: Any, config: RansacConfig, quality: Any
+    kind: Any, pixels1: Any, pixels2: Any, config: RansacConfig, quality: Any, breadth: float = 1.0
 ) -> tuple[Found, np.ndarray, np.ndarray]:
     """Fit in coordinates centred and divided by one common length, so that one threshold serves both pictures."""
     p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
@@ -225,7 +232,8 @@ def _fit_pixels(
             float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9
         )
     problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
-    found = run_loop(problem, order, n, spread, config, checked_quality(quality, n), of_order_one=True)
+    quality = checked_quality(quality, n)
+    found = run_loop(problem, order, n, spread, config, quality, of_order_one=True, breadth=breadth)
     t1, t2 = (
         np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
         for u, v in (center[:2], center[2:])
