@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -138,6 +138,15 @@ def failed(reason: Reason, n: int, freedom: int, num_iterations: int = 0) -> Fou
     )
 
 
+class ModelTraits(NamedTuple):
+    """What the loop has to know of a kind of model."""
+
+    of_order_one: bool = False
+    """Its steps are of one unit, so that one which moves nothing can be told by its size."""
+    breadth: float = 1.0
+    """Above 1 if it is only nearly true: thresholds to search at, before looking farther still."""
+
+
 def run_loop(
     problem: Any,
     order: np.ndarray,
@@ -145,9 +154,7 @@ def run_loop(
     scale_px: float,
     config: RansacConfig,
     quality: np.ndarray | None,
-    *,
-    of_order_one: bool = False,
-    breadth: float = 1.0,
+    traits: ModelTraits = ModelTraits(),  # noqa: B008 - immutable
 ) -> Found:
     """Robustly fit a problem whose column k is the caller's item order[k].
 
@@ -158,8 +165,7 @@ def run_loop(
         scale_px: the unit of the problem's residuals in the caller's unit.
         config: threshold in the caller's unit.
         quality: (n,) for PROSAC, or None.
-        of_order_one: the problem's steps are of one unit, so that one which moves nothing can be told by its size.
-        breadth: above 1 for models that are only nearly true: thresholds to search at, before looking farther still.
+        traits: of the kind of model.
     """
     m = len(order)
     size, freedom = loop.sizes(problem)
@@ -174,7 +180,7 @@ def run_loop(
     score, iterations = loop.ransac(
         problem,
         float(threshold_sq),
-        breadth,
+        traits.breadth,
         config.confidence,
         config.min_iterations,
         config.max_iterations,
@@ -193,7 +199,9 @@ def run_loop(
     num_inliers = int(inlier_mask.sum())
     size_of_residual = loop.numbers_per_residual(problem)
     noise = untruncated_noise(out[inlier_mask], config.max_error_px, size_of_residual, freedom)
-    covariance, determined = invert_information(information, noise / scale_px, of_order_one=of_order_one)
+    covariance, determined = invert_information(
+        information, noise / scale_px, of_order_one=traits.of_order_one
+    )
     if num_inliers < config.min_inliers:
         reason = Reason.TOO_FEW_INLIERS
     else:

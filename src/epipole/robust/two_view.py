@@ -16,7 +16,15 @@ from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
 from epipole.robust._upright_motion_kernels import UprightMotionProblem
 from epipole.robust.absolute_pose import turn_upright
-from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
+from epipole.robust.estimate import (
+    Estimate,
+    Found,
+    ModelTraits,
+    checked_quality,
+    random_order,
+    run_loop,
+    usable_rows,
+)
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
@@ -212,7 +220,9 @@ def _fit_motion(
     order = random_order(usable_rows(matches), config)
     columns = np.ascontiguousarray(matches[order].T)
     problem = RelativePoseProblem(columns) if upright is None else UprightMotionProblem(columns, *upright)
-    return run_loop(problem, order, n, scale_px, config, checked_quality(quality, n), of_order_one=True)
+    return run_loop(
+        problem, order, n, scale_px, config, checked_quality(quality, n), ModelTraits(of_order_one=True)
+    )
 
 
 def _fit_pixels(
@@ -233,7 +243,9 @@ def _fit_pixels(
         )
     problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
     quality = checked_quality(quality, n)
-    found = run_loop(problem, order, n, spread, config, quality, of_order_one=True, breadth=breadth)
+    found = run_loop(
+        problem, order, n, spread, config, quality, ModelTraits(of_order_one=True, breadth=breadth)
+    )
     t1, t2 = (
         np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
         for u, v in (center[:2], center[2:])
