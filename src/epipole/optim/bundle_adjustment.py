@@ -19,6 +19,8 @@ from epipole.optim.bundle_system import BundleSystem, LinearSolver
 from epipole.optim.losses import Loss
 
 _LEAST_DAMPING, _FREE_DAMPING, _MOST_DAMPING = 1e-10, 1e-6, 1e12
+_WEAKLY_TIED = 1e-5
+"""Factor of the first two where priors alone say where the model is: a GPS fix weighs little against pixels."""
 _LEAST_FACTOR = 0.01
 
 
@@ -165,6 +167,7 @@ def _adjust(
     used = system.find_visible(state)
     cost = initial = system.cost(state)
     damping, growth, iteration = config.initial_damping, 2.0, 0
+    tie = _WEAKLY_TIED if problem.priors is not None and problem.priors.ties_gauge else 1.0
     history: list[BundleIteration] = []
     reason = StopReason.MAX_ITERATIONS
     if not system.has_unknowns:
@@ -182,14 +185,14 @@ def _adjust(
             growth = 2.0
             # A small step says nothing while the damping makes it small.
             if max(predicted, before - after) <= config.function_tolerance * before:
-                if damping <= _FREE_DAMPING:
+                if damping <= tie * _FREE_DAMPING:
                     reason = StopReason.CONVERGED
                 damping *= _LEAST_FACTOR
         else:
             if 0 <= predicted <= config.function_tolerance * 1e-3 * cost or damping > _MOST_DAMPING:
                 reason = StopReason.NO_STEP
             damping, growth = damping * growth, growth * 2.0
-        damping = max(damping, _LEAST_DAMPING)
+        damping = max(damping, tie * _LEAST_DAMPING)
         seconds = time.perf_counter() - begin
         history.append(BundleIteration(iteration, cost, damping, accepted, products, seconds))
         if progress is not None and not progress(history[-1]):

@@ -48,6 +48,11 @@ class BundlePriors:
     distances: PointDistances | None = None
 
     @property
+    def ties_gauge(self) -> bool:
+        """Whether something here says where, how or how large the model is, which pictures do not."""
+        return self.fixes_place or self.down_in_rig is not None or self.distances is not None
+
+    @property
     def fixes_place(self) -> bool:
         """Whether something here says where the frames are."""
         at = self.position_in_world is not None and bool(
