@@ -53,7 +53,7 @@ def _spread(builder: Any, value: Any, width: int) -> Any:
 
 
 def _fused(builder: Any, a: Any, b: Any, c: Any, width: int) -> Any:
-    """A b + c, rounded once."""
+    """The sum a b + c, rounded once."""
     vector = ir.VectorType(_DOUBLE, width)
     kind = ir.FunctionType(vector, [vector] * 3)
     function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{width}f64")
@@ -77,45 +77,45 @@ def _combination(num_terms: int, *, adds: bool) -> Any:
 
 
 @_intrinsic
-def add_rows(typingctx, target, a, x, b, y, c, z, lanes):  # type: ignore[no-untyped-def]
-    """Target += a x + b y + c z."""
+def add_rows(typingctx, target, a, x, b, y, c, z, lanes):
+    """Row target += a x + b y + c z."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=True)
 
 
 @_intrinsic
-def add_two_rows(typingctx, target, a, x, b, y, lanes):  # type: ignore[no-untyped-def]
-    """Target += a x + b y."""
+def add_two_rows(typingctx, target, a, x, b, y, lanes):
+    """Row target += a x + b y."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=True)
 
 
 @_intrinsic
-def set_rows(typingctx, target, a, x, b, y, c, z, lanes):  # type: ignore[no-untyped-def]
-    """Target = a x + b y + c z; target may be one of them."""
+def set_rows(typingctx, target, a, x, b, y, c, z, lanes):
+    """Row target = a x + b y + c z; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=False)
 
 
 @_intrinsic
-def scale_row(typingctx, target, a, x, lanes):  # type: ignore[no-untyped-def]
-    """Target = a x; target may be x."""
+def scale_row(typingctx, target, a, x, lanes):
+    """Row target = a x; target may be x."""
     return types.void(target, types.float64, x, lanes), _combination(1, adds=False)
 
 
 @_intrinsic
-def set_two_rows(typingctx, target, a, x, b, y, lanes):  # type: ignore[no-untyped-def]
-    """Target = a x + b y; target may be one of them."""
+def set_two_rows(typingctx, target, a, x, b, y, lanes):
+    """Row target = a x + b y; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=False)
 
 
 @_intrinsic
-def add_product(typingctx, target, x, y, lanes):  # type: ignore[no-untyped-def]
-    """Target += x y, lane by lane."""
+def add_product(typingctx, target, x, y, lanes):
+    """Row target += x y, lane by lane."""
     signature = types.void(target, x, y, lanes)
 
-    def generate(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, arguments):
         kinds, width = signature.args, len(signature.args[-1])
         rows = [_load(context, builder, kinds[k], arguments[k], width) for k in range(3)]
         total = _fused(builder, rows[1], rows[2], rows[0], width)

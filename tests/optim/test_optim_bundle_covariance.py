@@ -149,3 +149,20 @@ def test_no_more_residuals_than_unknowns_raises(rng):
     _, start = ring(rng, num_frames=5, num_points=1)
     with pytest.raises(DegenerateGeometryError, match="no more residuals"):
         bundle_covariance(start, adjust_bundle(start))
+
+
+def test_what_took_no_part_does_not_count(rng):
+    """An observation that was behind its camera at the start adds no knowledge, even where it would be seen now."""
+    _, start = ring(rng)
+    problem = with_fixed_gauge(start)
+    result = adjust_bundle(problem, EXACT)
+    without = result.used_mask.copy()
+    without[: start.offsets[40]] = False
+    fewer = bundle_covariance(problem, replace(result, used_mask=without), noise_px=1.0)
+    every = bundle_covariance(problem, result, noise_px=1.0)
+    moving = problem.frame_free.all(axis=1)
+    assert (
+        np.trace(fewer.rig_from_world, axis1=1, axis2=2)
+        > 1.05 * np.trace(every.rig_from_world, axis1=1, axis2=2)
+    )[moving].all()
+    assert np.isinf(fewer.points_in_world[:40]).all()

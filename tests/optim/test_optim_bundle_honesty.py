@@ -13,6 +13,7 @@ from epipole.optim import (
     BundlePriors,
     LinearSolver,
     Loss,
+    PointDistances,
     StopReason,
     adjust_bundle,
     with_fixed_gauge,
@@ -255,3 +256,30 @@ def test_arrays_that_do_not_fit_raise(rng, changes, message):
 def test_options_that_make_no_sense_raise(wrong):
     with pytest.raises(ConfigError):
         BundleConfig(**wrong)
+
+
+def bar(first, second, sigma):
+    return PointDistances(np.array([first]), np.array([second]), np.array([1.0]), np.array([sigma]))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        ({"position_in_world": np.zeros((3, 3))}, ShapeError, "position_in_world"),
+        ({"position_sigma": 0.0}, ConfigError, "position_sigma"),
+        ({"position_sigma": np.ones((2, 3))}, ShapeError, "position_sigma"),
+        ({"down_in_rig": np.zeros((1, 3))}, ShapeError, "down_in_rig"),
+        ({"down_sigma_rad": -1.0}, ConfigError, "down_sigma_rad"),
+        ({"rig_information": -np.tile(np.eye(6), (8, 1, 1))}, ConfigError, "positive definite"),
+        ({"rig_from_world": Rigid3.identity(2)}, ShapeError, "rig_from_world"),
+        ({"params_sigma": np.zeros((1, 8))}, ConfigError, "params_sigma"),
+        ({"distances": bar(0, 150, 1.0)}, ShapeError, "a point that is not there"),
+        ({"distances": bar(-1, 3, 1.0)}, ShapeError, "a point that is not there"),
+        ({"distances": bar(3, 3, 1.0)}, ShapeError, "to itself"),
+        ({"distances": bar(0, 3, 0.0)}, ConfigError, "sigma must be positive"),
+    ],
+)
+def test_priors_that_make_no_sense_raise(rng, wrong, error, message):
+    _, start = ring(rng)
+    with pytest.raises(error, match=message):
+        replace(start, priors=BundlePriors(**wrong))

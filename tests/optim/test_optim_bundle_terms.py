@@ -29,9 +29,13 @@ def system_of(problem, loss=Loss.TRIVIAL, solver=LinearSolver.DIRECT):
 
 def with_own_cameras(problem):
     """Each frame with a camera of its own."""
-    n = len(problem.frame_free)
+    n, priors = len(problem.frame_free), problem.priors
+    if priors is not None and priors.params_expected is not None:
+        expected, sigma = (np.repeat(p, n, axis=0) for p in (priors.params_expected, priors.params_sigma))
+        priors = replace(priors, params_expected=expected, params_sigma=sigma)
     return replace(
         problem,
+        priors=priors,
         camera_model=np.repeat(problem.camera_model, n),
         camera_params=np.repeat(problem.camera_params, n, axis=0),
         params_free=np.repeat(problem.params_free, n, axis=0),
@@ -84,9 +88,6 @@ def test_the_gradient_is_that_of_the_cost(rng, num_sensors, own_cameras, loss):
     problem = hard_problem(rng, num_sensors)
     if own_cameras:
         problem = with_own_cameras(problem)
-        expected = problem.camera_params + 0.01
-        priors = replace(problem.priors, params_expected=expected, params_sigma=np.full(expected.shape, 0.1))
-        problem = replace(problem, priors=priors)
     system, state = system_of(problem, loss)
     layout = system.layout
     gradient = system.linearize(state, 1e-9).gradient

@@ -172,7 +172,7 @@ def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | Non
 
 def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
     """Multiple minimum degree (Liu 1985), as SuperLU computes it for the graph of the nodes."""
-    n, free = len(pattern.size), np.flatnonzero(~last)
+    free = np.flatnonzero(~last)
     off = (pattern.row != pattern.column) & ~last[pattern.row] & ~last[pattern.column]
     count = int(off.sum())
     if len(free) < 3 or count > _DENSE_SHARE * len(free) * (len(free) - 1) / 2:
@@ -187,8 +187,7 @@ def _fill_reducing_order(pattern: BlockPattern, last: np.ndarray) -> np.ndarray:
     found = splu(graph, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     place = np.empty(len(free), np.int64)
     place[found.perm_c] = np.arange(len(free))
-    order = np.concatenate([free[place], np.flatnonzero(last)])
-    return order if len(order) == n else np.arange(n)
+    return np.concatenate([free[place], np.flatnonzero(last)])
 
 
 def _neighbours(pattern: BlockPattern, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

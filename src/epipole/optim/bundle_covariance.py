@@ -43,7 +43,7 @@ def bundle_covariance(
     """Covariances at a minimum: the inverse of J^T J, its wanted blocks alone (Takahashi et al. 1973), times the noise.
 
     They hold for errors of pixels that are independent, small, and of one size, and relative to what the problem
-    holds: where the gauge is free they are infinite (see `with_fixed_gauge`).
+    holds; priors count as if their deviations grew with the noise, being weighed against pixels of deviation one: where the gauge is free they are infinite (see `with_fixed_gauge`).
 
     Args:
         problem: what was adjusted.
@@ -60,7 +60,7 @@ def bundle_covariance(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )
     state, layout = initial_state(found), system.layout
-    system.find_visible(state)
+    layout.observations.used[:] = result.used_mask  # what was adjusted, not what is visible now
     if noise_px is None:
         freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
         if freedom <= 0:

@@ -76,7 +76,7 @@ def _add_positions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, t
 
 
 def _add_motions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
-    """R = log(x expected^-1); under exp(xi) x it changes by the inverse left Jacobian of r."""
+    """The residual r = log(x expected^-1); under exp(xi) x it changes by the inverse left Jacobian of r."""
     if priors.rig_from_world is None or priors.rig_information is None:
         return
     known = np.flatnonzero(priors.rig_information.any(axis=(1, 2)) & (layout.nodes.frame >= 0))
@@ -88,7 +88,7 @@ def _add_motions(priors: BundlePriors, layout: BundleLayout, places: Rigid3, ter
 
 
 def _add_gravity(priors: BundlePriors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
-    """R = (R down_in_world - down_in_rig) / sigma; d(R d) / d rotation tangent = -[R d]x."""
+    """The residual (R down_in_world - down_in_rig) / sigma; d(R d) / d rotation tangent = -[R d]x."""
     if priors.down_in_rig is None:
         return
     known = np.flatnonzero(np.isfinite(priors.down_in_rig).all(axis=1) & (layout.nodes.frame >= 0))
@@ -113,7 +113,7 @@ def _add_params(priors: BundlePriors, layout: BundleLayout, params: np.ndarray, 
 
 
 def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarray, terms: _Sums) -> None:
-    """R = (|X_i - X_j| - d) / sigma."""
+    """The residual (|X_i - X_j| - d) / sigma."""
     if priors.distances is None:
         return
     first, second = priors.distances.first, priors.distances.second

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
 from epipole.cameras import CameraModel
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
 NUM_PARAMS = 8
@@ -27,7 +27,10 @@ class PointDistances:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class BundlePriors:
-    """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error."""
+    """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error.
+
+    Deviations weigh against pixels with a standard deviation of one.
+    """
 
     position_in_world: Float64[np.ndarray, "f 3"] | None = None
     """Expected frame centres (GPS); NaN rows for none. Cauchy's loss at one standard deviation."""
@@ -46,6 +49,41 @@ class BundlePriors:
     params_sigma: Float64[np.ndarray, "c 8"] | None = None
     """Standard deviations of the camera parameters about these; infinite for no expectation."""
     distances: PointDistances | None = None
+
+    def check(self, num_frames: int, num_cameras: int, num_points: int) -> None:
+        """Check that all fits a problem of this size.
+
+        Raises:
+            ShapeError: an array has another shape, or a distance names a point that is not there.
+            ConfigError: a standard deviation is not positive, or an information matrix not positive definite.
+        """
+        frames, cameras = (num_frames, 3), (num_cameras, NUM_PARAMS)
+        shapes = {"position_in_world": frames, "down_in_rig": frames, "rig_information": (num_frames, 6, 6)}
+        shapes |= {"params_expected": cameras, "params_sigma": cameras}
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise ShapeError(f"{name} must be {shape}, got {array.shape}")
+        if np.shape(self.position_sigma) not in ((), frames):
+            raise ShapeError(f"position_sigma must be one number or {frames}")
+        if self.rig_from_world is not None and len(self.rig_from_world.translation) != num_frames:
+            raise ShapeError(f"rig_from_world must have {num_frames} rows")
+        sigmas = {"position_sigma": self.position_sigma, "down_sigma_rad": self.down_sigma_rad}
+        sigmas["params_sigma"] = 1.0 if self.params_sigma is None else self.params_sigma
+        if self.distances is not None:
+            sigmas["the distances' sigma"] = self.distances.sigma
+            ends = np.concatenate([self.distances.first, self.distances.second])
+            if len(ends) and not (ends.min() >= 0 and ends.max() < num_points):
+                raise ShapeError(f"a distance names a point that is not there (there are {num_points})")
+            if (self.distances.first == self.distances.second).any():
+                raise ShapeError("a distance joins a point to itself")
+        for name, sigma in sigmas.items():
+            if not (np.asarray(sigma) > 0).all():
+                raise ConfigError(f"{name} must be positive")
+        if self.rig_information is not None:
+            known = self.rig_information[self.rig_information.any(axis=(1, 2))]
+            if not (np.isfinite(known).all() and (np.linalg.eigvalsh(known) > 0).all()):
+                raise ConfigError("rig_information must be zero or positive definite")
 
     @property
     def ties_gauge(self) -> bool:
@@ -92,6 +130,7 @@ class BundleProblem:
 
         Raises:
             ShapeError: it does not; the message says what.
+            ConfigError: a prior's deviation makes no sense.
         """
         num_frames, num_sensors = len(self.rig_from_world.translation), len(self.cam_from_rig.translation)
         num_points, num_seen, num_cameras = (
@@ -117,6 +156,8 @@ class BundleProblem:
             index = getattr(self, name)
             if len(index) and not (index.min() >= 0 and index.max() < size):
                 raise ShapeError(f"an observation names a {name} that is not there (there are {size})")
+        if self.priors is not None:
+            self.priors.check(num_frames, num_cameras, num_points)
 
 
 def free_params_mask(

@@ -222,7 +222,7 @@ class BundleSystem:
         return parts[0]
 
     def _subtract_eliminated(self, row_start: np.ndarray, column: np.ndarray, blocks: np.ndarray) -> None:
-        """Blocks -= Z Z^T, in pieces of rows of like work."""
+        """Subtract Z Z^T from the blocks, in pieces of rows of like work."""
         edges = [0, *self._pieces.tolist(), self.layout.num_nodes]
         if self.layout.num_chunks == 1:
             edges = [0, self.layout.num_nodes]
