@@ -166,3 +166,29 @@ def test_what_took_no_part_does_not_count(rng):
         > 1.05 * np.trace(every.rig_from_world, axis1=1, axis2=2)
     )[moving].all()
     assert np.isinf(fewer.points_in_world[:40]).all()
+
+
+def test_a_frame_all_of_whose_pixels_are_missing_is_not_known(rng):
+    _, start = ring(rng)
+    pixels = np.where((start.frame == 3)[:, None], np.nan, start.pixels)
+    problem = with_fixed_gauge(replace(start, pixels=pixels))
+    found = bundle_covariance(problem, adjust_bundle(problem, EXACT))
+    assert np.isinf(found.rig_from_world[3]).all()
+    assert np.isfinite(np.delete(found.rig_from_world, 3, axis=0)).all()
+    assert np.isfinite(found.points_in_world).all()
+
+
+def test_a_frame_with_two_observations_leaves_its_points_known(rng):
+    """Its own place is open; what it sees is known from other frames, hardly better than without it."""
+    _, start = ring(rng)
+    of_frame = np.flatnonzero(start.frame == 3)
+    pixels = start.pixels.copy()
+    pixels[of_frame[2:]] = np.nan
+    few = with_fixed_gauge(replace(start, pixels=pixels))
+    found = bundle_covariance(few, adjust_bundle(few, EXACT), noise_px=1.0)
+    none = with_fixed_gauge(
+        replace(start, pixels=np.where((start.frame == 3)[:, None], np.nan, start.pixels))
+    )
+    without = bundle_covariance(none, adjust_bundle(none, EXACT), noise_px=1.0)
+    assert np.isinf(found.rig_from_world[3]).all() and np.isfinite(found.points_in_world).all()
+    np.testing.assert_allclose(found.points_in_world, without.points_in_world, rtol=0.02, atol=1e-5)

@@ -20,6 +20,10 @@ _UNKNOWN = 1e9
 """An uncertainty so many times (in variance) that with all other unknowns held is no knowledge: rounding decides it."""
 
 
+_NOTHING = 1e-250
+"""Curvature of what no observation touches: what keeps the matrix definite, and no more."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleCovariance:
     """Covariances; zero for what was held, infinite for what the pictures do not fix."""
@@ -72,8 +76,10 @@ def bundle_covariance(
         equations = system.linearize(state, _NO_DAMPING)
         inverse = system.inverse_blocks(equations)
     diagonal = np.flatnonzero(system.pattern.row == system.pattern.column)
-    known_to = np.einsum("nii->ni", equations.blocks[diagonal]) * np.einsum("nii->ni", inverse[diagonal])
-    lost = (known_to > _UNKNOWN).any(axis=1)
+    alone = np.einsum("nii->ni", equations.blocks[diagonal])
+    own = np.arange(len(layout.lanes)) < layout.entries.width[:, None]
+    known_to = alone * np.einsum("nii->ni", inverse[diagonal])
+    lost = ((known_to > _UNKNOWN) | (own & (alone < _NOTHING))).any(axis=1)
     points = np.empty((len(found.point_free), 3, 3))
     _parallel.map_chunks(
         lambda a, b, _: kernels.point_covariances(
@@ -83,7 +89,7 @@ def bundle_covariance(
         len(points),
         layout.num_chunks,
     )
-    points[_unseen(layout, lost, system.kept.factor)] = np.inf
+    points[_unknown_points(layout, lost, system.kept.factor, points)] = np.inf
     inverse = inverse[diagonal]
     inverse[layout.held_mask] = 0.0
     np.swapaxes(inverse, 1, 2)[layout.held_mask] = 0.0
@@ -105,18 +111,27 @@ def _num_unknowns(layout: BundleLayout) -> int:
     return nodes + 3 * int((layout.unknowns.role == kernels.ELIMINATED).sum())
 
 
-def _unseen(layout: BundleLayout, lost: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Free points that a single direction, or a node of unknown place, sees."""
+def _unknown_points(
+    layout: BundleLayout, lost: np.ndarray, factor: np.ndarray, covariance: np.ndarray
+) -> np.ndarray:
+    """Free points that a single direction sees, or frames of unknown place alone, or that all else leaves open."""
     i0, l10, i1, l20, l21, i2 = factor.T
     with np.errstate(divide="ignore", invalid="ignore"):
         # Variance of each coordinate before it was tied to the others: 1 / V_aa, against that after, 1 / d_a.
         weak = (i2**2 * (1.0 / i2**2 + l20**2 + l21**2) > _UNKNOWN) | (
             i1**2 * (1.0 / i1**2 + l10**2) > _UNKNOWN
         )
+    k10, k21 = -i1 * l10 * i0, -i2 * l21 * i1
+    k20 = -i2 * (l20 * i0 + l21 * k10)
+    all_else_held = np.stack([i0**2 + k10**2 + k20**2, i1**2 + k21**2, i2**2], axis=1)
+    drifting = (np.einsum("nii->ni", covariance) > _UNKNOWN * all_else_held).any(axis=1)
     entries = layout.entries
-    touched = np.zeros(len(factor), bool)
-    touched[entries.point[lost[entries.node]]] = True
-    return (layout.unknowns.role == kernels.ELIMINATED) & (weak | (i0 == 0.0) | touched)
+    by_frame = entries.node >= layout.num_border
+    of_known, of_lost = np.zeros((2, len(factor)), bool)
+    of_known[entries.point[by_frame & ~lost[entries.node]]] = True
+    of_lost[entries.point[by_frame & lost[entries.node]]] = True
+    unknown = weak | (i0 == 0.0) | drifting | (of_lost & ~of_known)
+    return (layout.unknowns.role == kernels.ELIMINATED) & unknown
 
 
 def _of_nodes(inverse: np.ndarray, node: np.ndarray) -> np.ndarray:
