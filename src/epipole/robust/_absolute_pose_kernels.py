@@ -17,7 +17,7 @@ from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject
 from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows, rotate_left
 from epipole.robust._contract_kernels import implement
 from epipole.solvers._absolute_pose_kernels import p3p, p3p_workspace
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
 ROWS = 15
 
@@ -157,8 +157,8 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
 def absolute_normal_equations(model, m, threshold_sq, soft_sq, a, b):
     """Gauss-Newton terms of exp(xi) @ rig_from_world over the items within the threshold; returns the score."""
     rows = np.empty((14, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
+    clear_rows(a)
+    clear(b)
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)

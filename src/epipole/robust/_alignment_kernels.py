@@ -13,7 +13,7 @@ from epipole.robust._block_kernels import REASSOC, columns_within, rotate_left
 from epipole.robust._contract_kernels import implement
 from epipole.solvers._alignment_kernels import SCALE as SCALE
 from epipole.solvers._alignment_kernels import align_three_points
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
 
 class AlignmentProblem(NamedTuple):
@@ -58,8 +58,8 @@ def _sum_block(p, m, threshold_sq, start, stop):
 def alignment_normal_equations(p, m, threshold_sq, soft_sq, freedom, a, b):
     """Gauss-Newton terms in (t, rotation from the left, log s) over the items within the threshold; the score."""
     n, total = m.shape[1], 0.0
-    a[:, :] = 0.0
-    b[:] = 0.0
+    clear_rows(a)
+    clear(b)
     for k in range(n):
         x, y, z = m[0, k], m[1, k], m[2, k]
         gx = p[SCALE] * (p[0] * x + p[1] * y + p[2] * z)

@@ -82,6 +82,14 @@ def implement(problem_type, **implementations):
 _implementations: dict[str, dict] = {}
 
 
+_OPTIONS = {
+    "error_model": "numpy",
+    "fastmath": SAFE_FASTMATH,
+    "no_cpython_wrapper": True,  # they are called by kernels alone
+    "no_cfunc_wrapper": True,
+}
+
+
 def _open(function):
     known = _implementations.setdefault(function.__name__, {})
 
@@ -94,7 +102,7 @@ def _open(function):
     names = ", ".join(signature(function).parameters)
     scope = {"choose": choose}
     exec(f"def chooser({names}): return choose(problem)", scope)
-    overload(function, jit_options={"error_model": "numpy", "fastmath": SAFE_FASTMATH})(scope["chooser"])
+    overload(function, jit_options=_OPTIONS)(scope["chooser"])
 
 
 for _function in (

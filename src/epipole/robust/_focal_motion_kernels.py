@@ -35,7 +35,7 @@ from epipole.solvers._focal_motion_kernels import (
     shared_focal_six_point,
     shared_focal_workspace,
 )
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import (
     essential_from_motion,
     fundamental_seven_point,
@@ -105,8 +105,8 @@ def _derivatives(model, shared, d):
 def _normal_equations(model, m, threshold_sq, soft_sq, shared, a, b):
     size = 6 if shared else 7
     d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
+    clear_rows(a)
+    clear(b)
     _derivatives(model, shared, d)
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):

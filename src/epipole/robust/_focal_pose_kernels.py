@@ -12,7 +12,7 @@ from epipole._jit import kernel
 from epipole.robust._absolute_pose_kernels import retract_motion
 from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows
 from epipole.robust._contract_kernels import implement
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._more_pose_kernels import FOCAL as FOCAL
 from epipole.solvers._more_pose_kernels import p4pf, p4pf_workspace
 
@@ -84,28 +84,6 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
     return total
 
 
-@kernel(allocates=True)
-def focal_normal_equations(model, m, threshold_sq, soft_sq, a, b):
-    """Gauss-Newton terms in (exp(xi), log f) over the items within the threshold; returns the score."""
-    rows = np.empty((16, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows)
-        for which in range(2):
-            first = 8 * which
-            for i in range(7):
-                b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
-                for j in range(i + 1):
-                    a[i, j] += dot_rows(rows[first + 1 + i], rows[first + 1 + j], stop - start)
-    for i in range(7):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
-
-
 def _sample_size(problem):
     return np.int64(4)
 
@@ -162,7 +140,25 @@ def _near(problem, model, threshold_sq):
 
 
 def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    return focal_normal_equations(model, problem.items, threshold_sq, soft_sq, a, b)
+    """Gauss-Newton terms in (exp(xi), log f) over the items within the threshold; returns the score."""
+    rows = np.empty((16, BLOCK))
+    clear_rows(a)
+    clear(b)
+    items, total = problem.items, 0.0
+    n = items.shape[1]
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        total += _rows_of_block(model, items, threshold_sq, soft_sq, start, stop, rows)
+        for which in range(2):
+            first = 8 * which
+            for i in range(7):
+                b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
+                for j in range(i + 1):
+                    a[i, j] += dot_rows(rows[first + 1 + i], rows[first + 1 + j], stop - start)
+    for i in range(7):
+        for j in range(i):
+            a[j, i] = a[i, j]
+    return total
 
 
 def _retract(problem, model, delta, out):

@@ -23,7 +23,7 @@ from epipole.robust._block_kernels import (
     sampson_agreeing,
 )
 from epipole.robust._contract_kernels import implement
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import fundamental_seven_point, seven_point_workspace, svd3
 
 RATIO, SENSE, EPIPOLE = 27, 28, 29
@@ -188,46 +188,6 @@ def decompose(model):
     return True
 
 
-@kernel(allocates=True)
-def fundamental_normal_equations(model, m, threshold_sq, soft_sq, a, b):
-    """Gauss-Newton terms in the seven parameters of F over the matches within the threshold; returns the score."""
-    d, rows, jac = np.empty((7, 9)), np.empty((10, BLOCK)), np.empty((7, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
-    derivatives_of_fundamental(model, d)
-    # F is kept at length one: d F / d theta of F / |F|; the part along F itself moves no residual.
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += fundamental_rows(model, m, start, stop, threshold_sq, soft_sq, rows)
-        add_normal_equations(d, rows, jac, stop - start, a, b)
-    scale = 1.0 / math.sqrt(1.0 + model[RATIO] * model[RATIO])
-    for i in range(7):
-        b[i] *= scale
-        for j in range(i + 1):
-            a[i, j] *= scale * scale
-            a[j, i] = a[i, j]
-    return total
-
-
-@kernel(allocates=True)
-def _retract_fundamental(model, delta, out):
-    transposed, turned, back = np.empty(9), np.empty(9), np.empty(3)
-    for which in range(2):
-        base = 9 + 9 * which
-        for i in range(3):
-            back[i] = -delta[3 * which + i]
-            for j in range(3):
-                transposed[3 * j + i] = model[base + 3 * i + j]
-        # U exp(u) = (exp(-u) U^T)^T
-        rotate_left(back, transposed, turned)
-        for i in range(3):
-            for j in range(3):
-                out[base + 3 * i + j] = turned[3 * j + i]
-    out[RATIO] = max(model[RATIO] + delta[6], 0.0)
-    _compose(out)
-
-
 def _sample_size(problem):
     return np.int64(7)
 
@@ -290,11 +250,42 @@ def _near(problem, model, threshold_sq):
 
 
 def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    return fundamental_normal_equations(model, problem.matches, threshold_sq, soft_sq, a, b)
+    """Gauss-Newton terms in the seven parameters of F over the matches within the threshold; returns the score."""
+    d, rows, jac = np.empty((7, 9)), np.empty((10, BLOCK)), np.empty((7, BLOCK))
+    clear_rows(a)
+    clear(b)
+    derivatives_of_fundamental(model, d)
+    # F is kept at length one: d F / d theta of F / |F|; the part along F itself moves no residual.
+    matches, total = problem.matches, 0.0
+    n = matches.shape[1]
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        total += fundamental_rows(model, matches, start, stop, threshold_sq, soft_sq, rows)
+        add_normal_equations(d, rows, jac, stop - start, a, b)
+    scale = 1.0 / math.sqrt(1.0 + model[RATIO] * model[RATIO])
+    for i in range(7):
+        b[i] *= scale
+        for j in range(i + 1):
+            a[i, j] *= scale * scale
+            a[j, i] = a[i, j]
+    return total
 
 
 def _retract(problem, model, delta, out):
-    _retract_fundamental(model, delta, out)
+    transposed, turned, back = np.empty(9), np.empty(9), np.empty(3)
+    for which in range(2):
+        base = 9 + 9 * which
+        for i in range(3):
+            back[i] = -delta[3 * which + i]
+            for j in range(3):
+                transposed[3 * j + i] = model[base + 3 * i + j]
+        # U exp(u) = (exp(-u) U^T)^T
+        rotate_left(back, transposed, turned)
+        for i in range(3):
+            for j in range(3):
+                out[base + 3 * i + j] = turned[3 * j + i]
+    out[RATIO] = max(model[RATIO] + delta[6], 0.0)
+    _compose(out)
 
 
 implement(

@@ -14,7 +14,7 @@ import numpy as np
 from epipole._jit import kernel
 from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows, gather
 from epipole.robust._contract_kernels import implement
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import homography_four_point
 
 
@@ -151,8 +151,8 @@ def _rows_of_block(h, m, threshold_sq, soft_sq, start, stop, rows):
 def symmetric_normal_equations(h, m, threshold_sq, soft_sq, a, b):
     """Gauss-Newton terms in the nine entries of H, its length held; returns the score."""
     rows = np.empty((20, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
+    clear_rows(a)
+    clear(b)
     n, total = m.shape[1], 0.0
     for start in range(0, n, BLOCK):
         stop = min(start + BLOCK, n)

@@ -15,7 +15,7 @@ from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._loop_kernels import next_random, ransac
 from epipole.robust._relative_pose_kernels import RelativePoseProblem
-from epipole.solvers._linear_kernels import solve_spd
+from epipole.solvers._linear_kernels import clear, clear_rows, solve_spd
 from epipole.solvers._two_view_kernels import svd3
 
 GENERAL, PLANAR, ROTATION, NO_MOTION, DEGENERATE = 0, 1, 2, 3, 4
@@ -297,7 +297,7 @@ def _fit_rotation(pairs, p, chosen, rays1, rays2, scale_px, rotation):
     for i in range(9):
         rotation[i] = 1.0 if i % 4 == 0 else 0.0
     for turn in range(8):
-        m[:, :] = 0.0
+        clear_rows(m)
         for c in range(len(chosen)):
             weight = 1.0
             if turn > 0:
@@ -325,8 +325,8 @@ def _fit_turning_lens(rays1, rays2, focal_px, variance, rotation):
     turned, r, g = np.empty(9), rotation.copy(), 1.0
     for turn in range(TURN_STEPS + 1):
         total = 0.0
-        a[:, :] = 0.0
-        b[:] = 0.0
+        clear_rows(a)
+        clear(b)
         for c in range(len(rays1)):
             if not (rays1[c, 2] > LEAST_DEPTH and rays2[c, 2] > LEAST_DEPTH):
                 total += 4.0

@@ -22,7 +22,7 @@ from epipole.robust._block_kernels import (
     sampson_agreeing,
 )
 from epipole.robust._contract_kernels import implement
-from epipole.solvers._linear_kernels import copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import (
     essential_five_point,
     essential_from_motion,
@@ -57,17 +57,6 @@ def _score_block(p, m, start, stop, threshold_sq):
         least = -slack * xx * yy
         behind = xy * yt - yy * xt < least or xx * yt - xy * xt < least
         total += threshold_sq if behind or r > threshold_sq else r
-    return total
-
-
-@kernel
-def relative_score(model, m, threshold_sq, bail_out):
-    """MSAC score of a motion; stops once it exceeds bail_out."""
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        total += _score_block(model, m, start, min(start + BLOCK, n), threshold_sq)
-        if total > bail_out:
-            return total
     return total
 
 
@@ -166,39 +155,6 @@ def _rows_of_block(p, m, start, stop, threshold_sq, soft_sq, rows):
     return total
 
 
-@kernel(allocates=True)
-def _linearize(model, m, threshold_sq, soft_sq, a, b):
-    size = 5
-    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
-    a[:, :] = 0.0
-    b[:] = 0.0
-    derivatives_of_essential(model, d)
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, m, start, stop, threshold_sq, soft_sq, rows)
-        add_normal_equations(d, rows, jac, stop - start, a, b)
-    for i in range(size):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
-
-
-@kernel(allocates=True)
-def _retract(model, delta, out):
-    basis = np.empty((2, 3))
-    rotate_left(delta, model, out)
-    tangent_of_direction(model[9:12], basis)
-    norm = 0.0
-    for i in range(3):
-        out[9 + i] = model[9 + i] + delta[3] * basis[0, i] + delta[4] * basis[1, i]
-        norm += out[9 + i] ** 2
-    norm = 1.0 / math.sqrt(norm)
-    for i in range(3):
-        out[9 + i] *= norm
-    essential_from_motion(out, out[12:21])
-
-
 def _sample_size(problem):
     return np.int64(5)
 
@@ -237,7 +193,13 @@ def _settle(problem, sample, model, settled, work):
 
 
 def _score(problem, model, threshold_sq, bail_out):
-    return relative_score(model, problem.matches, threshold_sq, bail_out)
+    matches, total = problem.matches, 0.0
+    n = matches.shape[1]
+    for start in range(0, n, BLOCK):
+        total += _score_block(model, matches, start, min(start + BLOCK, n), threshold_sq)
+        if total > bail_out:
+            break
+    return total
 
 
 def _residuals_sq(problem, model, threshold_sq, out):
@@ -254,12 +216,36 @@ def _near(problem, model, threshold_sq):
     return RelativePoseProblem(columns_within(problem.matches, residuals, threshold_sq))
 
 
-def _linearize_problem(problem, model, threshold_sq, soft_sq, a, b):
-    return _linearize(model, problem.matches, threshold_sq, soft_sq, a, b)
+def _linearize(problem, model, threshold_sq, soft_sq, a, b):
+    size = 5
+    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
+    clear_rows(a)
+    clear(b)
+    derivatives_of_essential(model, d)
+    matches, total = problem.matches, 0.0
+    n = matches.shape[1]
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        total += _rows_of_block(model, matches, start, stop, threshold_sq, soft_sq, rows)
+        add_normal_equations(d, rows, jac, stop - start, a, b)
+    for i in range(size):
+        for j in range(i):
+            a[j, i] = a[i, j]
+    return total
 
 
-def _retract_problem(problem, model, delta, out):
-    _retract(model, delta, out)
+def _retract(problem, model, delta, out):
+    basis = np.empty((2, 3))
+    rotate_left(delta, model, out)
+    tangent_of_direction(model[9:12], basis)
+    norm = 0.0
+    for i in range(3):
+        out[9 + i] = model[9 + i] + delta[3] * basis[0, i] + delta[4] * basis[1, i]
+        norm += out[9 + i] ** 2
+    norm = 1.0 / math.sqrt(norm)
+    for i in range(3):
+        out[9 + i] *= norm
+    essential_from_motion(out, out[12:21])
 
 
 RELATIVE_POSE = {
@@ -274,7 +260,7 @@ RELATIVE_POSE = {
     "residuals_sq": _residuals_sq,
     "near": _near,
     "residual_size": _residual_size,
-    "linearize": _linearize_problem,
-    "retract": _retract_problem,
+    "linearize": _linearize,
+    "retract": _retract,
 }
 implement(RelativePoseProblem, **RELATIVE_POSE)

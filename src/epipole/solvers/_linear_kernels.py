@@ -13,6 +13,21 @@ def copy_numbers(source, target):
 
 
 @kernel
+def clear(numbers):
+    """Set to zero; `numbers[:] = 0` takes ten times as long to compile."""
+    for k in range(len(numbers)):
+        numbers[k] = 0.0
+
+
+@kernel
+def clear_rows(matrix):
+    """Set to zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@kernel
 def solve_spd(a, b, n):
     """Solve a x = b for symmetric positive definite a (n x n) by Cholesky, in place; False if not definite."""
     for j in range(n):

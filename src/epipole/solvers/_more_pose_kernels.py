@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.solvers._alignment_kernels import align_three_points
-from epipole.solvers._linear_kernels import null_space, reduce_rows
+from epipole.solvers._linear_kernels import clear, clear_rows, null_space, reduce_rows
 from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 from epipole.solvers._quadrics_kernels import intersect_quadrics, quadrics_workspace
 
@@ -22,7 +22,7 @@ def generalized_p3p(origins, rays, points, motions, w):
     two of the rays orthogonal. Rays of one origin are allowed. Writes up to eight motions (k, 13); returns k.
     """
     quadrics, solutions, seen, a, b, solver = w
-    quadrics[:, :] = 0.0
+    clear_rows(quadrics)
     for r in range(3):
         i, j = (0, 1) if r == 0 else ((0, 2) if r == 1 else (1, 2))
         cosine, along_i, along_j, apart, distance = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -113,7 +113,7 @@ def p4pf(pixels, points, models, w):
                 value += (u * basis[m, c] + v * basis[m, 4 + c]) * points[k, c]
             for c in range(4):
                 third[m, c] += inverse[c, 4 + k] * value / square
-    quadrics[:, :] = 0.0
+    clear_rows(quadrics)
     _product(basis, basis[:, 4:7], 0, quadrics[0], 1.0)
     _product(basis, basis[:, 0:3], 0, quadrics[1], 1.0)
     _product(basis, basis[:, 4:7], 4, quadrics[1], -1.0)
@@ -255,10 +255,10 @@ def upright_relative_three_point(y1, y2, motions, w):
             y = b if d == 0 else (0.0 if d == 1 else b)
             z = c if d == 0 else (-2.0 * a if d == 1 else -c)
             rows[k, 0, d], rows[k, 1, d], rows[k, 2, d] = y * s - z * v, z * u - x * s, x * v - y * u
-    poly[:] = 0.0
+    clear(poly)
     for column in range(3):
         p, q = (column + 1) % 3, (column + 2) % 3
-        minor[:] = 0.0
+        clear(minor)
         for i in range(3):
             for j in range(3):
                 minor[i + j] += rows[0, p, i] * rows[1, q, j] - rows[0, q, i] * rows[1, p, j]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.solvers._linear_kernels import reduce_rows
+from epipole.solvers._linear_kernels import clear, clear_rows, reduce_rows
 from epipole.solvers._polynomial_kernels import real_roots, roots_workspace
 
 # Coefficients of a quadric: x2 xy xz y2 yz z2 x y z 1.
@@ -130,10 +130,10 @@ def intersect_quadrics(c, solutions, w):
         p[r, 1, 0], p[r, 1, 1], p[r, 1, 2] = system[r, 5], system[r, 6], 0.0
         p[r, 2, 0], p[r, 2, 1], p[r, 2, 2] = system[r, 7], system[r, 8], system[r, 9]
     _fill_matrix(p, m, t)
-    poly[:] = 0.0
+    clear(poly)
     for column in range(3):
         a, b = (column + 1) % 3, (column + 2) % 3
-        minor[:] = 0.0
+        clear(minor)
         _multiply(m[0, a], 4, m[1, b], 4, 1.0, minor)
         _multiply(m[0, b], 4, m[1, a], 4, -1.0, minor)
         # Minors have degree 4 or 5, the last row 3 or 4; the product never exceeds 8.
@@ -157,8 +157,9 @@ def intersect_quadrics(c, solutions, w):
 @kernel
 def _fill_matrix(p, m, t):
     """M(z) (3, 3, 5) from x2 = p[0], xy = p[1], y2 = p[2], each (x, y, 1) with polynomials in z."""
-    m[:, :, :] = 0.0
-    t[:, :] = 0.0
+    for r in range(len(m)):
+        clear_rows(m[r])
+    clear_rows(t)
     # x (xy) - y (x2)
     _multiply(p[1, 1], 2, p[1, 0], 2, 1.0, m[0, 0])
     _multiply(p[0, 1], 2, p[2, 0], 2, -1.0, m[0, 0])

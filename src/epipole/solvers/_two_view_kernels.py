@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.solvers._linear_kernels import null_space, reduce_rows, symmetric_eigen
+from epipole.solvers._linear_kernels import clear, clear_rows, null_space, reduce_rows, symmetric_eigen
 from epipole.solvers._polynomial_kernels import cubic_roots, real_roots, roots_workspace
 
 # Monomials of degree <= 3 in x, y, z in Nister's order: x3 y3 x2y xy2 x2z x2 y2z y2 xyz xy | xz2 xz x yz2 yz y z3 z2 z 1.
@@ -66,17 +66,17 @@ def _add_quadratic_product(a, b, out):
 @kernel
 def essential_constraints(e, work, out):
     """Coefficients (10 x 20) of det E = 0 and E E^T E - trace(E E^T) E / 2 = 0 for E with linear entries e (9, 4)."""
-    out[:, :] = 0.0
+    clear_rows(out)
     minor = work[6]
     for c in range(3):
         a, b = (c + 1) % 3, (c + 2) % 3
-        minor[:] = 0.0
+        clear(minor)
         _add_linear_product(e[3 + a], e[6 + b], minor, 1.0)
         _add_linear_product(e[3 + b], e[6 + a], minor, -1.0)
         _add_quadratic_product(minor, e[c], out[0])
     # Upper triangle of E E^T: work[0..5] = 00 01 02 11 12 22.
     for k in range(6):
-        work[k, :] = 0.0
+        clear(work[k])
     k = 0
     for i in range(3):
         for j in range(i, 3):
@@ -124,7 +124,8 @@ def essential_five_point(y1, y2, essentials, w):
     if not reduce_rows(system):
         return 0
     # Rows x2z - z x2, y2z - z y2, xyz - z xy leave a 3x3 matrix B(z) with B(z) (x, y, 1)^T = 0.
-    b[:, :, :] = 0.0
+    for r in range(len(b)):
+        clear_rows(b[r])
     for r in range(3):
         upper, lower = system[4 + 2 * r], system[5 + 2 * r]
         for c in range(2):
@@ -137,10 +138,10 @@ def essential_five_point(y1, y2, essentials, w):
         for d in range(1, 4):
             b[r, 2, d] = upper[19 - d] - lower[20 - d]
         b[r, 2, 0] = upper[19]
-    poly[:] = 0.0
+    clear(poly)
     for r in range(3):
         p, q = (r + 1) % 3, (r + 2) % 3
-        minor[:] = 0.0
+        clear(minor)
         _multiply_add(b[p, 0, :4], b[q, 1, :4], minor, 1.0)
         _multiply_add(b[p, 1, :4], b[q, 0, :4], minor, -1.0)
         _multiply_add(minor, b[r, 2], poly, 1.0)
