@@ -19,7 +19,7 @@ from epipole.geometry import Rigid3
 from epipole.io import read_database
 from epipole.io.photographs import read_grey
 from epipole.io.truth import read_truth
-from epipole.synthetic.problems import absolute_pose_problem, two_view_problem
+from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
 Kind = Literal["relative_pose", "absolute_pose", "fundamental", "homography"]
 LEAST_MATCHES = 15
@@ -94,6 +94,24 @@ def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int
                     "absolute_pose", p.points_in_world, p.pixels, p.camera.K, size, p.cam_from_world
                 )
             )
+        return out
+
+    return make
+
+
+def _dominant_plane(
+    num_matches: int, outliers: float, share: float
+) -> Callable[[Path, int], list[EstimationProblem]]:
+    """A plane that holds most of the scene; F is scored by the exact matches off it."""
+
+    def make(_data: Path, count: int) -> list[EstimationProblem]:
+        out = []
+        for seed in range(count):
+            p = dominant_plane_problem(num_matches, share, outliers, 1.0, seed)
+            points = p.points_in_cam1[~p.plane_mask]
+            exact = np.c_[p.camera1.project(points), p.camera2.project(p.cam2_from_cam1.apply(points))]
+            size = (p.camera1.width, p.camera1.height)
+            out.append(EstimationProblem("fundamental", p.pixels1, p.pixels2, p.camera1.K, size, None, exact))
         return out
 
     return make
@@ -214,6 +232,12 @@ TASKS = {
                 f"absolute-1000-{percent}", "absolute_pose", _synthetic_absolute(1000, percent / 100)
             )
             for percent in _OUTLIERS
+        ),
+        *(
+            EstimationTask(
+                f"fundamental-plane-{percent}", "fundamental", _dominant_plane(1000, 0.4, percent / 100)
+            )
+            for percent in (80, 90, 95)
         ),
         EstimationTask("fundamental-clicked", "fundamental", _clicked("fundamental")),
         EstimationTask("homography-clicked", "homography", _clicked("homography")),

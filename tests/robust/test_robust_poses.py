@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
 from epipole.errors import ShapeError
-from epipole.geometry import Rigid3, Rotation3, Similarity3, from_homogeneous, to_homogeneous
+from epipole.geometry import Rigid3, Rotation3, Similarity3, from_homogeneous, sampson_error, to_homogeneous
 from epipole.robust import (
     Reason,
     estimate_absolute_pose,
@@ -21,7 +21,7 @@ from epipole.robust import (
     estimate_upright_motion,
     estimate_upright_pose,
 )
-from epipole.synthetic.problems import absolute_pose_problem, two_view_problem
+from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
 CAMERA = Camera(CameraModel.PINHOLE, 1280, 960, np.array([800.0, 800.0, 639.5, 479.5]))
 TRIALS = 150
@@ -206,6 +206,30 @@ def test_pure_forward_motion():
     assert found.success
     direction = p.cam2_from_cam1.translation
     assert np.degrees(np.arccos(np.clip(direction @ found.model.translation, -1, 1))) < 1.0
+
+
+@pytest.mark.parametrize(("count", "outliers"), [(1000, 0.4), (100, 0.0)])
+def test_a_noisy_plane_leaves_the_fundamental_matrix_open(count, outliers):
+    for seed in range(10):
+        p = two_view_problem(count, outliers, 1.0, seed, kind="planar")
+        found = estimate_fundamental_matrix(p.pixels1, p.pixels2, RansacConfig(max_error_px=3.0))
+        assert found.reason is Reason.DEGENERATE
+        assert np.isinf(found.covariance).all()
+
+
+@pytest.mark.parametrize("share", [0.8, 0.9, 0.95])
+def test_a_dominant_plane_does_not_hold_the_fundamental_matrix(share):
+    """The exact matches off the plane tell; without the way out of the plane half of these are wrong by pixels."""
+    errors = []
+    for seed in range(20):
+        p = dominant_plane_problem(1000, share, 0.4, 1.0, seed)
+        off = p.points_in_cam1[~p.plane_mask]
+        one, two = p.camera1.project(off), p.camera2.project(p.cam2_from_cam1.apply(off))
+        found = estimate_fundamental_matrix(p.pixels1, p.pixels2, RansacConfig(max_error_px=2.0))
+        assert found.success
+        errors.append(np.median(sampson_error(found.model, one, two)))
+    assert np.median(errors) < 0.4
+    assert max(errors) < 1.5
 
 
 def test_undetermined_models_are_called_degenerate():

@@ -72,6 +72,17 @@ def retract(problem, model, delta, out):
     """The model moved by a step."""
 
 
+def escape(problem, model, residuals, threshold_sq, state):
+    """Leave the best model, in place, where the items that agree with it are degenerate and others ask for another.
+
+    Optional. `residuals` are the model's, `state` the random generator's.
+    """
+
+
+def _stay(problem, model, residuals, threshold_sq, state):
+    pass
+
+
 def implement(problem_type, **implementations):
     """Register the functions of a problem type; at compile time the type of `problem` selects them."""
     for name, function in implementations.items():
@@ -80,6 +91,7 @@ def implement(problem_type, **implementations):
 
 
 _implementations: dict[str, dict] = {}
+_otherwise = {"escape": unwrap(_stay)}
 
 
 _OPTIONS = {
@@ -95,7 +107,7 @@ def _open(function):
 
     def choose(problem):
         if isinstance(problem, types.BaseNamedTuple):
-            return known.get(problem.instance_class.__name__)
+            return known.get(problem.instance_class.__name__, _otherwise.get(function.__name__))
         return None
 
     # Numba wants the chooser's parameters to be named as the function's.
@@ -107,6 +119,6 @@ def _open(function):
 
 for _function in (
     *(sample_size, num_items, degrees_of_freedom, workspace, solve_sample, agreeing, settle),
-    *(score, residuals_sq, near, residual_size, linearize, retract),
+    *(score, residuals_sq, near, residual_size, linearize, retract, escape),
 ):
     _open(_function)

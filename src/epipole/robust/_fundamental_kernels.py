@@ -22,7 +22,15 @@ from epipole.robust._block_kernels import (
     rotate_left,
     sampson_agreeing,
 )
-from epipole.robust._contract_kernels import implement
+from epipole.robust._contract_kernels import MODEL_SIZE, implement
+from epipole.robust._dominant_plane_kernels import (
+    DOMINANT,
+    chance_of_agreement,
+    find_plane,
+    off_plane,
+    plane_and_parallax,
+)
+from epipole.robust._loop_kernels import optimize_locally
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import fundamental_seven_point, seven_point_workspace, svd3
 
@@ -231,6 +239,49 @@ def _settle(problem, sample, model, settled, work):
     return 1 if decompose(settled[0]) else 0
 
 
+def _escape(problem, model, residuals, threshold_sq, state):
+    """From a plane that most matches lie on: to the F that the others ask for (see `_dominant_plane_kernels`).
+
+    They alone judge: the plane's matches fit some wrong F better than the right one, whose epipole is not theirs.
+    """
+    h, other = np.empty(9), np.empty(MODEL_SIZE)
+    m = problem.matches
+    share, reach_sq = find_plane(model, model[EPIPOLE : EPIPOLE + 3], m, residuals, threshold_sq, state, h)
+    if share < DOMINANT:
+        return
+    off = off_plane(h, m, reach_sq)
+    if plane_and_parallax(h, off, threshold_sq, state, other) < 3:
+        return
+    if not (find_epipole(other) and decompose(other)):
+        return
+    turned = 0
+    one, two = np.ones(3), np.ones(3)
+    for k in range(m.shape[1]):
+        if residuals[k] < threshold_sq:
+            one[0], one[1], two[0], two[1] = m[0, k], m[1, k], m[2, k], m[3, k]
+            turned += 1 if line_sense(other, one, two) < 0.0 else -1
+    other[SENSE] = -1.0 if turned > 0 else 1.0
+    optimize_locally(problem, other, threshold_sq)
+    before = fundamental_score(model, off, threshold_sq, math.inf)
+    # Two matches fit whatever epipole they fix, and another joins them by chance.
+    if fundamental_score(other, off, threshold_sq, math.inf) + 3.0 * threshold_sq < before:
+        copy_numbers(other, model)
+
+
+@kernel(allocates=True)
+def parallax_support(model, m, threshold_sq, seed):
+    """(share of the inliers on a plane, matches off it, those of them that agree with F, chance that one does)."""
+    residuals, h, state = np.empty(m.shape[1]), np.empty(9), np.empty(1, np.uint64)
+    state[0] = seed
+    fundamental_residuals(model, m, threshold_sq, residuals)
+    share, reach_sq = find_plane(model, model[EPIPOLE : EPIPOLE + 3], m, residuals, threshold_sq, state, h)
+    if share < DOMINANT:
+        return share, 0, 0, 1.0
+    off = off_plane(h, m, reach_sq)
+    agreed = sampson_agreeing(model, off, threshold_sq, 0, off.shape[1])
+    return share, off.shape[1], agreed, chance_of_agreement(model, m, threshold_sq)
+
+
 def _score(problem, model, threshold_sq, bail_out):
     return fundamental_score(model, problem.matches, threshold_sq, bail_out)
 
@@ -303,4 +354,5 @@ implement(
     residual_size=_residual_size,
     linearize=_linearize,
     retract=_retract,
+    escape=_escape,
 )

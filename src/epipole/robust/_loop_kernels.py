@@ -18,6 +18,7 @@ from epipole.robust._contract_kernels import (
     MOST_MODELS,
     agreeing,
     degrees_of_freedom,
+    escape,
     linearize,
     near,
     num_items,
@@ -327,6 +328,7 @@ def ransac(
                         enough = min(enough, ranked)
                     needed = min(needed, enough)
     if best_score < math.inf:
+        escape(problem, best, residuals, threshold_sq, state)
         refine(problem, best, threshold_sq, np.int64(FINAL_STEPS))
         residuals_sq(problem, best, threshold_sq, residuals)
         best_score = polish(problem, best, threshold_sq, residuals, breadth)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.special import bdtrc
 
 from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
-from epipole.robust._fundamental_kernels import FundamentalProblem, derivatives_of_fundamental
+from epipole.robust._fundamental_kernels import (
+    FundamentalProblem,
+    derivatives_of_fundamental,
+    parallax_support,
+)
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
 from epipole.robust._upright_motion_kernels import UprightMotionProblem
@@ -20,6 +26,7 @@ from epipole.robust.estimate import (
     Estimate,
     Found,
     ModelTraits,
+    Reason,
     checked_quality,
     random_order,
     run_loop,
@@ -138,6 +145,8 @@ def estimate_essential_matrix(
 
 
 _BREADTH_OF_PLANES = 1.5
+_ALL_BUT_CHANCE = 0.8
+"""Share of the inliers on one plane above which those off it may agree by chance alone."""
 
 
 def estimate_fundamental_matrix(
@@ -146,7 +155,8 @@ def estimate_fundamental_matrix(
     """Fundamental matrix, x2^T F x1 = 0, |F| = 1: seven points, then truncated Sampson error.
 
     Matches must be seen from the same side of the epipolar lines (the oriented constraint of Chum, Werner and
-    Matas, ICPR 2004). On a plane F is undetermined.
+    Matas, ICPR 2004). Where a plane holds most matches, those off it decide (Chum, Werner and Matas, CVPR 2005); where
+    too few of them agree for that to be no chance, F is undetermined: `Reason.DEGENERATE`.
 
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
@@ -160,7 +170,10 @@ def estimate_fundamental_matrix(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config or RansacConfig(), quality)
+    config = config or RansacConfig()
+    problem, found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config, quality)
+    if found.reason is Reason.OK and _holds_by_a_plane(problem, found.raw, config.max_error_px * t1[0, 0]):
+        found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
     entries = np.kron(t2.T, t1.T) / norm  # vec(T2^T F T1), row by row
@@ -190,7 +203,7 @@ def estimate_homography(
         ShapeError: the arrays do not fit.
     """
     config = config or RansacConfig()
-    found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config, quality, _BREADTH_OF_PLANES)
+    _, found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config, quality, _BREADTH_OF_PLANES)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -227,7 +240,7 @@ def _fit_motion(
 
 def _fit_pixels(
     kind: Any, pixels1: Any, pixels2: Any, config: RansacConfig, quality: Any, breadth: float = 1.0
-) -> tuple[Found, np.ndarray, np.ndarray]:
+) -> tuple[Any, Found, np.ndarray, np.ndarray]:
     """Fit in coordinates centred and divided by one common length, so that one threshold serves both pictures."""
     p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
     n = require_same_length(pixels1=p1, pixels2=p2)
@@ -250,7 +263,21 @@ def _fit_pixels(
         np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
         for u, v in (center[:2], center[2:])
     )
-    return found, t1, t2
+    return problem, found, t1, t2
+
+
+def _holds_by_a_plane(problem: FundamentalProblem, raw: np.ndarray, max_error: float) -> bool:
+    """Whether F stands on a plane and on no more matches off it than chance gives.
+
+    Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
+    expected to give to a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). Of 800 noisy planes none
+    passed for a scene with depth; few points off the plane may pass for none.
+    """
+    share, num_off, agreed, chance = parallax_support(raw, problem.matches, max_error**2, np.uint64(0))
+    if share < _ALL_BUT_CHANCE:
+        return False
+    pairs = 0.5 * num_off * (num_off - 1)
+    return bool(agreed < 3 or bdtrc(agreed - 3, num_off - 2, chance) * pairs > 0.1)
 
 
 def _twist_covariance(found: Found) -> np.ndarray:

@@ -36,6 +36,8 @@ class TwoViewProblem:
     camera2: Camera
     points_in_cam1: Float64[np.ndarray, "n 3"]
     """What pixels1 sees, of outliers too."""
+    plane_mask: Bool[np.ndarray, " n"]
+    """Which of these lie on the plane, if the scene has one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,23 +85,63 @@ def two_view_problem(
         ConfigError: a value makes no sense.
     """
     _check(num_matches, outlier_ratio, noise_px)
-    rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
+    return _two_views(_pinhole(focal_px, size), num_matches, outlier_ratio, noise_px, seed, kind)
+
+
+def dominant_plane_problem(
+    num_matches: int,
+    plane_share: float,
+    outlier_ratio: float = 0.0,
+    noise_px: float = 0.0,
+    seed: int = 0,
+) -> TwoViewProblem:
+    """`two_view_problem` of a scene most of whose points lie on one slanted plane, and the others anywhere.
+
+    Args:
+        num_matches: inliers and outliers together.
+        plane_share: of the points.
+        outlier_ratio: share of wrong matches.
+        noise_px: standard deviation of every coordinate in both pictures.
+        seed: of everything random.
+
+    Raises:
+        ConfigError: a value makes no sense.
+    """
+    _check(num_matches, outlier_ratio, noise_px)
+    if not 0 <= plane_share <= 1:
+        raise ConfigError(f"plane_share must lie in [0, 1], got {plane_share}")
+    camera = _pinhole(800.0, (1280, 960))
+    return _two_views(camera, num_matches, outlier_ratio, noise_px, seed, "planar", plane_share)
+
+
+def _two_views(
+    camera: Camera,
+    num_matches: int,
+    outlier_ratio: float,
+    noise_px: float,
+    seed: int,
+    kind: str,
+    plane_share: float = 1.0,
+) -> TwoViewProblem:
+    rng = np.random.default_rng(seed)
     rotation = Rotation3.exp(_direction(rng) * rng.uniform(0.05, 0.15))
     center = np.array([0.0, 0.0, 1.0]) if kind == "forward" else _direction(rng)
     shift = np.zeros(3) if kind == "rotation" else -rotation.apply(center)
     cam2_from_cam1 = Rigid3(rotation.matrix, shift)
     normal = _slanted_normal(rng) if kind == "planar" else None
     points, pixels1, pixels2 = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
+    plane_mask = np.empty(0, bool)
     while len(points) < num_matches:
-        candidates, seen1 = _points_in_view(rng, camera, num_matches + 8, normal)
+        candidates, seen1, flat = _points_in_view(rng, camera, num_matches + 8, normal, plane_share)
         seen2 = camera.project(cam2_from_cam1.apply(candidates))
         inside = _is_inside(camera, seen2)
         points = np.concatenate([points, candidates[inside]])[:num_matches]
+        plane_mask = np.concatenate([plane_mask, flat[inside]])[:num_matches]
         pixels1 = np.concatenate([pixels1, seen1[inside]])[:num_matches]
         pixels2 = np.concatenate([pixels2, seen2[inside]])[:num_matches]
     pixels1 = pixels1 + noise_px * rng.standard_normal(pixels1.shape)
     pixels2, inlier_mask = _with_noise_and_outliers(rng, camera, pixels2, outlier_ratio, noise_px)
-    return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points)
+    return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points, plane_mask)
 
 
 def absolute_pose_problem(
@@ -132,7 +174,7 @@ def absolute_pose_problem(
         Rotation3.from_quat_wxyz(rng.standard_normal(4)).matrix, rng.uniform(-10.0, 10.0, 3)
     )
     normal = _slanted_normal(rng) if planar else None
-    points_in_cam, pixels = _points_in_view(rng, camera, num_points, normal)
+    points_in_cam, pixels, _ = _points_in_view(rng, camera, num_points, normal)
     pixels, inlier_mask = _with_noise_and_outliers(rng, camera, pixels, outlier_ratio, noise_px)
     points_in_world = cam_from_world.inverse().apply(points_in_cam)
     return AbsolutePoseProblem(points_in_world, pixels, inlier_mask, cam_from_world, camera)
@@ -202,17 +244,25 @@ def _slanted_normal(rng: np.random.Generator) -> Float64[np.ndarray, " 3"]:
 
 
 def _points_in_view(
-    rng: np.random.Generator, camera: Camera, count: int, plane_normal: np.ndarray | None
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"]]:
-    """Points in camera coordinates and their exact pixels, spread evenly over the picture."""
+    rng: np.random.Generator,
+    camera: Camera,
+    count: int,
+    plane_normal: np.ndarray | None,
+    plane_share: float = 1.0,
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """Points in camera coordinates, their exact pixels, spread evenly over the picture, and which are on the plane."""
     pixels = _anywhere(rng, camera, count)
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]
-    if plane_normal is None:
-        return rays * rng.uniform(NEAR, FAR, (count, 1)), pixels
-    # n . x = n_z (NEAR + FAR) / 2: the plane meets the axis in the middle of the depths.
-    depth = 0.5 * (NEAR + FAR) * plane_normal[2] / (rays @ plane_normal)
-    return rays * depth[:, None], pixels
+    plane_mask = np.full(count, plane_normal is not None)
+    if plane_normal is not None and plane_share < 1.0:
+        plane_mask &= rng.random(count) < plane_share
+    depth = np.ones(count) if plane_mask.all() else rng.uniform(NEAR, FAR, count)
+    if plane_normal is not None:
+        # n . x = n_z (NEAR + FAR) / 2: the plane meets the axis in the middle of the depths.
+        on_plane = 0.5 * (NEAR + FAR) * plane_normal[2] / (rays @ plane_normal)
+        depth = np.where(plane_mask, on_plane, depth)
+    return rays * depth[:, None], pixels, plane_mask
 
 
 def _anywhere(rng: np.random.Generator, camera: Camera, count: int) -> Float64[np.ndarray, "n 2"]:
