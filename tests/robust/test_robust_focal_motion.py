@@ -7,6 +7,7 @@ from scipy.stats import chi2
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
 from epipole.robust import Reason, estimate_motion_and_focals, estimate_motion_and_shared_focal
+from epipole.solvers import solve_shared_focal_six_point
 from epipole.solvers._focal_motion_kernels import (
     focals_from_fundamental,
     shared_focal_six_point,
@@ -39,6 +40,17 @@ def test_six_exact_matches_contain_the_shared_focal_length(rng):
         ]
         missed += not min(error, default=1.0) < 1e-6
     assert missed <= 8, missed  # roots that lie together between two grid points are not told apart
+
+
+def test_the_six_point_solver_works_in_pixels(rng):
+    motion, y1, y2 = random_views(rng, 6)
+    found = solve_shared_focal_six_point(700.0 * y1[:, :2], 700.0 * y2[:, :2])
+    lens = np.diag([1.0, 1.0, 700.0])
+    truth = lens @ essential_from_cam2_from_cam1(motion) @ lens
+    nearest = np.argmin(np.abs(found.focal_px - 700.0))
+    assert found.focal_px[nearest] == pytest.approx(700.0, rel=1e-5)
+    alike = abs((found.fundamental[nearest] * truth).sum()) / np.linalg.norm(truth)
+    assert alike == pytest.approx(1.0, abs=1e-9)
 
 
 def test_focal_lengths_of_an_exact_fundamental_matrix(rng):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, from_homogeneous, to_homogeneous
+from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as kernels
 
@@ -47,6 +49,41 @@ def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:
     out = np.empty((12, 12))
     count = more.upright_relative_three_point(y1, y2, out, more.upright_relative_workspace())
     return Rigid3(out[:count, :9].reshape(-1, 3, 3).copy(), out[:count, 9:].copy())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedFocals:
+    """Fundamental matrices, |F| = 1, with the focal length of both cameras, in pixels."""
+
+    fundamental: Float64[np.ndarray, "k 3 3"]
+    focal_px: Float64[np.ndarray, " k"]
+
+
+def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
+    """All fundamental matrices of six matches between two cameras of one focal length (Stewenius et al. 2005).
+
+    Assumption: square pixels, no distortion; focal lengths from a quarter of the pictures' extent to eight times that.
+
+    Args:
+        pixels1: counted from the principal point, (6, 2).
+        pixels2: the same in picture 2.
+
+    Returns:
+        Between 0 and 8 solutions; none where optical axes meet, which leaves the focal length open.
+    """
+    p1 = as_float_array(pixels1, "pixels1", 6, 2, finite=True)
+    p2 = as_float_array(pixels2, "pixels2", 6, 2, finite=True)
+    size = max(float(np.abs(p1).max()), float(np.abs(p2).max())) or 1.0
+    x1, x2 = to_homogeneous(p1 / size), to_homogeneous(p2 / size)
+    essentials, focals = np.empty((8, 9)), np.empty(8)
+    count = focal_motion.shared_focal_six_point(
+        x1, x2, essentials, focals, focal_motion.shared_focal_workspace()
+    )
+    focal_px = size * focals[:count]
+    lens = np.ones((count, 3))
+    lens[:, 2] = focal_px
+    found = lens[:, :, None] * essentials[:count].reshape(-1, 3, 3) * lens[:, None, :]
+    return SharedFocals(found / np.linalg.norm(found, axis=(1, 2), keepdims=True), focal_px)
 
 
 def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
