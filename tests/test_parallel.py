@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -93,7 +94,9 @@ def test_a_thread_can_ask_to_run_inline() -> None:
     thread.start()
     thread.join()
     assert len(seen[0]) == 1
-    assert threading.get_ident() not in set(map_items(lambda _: threading.get_ident(), 4))
+    meeting = threading.Barrier(2, timeout=20)
+    here = map_items(lambda _: (meeting.wait(), threading.get_ident())[1], 2)
+    assert len(set(here)) == 2 and threading.get_ident() in here
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -108,6 +111,26 @@ def test_an_error_reaches_the_caller_and_the_pool_lives_on(threads: int) -> None
     with pytest.raises(KeyError, match="item 3"):
         map_items(work, 8)
     assert map_items(lambda i: i, 8) == list(range(8))
+
+
+def test_after_an_error_nothing_is_begun_and_nothing_still_runs() -> None:
+    set_num_threads(2)
+    running, begun = [0], []
+
+    def work(i: int) -> None:
+        running[0] += 1
+        begun.append(i)
+        try:
+            if i == 0:
+                raise KeyError("item 0")
+            time.sleep(0.02)
+        finally:
+            running[0] -= 1
+
+    with pytest.raises(KeyError, match="item 0"):
+        map_items(work, 100)
+    assert running[0] == 0
+    assert len(begun) < 50
 
 
 def test_the_number_of_threads_is_taken_from_the_surroundings(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,6 +178,8 @@ def test_blas_has_one_thread_inside_and_its_own_number_after() -> None:
     def blas_threads() -> list[int]:
         return [int(pool["num_threads"]) for pool in threadpool_info() if pool["user_api"] == "blas"]
 
+    with single_threaded_blas():  # the first time loads SciPy's
+        pass
     before = blas_threads()
     with single_threaded_blas():
         assert set(blas_threads()) <= {1}

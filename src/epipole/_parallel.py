@@ -2,8 +2,9 @@
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -49,7 +50,7 @@ def _shared_pool() -> ThreadPoolExecutor:
     global _pool  # noqa: PLW0603 - the one pool of the process
     with _lock:
         if _pool is None:
-            _pool = ThreadPoolExecutor(num_threads(), thread_name_prefix="epipole")
+            _pool = ThreadPoolExecutor(max(1, num_threads() - 1), thread_name_prefix="epipole")
         return _pool
 
 
@@ -73,18 +74,40 @@ def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chun
     """Call work(start, stop, chunk) for fixed chunks of range(num_items); results come in chunk order.
 
     The chunks depend on num_items and num_chunks alone, so that sums reduced in this order are the same for
-    any number of threads. Called from inside a worker it runs inline.
+    any number of threads. The calling thread takes its part: handing every chunk to another one took longer than many
+    a chunk. Called from inside a worker it runs inline. After an error the chunks not yet begun are left out.
     """
     bounds = chunk_bounds(num_items, num_chunks)
     if len(bounds) <= 1 or num_threads() == 1 or getattr(_inside, "worker", False):
         return [work(start, stop, c) for c, (start, stop) in enumerate(bounds)]
+    results: dict[int, Result] = {}
+    waiting = deque(range(len(bounds)))  # its popleft is safe to call from several threads
 
-    def run(c: int, start: int, stop: int) -> Result:
+    def take_part() -> None:
         _inside.worker = True
-        return work(start, stop, c)
+        try:
+            while True:
+                try:
+                    c = waiting.popleft()
+                except IndexError:
+                    return
+                results[c] = work(*bounds[c], c)
+        except BaseException:
+            waiting.clear()
+            raise
+        finally:
+            _inside.worker = False
 
-    futures = [_shared_pool().submit(run, c, start, stop) for c, (start, stop) in enumerate(bounds)]
-    return [future.result() for future in futures]
+    pool = _shared_pool()
+    helpers = [pool.submit(take_part) for _ in range(min(num_threads(), len(bounds)) - 1)]
+    try:
+        take_part()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()
+    return [results[c] for c in range(len(bounds))]
 
 
 def map_items(work: Callable[[int], Result], num_items: int) -> list[Result]:
