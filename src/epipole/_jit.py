@@ -124,6 +124,7 @@ def kernel(
     *,
     allocates: bool = False,
     inline: bool = False,
+    fuse: bool = False,
     extra_fastmath: frozenset[str] = frozenset(),
 ) -> Any:
     """Compile a function lazily as a serial, GIL-free, disk-cached kernel.
@@ -136,10 +137,14 @@ def kernel(
         function: the Python function (annotations are for readers; a type-checking wrapper is removed).
         allocates: it makes or returns arrays, and has to count.
         inline: always inline into the calling kernel (small helpers that are called per item).
+        fuse: the same, but left to LLVM: for large helpers that are called per item with many arrays. Where LLVM does
+            not inline by itself, every field of every array goes over the stack at each call.
         extra_fastmath: flags beyond the safe set, for a measured reason (e.g. `reassoc` for a long dot product).
     """
     if function is None:
-        return lambda f: kernel(f, allocates=allocates, inline=inline, extra_fastmath=extra_fastmath)
+        return lambda f: kernel(
+            f, allocates=allocates, inline=inline, fuse=fuse, extra_fastmath=extra_fastmath
+        )
     previous = _numba_config.CACHE_DIR
     _numba_config.CACHE_DIR = str(cache_folder())
     try:
@@ -150,6 +155,7 @@ def kernel(
             error_model="numpy",
             fastmath=SAFE_FASTMATH | set(extra_fastmath),
             inline="always" if inline else "never",
+            forceinline=fuse,
             _nrt=allocates,
             no_cfunc_wrapper=True,  # for use as a value, which nothing here is; it took 4 % of compiling
         )

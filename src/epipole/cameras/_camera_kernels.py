@@ -71,7 +71,8 @@ def distort_with_jacobian(d0, d1, d2, d3, a, b):
 def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
     """Pixel (u, v), d(u, v)/d(x, y, z) into jac_point (2, 3) and d(u, v)/d(params) into jac_params (2, 8)."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
-    jac_params[:, :] = 0.0
+    for c in range(8):  # a slice is set by slower code
+        jac_params[0, c] = jac_params[1, c] = 0.0
     if model == OPENCV_FISHEYE:
         rho2 = x * x + y * y
         rho = math.sqrt(rho2)

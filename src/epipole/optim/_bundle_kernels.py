@@ -19,11 +19,20 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole._lane_kernels import add_product, add_rows, add_two_rows, scale_row, set_rows, set_two_rows
+from epipole._lane_kernels import (
+    add_product,
+    add_rows,
+    add_two_rows,
+    scale_row,
+    set_rows,
+    set_two_rows,
+)
 from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
 from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
 HELD, ELIMINATED, KEPT = 0, 1, 2
+_LINE = 64
+"""Bytes that the processor's cache keeps together: a vector that lies in two such lines takes twice as long."""
 
 
 class Observations(NamedTuple):
@@ -113,14 +122,23 @@ class Scratch(NamedTuple):
     """(wide,)"""
 
 
+def rows_of_zeros(shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
+    """An array of zeros that begins with a line of the cache, as NumPy's own do not."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    room = np.zeros(size + _LINE, np.uint8)
+    first = -room.ctypes.data % _LINE
+    return room[first : first + size].view(dtype).reshape(shape)
+
+
 def make_scratch(wide: int) -> Scratch:
     """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
     return Scratch(
-        np.empty((2, 3)), np.empty((2, 8)), np.zeros((2, wide)), np.empty((2, 3)), np.empty(6), np.zeros(wide)
+        *(np.empty((2, 3)), np.empty((2, 8)), rows_of_zeros((2, wide)), np.empty((2, 3)), np.empty(6)),
+        rows_of_zeros((wide,)),
     )
 
 
-@kernel
+@kernel(fuse=True)
 def _residual(obs, k, scene, x, y, z):
     """Residual (ru, rv) of observation k of the point (x, y, z) in world coordinates."""
     i = obs.image[k]
@@ -145,7 +163,7 @@ def find_visible(obs, start, stop, scene):
             obs.used[k] = ru * ru + rv * rv < math.inf
 
 
-@kernel
+@kernel(fuse=True)
 def _point_cost(obs, j, scene, x, y, z, loss, scale_sq):
     """Sum of rho over the observations of point j, were it at (x, y, z); infinite if it is behind a camera."""
     total = 0.0
@@ -177,13 +195,12 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch
     """
     total, points = 0.0, scene.points
     for j in range(start, stop):
-        cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+        cost, x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
         if cost == math.inf:
             for c in range(3):
                 points[j, c] = before[j, c]
-            cost = _point_cost(obs, j, scene, points[j, 0], points[j, 1], points[j, 2], loss, scale_sq)
+            cost, x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
         if role[j] == ELIMINATED and cost < math.inf:
-            x, y, z = _newton_point(obs, j, scene, loss, scale_sq, scratch)
             settled = _point_cost(obs, j, scene, x, y, z, loss, scale_sq)
             if settled < cost:
                 points[j, 0], points[j, 1], points[j, 2] = x, y, z
@@ -192,12 +209,12 @@ def settle_points(obs, start, stop, scene, role, loss, scale_sq, before, scratch
     return 0.5 * total
 
 
-@kernel
+@kernel(fuse=True)
 def _newton_point(obs, j, scene, loss, scale_sq, scratch):
-    """Where a Gauss-Newton step takes point j, all else held."""
+    """The cost of point j, infinite if it is behind a camera, and where a Gauss-Newton step takes it, all else held."""
     by_cam, by_params, factor = scratch.by_point_in_cam, scratch.by_params, scratch.factor
     x, y, z = scene.points[j, 0], scene.points[j, 1], scene.points[j, 2]
-    v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
+    cost = v0 = v1 = v2 = v3 = v4 = v5 = g0 = g1 = g2 = 0.0
     for k in range(obs.offsets[j], obs.offsets[j + 1]):
         if not obs.used[k]:
             continue
@@ -213,7 +230,8 @@ def _newton_point(obs, j, scene, loss, scale_sq, scratch):
             by_params,
         )
         ru, rv = u - obs.pixels[k, 0], v - obs.pixels[k, 1]
-        _, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
+        rho, w = robust_loss(loss, ru * ru + rv * rv, scale_sq)
+        cost += rho
         a0 = by_cam[0, 0] * r[0] + by_cam[0, 1] * r[3] + by_cam[0, 2] * r[6]
         a1 = by_cam[0, 0] * r[1] + by_cam[0, 1] * r[4] + by_cam[0, 2] * r[7]
         a2 = by_cam[0, 0] * r[2] + by_cam[0, 1] * r[5] + by_cam[0, 2] * r[8]
@@ -233,10 +251,11 @@ def _newton_point(obs, j, scene, loss, scale_sq, scratch):
     h2 = factor[5] * (g2 - factor[3] * h0 - factor[4] * h1)
     d2 = -factor[5] * h2
     d1 = -factor[2] * (h1 + factor[4] * d2)
-    return x - factor[0] * (h0 + factor[1] * d1 + factor[3] * d2), y + d1, z + d2
+    d0 = -factor[0] * (h0 + factor[1] * d1 + factor[3] * d2)
+    return cost if cost < math.inf else math.inf, x + d0, y + d1, z + d2
 
 
-@kernel
+@kernel(fuse=True)
 def _jacobians(obs, k, x, y, z, scene, unknowns, scratch):
     """Residual of observation k of the point (x, y, z); its derivatives go to j (2, wide) and j_point (2, 3)."""
     by_cam, j, j_point = scratch.by_point_in_cam, scratch.j, scratch.j_point
@@ -283,16 +302,15 @@ def _jacobians(obs, k, x, y, z, scene, unknowns, scratch):
     return u - obs.pixels[k, 0], v - obs.pixels[k, 1]
 
 
-@kernel
+@kernel(fuse=True)
 def _add_to_image(normal, gradient, j, weight, ru, rv, wide):
     """Normal += weight J^T J, gradient += weight J^T r."""
+    add_two_rows(gradient, weight * ru, j[0], weight * rv, j[1], wide)
     for p in range(len(wide)):
-        a, b = weight * j[0, p], weight * j[1, p]
-        gradient[p] += a * ru + b * rv
-        add_two_rows(normal[p], a, j[0], b, j[1], wide)
+        add_two_rows(normal[p], weight * j[0, p], j[0], weight * j[1, p], j[1], wide)
 
 
-@kernel
+@kernel(fuse=True)
 def _add_to_entries(k, first, entries, unknowns, i, z, j, j_point, weight, lanes):
     """W += weight J_a^T J_p in the entries that observation k touches."""
     slot = entries.slot[k]
@@ -311,7 +329,7 @@ def _add_to_entries(k, first, entries, unknowns, i, z, j, j_point, weight, lanes
                 w[q] += a * j[0, at + q] + b * j[1, at + q]
 
 
-@kernel
+@kernel(fuse=True)
 def _factor_point(v0, v1, v2, v3, v4, v5, damping, factor):
     """L of the damped [[v0, ., .], [v1, v3, .], [v2, v4, v5]]; zeros, so that the point stays, if it has none."""
     grown = 1.0 + damping
@@ -332,7 +350,7 @@ def _factor_point(v0, v1, v2, v3, v4, v5, damping, factor):
     factor[5] = i2 if fine else 0.0
 
 
-@kernel
+@kernel(fuse=True)
 def _eliminate_point(j, entries, kept, g0, g1, g2, reduced, lanes):
     """W -> Z in the entries of point j, h, and reduced += Z h."""
     f, h = kept.factor[j], kept.h[j]
@@ -415,7 +433,7 @@ def reduce_rows(start, stop, entries, z, row_start, column, blocks, slot, lanes)
             slot[column[b]] = -1
 
 
-@kernel
+@kernel(fuse=True)
 def _reduce_row(a, entries, z, slot, blocks, lanes):
     height = entries.width[a]
     for at in range(entries.node_start[a], entries.node_start[a + 1]):
@@ -456,7 +474,7 @@ def add_images(unknowns, normal, gradient, places, blocks, out, wide):
                         block[p - begin[a], q - begin[b]] += normal[i, p, q]
 
 
-@kernel
+@kernel(fuse=True)
 def _gather(entries, j, z, x, lane_sums, lanes):
     """Sum Z_a^T x_a of point j, lane by lane first: so that the lanes are independent."""
     for c in range(3):

@@ -31,7 +31,7 @@ def robust_loss(kind, s, scale_sq):
     return scale_sq, 0.0
 
 
-@kernel
+@kernel(fuse=True)
 def allow_for_curvature(kind, scale_sq, ru, rv, j, j_point):
     """Triggs' second-order correction of a robust term (Triggs et al. 2000, section 4.3): J, r -> J', r'.
 

@@ -74,7 +74,7 @@ class BundleSystem:
         self._loss = (int(loss), float(loss_scale_px**2))
         entries, num_points = self.layout.entries, len(problem.points_in_world)
         self.kept = kernels.Eliminated(
-            np.empty(
+            kernels.rows_of_zeros(
                 (len(entries.node), 3, len(self.layout.lanes)), np.float32 if single_precision else np.float64
             ),
             np.empty((num_points, 6)),
@@ -170,8 +170,8 @@ class BundleSystem:
         """Form the normal equations and eliminate the points."""
         layout = self.layout
         normal, image_gradient, reduced = self._sum_over_points(state, damping)
-        blocks = np.zeros((len(self.pattern.row), len(layout.lanes), len(layout.lanes)))
-        gradient = np.zeros((layout.num_nodes, len(layout.lanes)))
+        blocks = kernels.rows_of_zeros((len(self.pattern.row), len(layout.lanes), len(layout.lanes)))
+        gradient = kernels.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
         kernels.add_images(
             layout.unknowns, normal, image_gradient, self._places, blocks, gradient, layout.wide
         )
@@ -203,9 +203,9 @@ class BundleSystem:
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             sums = (
-                np.zeros((images, wide, wide)),
-                np.zeros((images, wide)),
-                np.zeros((layout.num_nodes, len(layout.lanes))),
+                kernels.rows_of_zeros((images, wide, wide)),
+                kernels.rows_of_zeros((images, wide)),
+                kernels.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
             )
             kernels.linearize(
                 *(layout.observations, start, stop, scene, layout.unknowns, layout.entries),
@@ -323,7 +323,7 @@ class BundleSystem:
         def work(start: int, stop: int, _: int) -> np.ndarray:
             part = np.zeros_like(x)
             lanes = self.layout.lanes
-            room = np.empty((3, len(lanes)))
+            room = kernels.rows_of_zeros((3, len(lanes)))
             kernels.multiply_eliminated(self.layout.entries, start, stop, self.kept.z, x, part, room, lanes)
             return part
 
@@ -340,7 +340,7 @@ class BundleSystem:
         parts = _parallel.map_chunks(
             lambda a, b, _: kernels.substitute_back(
                 *(layout.entries, a, b, state.points, self.kept, step, damping, moved.points),
-                *(np.empty((3, len(layout.lanes))), layout.lanes),
+                *(kernels.rows_of_zeros((3, len(layout.lanes))), layout.lanes),
             ),
             len(state.points),
             layout.num_chunks,
