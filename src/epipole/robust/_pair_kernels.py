@@ -97,7 +97,7 @@ def _shuffle(chosen, count, seed):
         chosen[k], chosen[other] = chosen[other], chosen[k]
 
 
-@kernel
+@kernel(fuse=True)
 def _onto_plane(pairs, p, k, which, out, column):
     """Where the ray of match k crosses the plane z = 1 of camera `which`; whether it does."""
     camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
@@ -275,7 +275,7 @@ def _gric(total, count, dimension, parameters):
     return total + count * dimension * math.log(4.0) + parameters * math.log(4.0 * count)
 
 
-@kernel
+@kernel(fuse=True)
 def _turn_error_sq(pairs, p, k, r, ray):
     """Squared distance of a turned ray's pixel from its match in image 2."""
     camera = pairs.camera2[p]
