@@ -95,9 +95,14 @@ class Camera:
         """
         rays = self.unproject(pixels)
         _, jac, _ = self.project_with_jacobian(rays)
-        finite = np.isfinite(jac).all(axis=(1, 2))
-        out = np.full((len(rays), 3, 2), np.nan)
-        out[finite] = np.linalg.pinv(jac[finite])
+        a, b = jac[:, 0], jac[:, 1]
+        aa, bb, ab = (a * a).sum(axis=1), (b * b).sum(axis=1), (a * b).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over = 1.0 / (aa * bb - ab * ab)[:, None]
+            out = np.stack(
+                [over * (bb[:, None] * a - ab[:, None] * b), over * (aa[:, None] * b - ab[:, None] * a)],
+                axis=2,
+            )
         return rays, out
 
     def scaled_to(self, width: int, height: int) -> Camera:

@@ -21,6 +21,7 @@ from epipole.robust._fundamental_kernels import (
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
 from epipole.robust._upright_motion_kernels import UprightMotionProblem
+from epipole.robust._wide_motion_kernels import WideMotionProblem
 from epipole.robust.absolute_pose import turn_upright
 from epipole.robust.estimate import (
     Estimate,
@@ -53,7 +54,8 @@ def estimate_relative_pose(
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
         pixels2: the same in image 2.
-        camera1: any model; rays more than 89.9 degrees off the axis are outliers.
+        camera1: any model. Where a lens is wide the error is that in the pictures (tangent Sampson: Terekhov and Larsson,
+            ICCV 2023), behind the plane of the pupil too.
         camera2: any model.
         config: `max_error_px` is divided by the mean focal length.
         quality: (n,), higher is better; good matches are then tried first (PROSAC).
@@ -145,6 +147,7 @@ def estimate_essential_matrix(
 
 
 _BREADTH_OF_PLANES = 1.5
+_UNEVEN = 1.25
 _ALL_BUT_CHANCE = 0.8
 """Share of the inliers on one plane above which those off it may agree by chance alone."""
 
@@ -229,13 +232,46 @@ def _fit_motion(
     y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
     n = require_same_length(pixels1=y1, pixels2=y2)
     scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
-    matches = np.concatenate([y1, y2], axis=1)
+    is_wide = upright is None and (_is_wide(camera1, pixels1, y1) or _is_wide(camera2, pixels2, y2))
+    if is_wide:
+        matches = _rays_with_slopes(camera1, pixels1, camera2, pixels2, scale_px)
+    else:
+        matches = np.concatenate([y1, y2], axis=1)
     order = random_order(usable_rows(matches), config)
     columns = np.ascontiguousarray(matches[order].T)
-    problem = RelativePoseProblem(columns) if upright is None else UprightMotionProblem(columns, *upright)
+    problem: Any = WideMotionProblem(columns) if is_wide else RelativePoseProblem(columns)
+    if upright is not None:
+        problem = UprightMotionProblem(columns, *upright)
     return run_loop(
         problem, order, n, scale_px, config, checked_quality(quality, n), ModelTraits(of_order_one=True)
     )
+
+
+def _is_wide(camera: Camera, pixels: Any, on_plane: np.ndarray) -> bool:
+    """Whether pixels differ in size on the plane z = 1 by more than a quarter, or some rays never meet it."""
+    if not camera.model.distortion_indices:
+        return False
+    missed = ~np.isfinite(on_plane).all(axis=1)
+    seen = on_plane[~missed]
+    _, jacobian, _ = camera.project_with_jacobian(np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
+    by_plane = jacobian[:, :, :2] / camera.focal_px
+    square = (by_plane**2).sum(axis=(1, 2))
+    product = np.abs(by_plane[:, 0, 0] * by_plane[:, 1, 1] - by_plane[:, 0, 1] * by_plane[:, 1, 0])
+    largest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * product**2, 0.0))))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if (largest > _UNEVEN).any() or (product / largest < 1.0 / _UNEVEN).any():
+            return True
+    return bool(missed.any() and np.isfinite(camera.unproject(as_points(pixels, "pixels", 2)[missed])).any())
+
+
+def _rays_with_slopes(
+    camera1: Camera, pixels1: Any, camera2: Camera, pixels2: Any, scale_px: float
+) -> Float64[np.ndarray, "n 18"]:
+    """Rows of `WideMotionProblem`."""
+    y1, slope1 = camera1.unproject_with_jacobian(pixels1)
+    y2, slope2 = camera2.unproject_with_jacobian(pixels2)
+    slopes = (scale_px * slope.reshape(-1, 6) for slope in (slope1, slope2))
+    return np.concatenate([y1, y2, *slopes], axis=1)
 
 
 def _fit_pixels(

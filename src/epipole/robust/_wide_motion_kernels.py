@@ -1,0 +1,201 @@
+"""Relative pose of wide lenses for the robust loop.
+
+Model as in `_relative_pose_kernels`. On the plane z = 1 a pixel at the rim of a fisheye is many pixels long: here matches
+are unit rays with their derivatives by the pixels, and the residual is Sampson's distance in the pictures themselves
+(the tangent Sampson error of Terekhov and Larsson, ICCV 2023),
+    r = e / sqrt(m), e = y2^T E y1, m = |J2^T E y1|^2 + |J1^T E^T y2|^2, J = dy / du.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.robust._block_kernels import BLOCK, REASSOC, add_normal_equations, columns_within
+from epipole.robust._contract_kernels import implement
+from epipole.robust._relative_pose_kernels import RELATIVE_POSE, derivatives_of_essential
+from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
+from epipole.solvers._two_view_kernels import (
+    essential_five_point,
+    essential_from_motion,
+    motions_from_essential,
+)
+
+SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
+
+
+class WideMotionProblem(NamedTuple):
+    """Matched rays and their derivatives."""
+
+    rays: np.ndarray
+    """(18, n): y1, y2 (of length one), then J1 and J2 (3 x 2, row by row)."""
+
+
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def _error(f, m, k):
+    """(e, m, a1, a2): the algebraic error, its squared slope, and J1 J1^T E^T y2, J2 J2^T E y1."""
+    x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
+    l0, l1, l2 = (
+        f[0] * x + f[1] * y + f[2] * z,
+        f[3] * x + f[4] * y + f[5] * z,
+        f[6] * x + f[7] * y + f[8] * z,
+    )
+    g0, g1, g2 = (
+        f[0] * u + f[3] * v + f[6] * w,
+        f[1] * u + f[4] * v + f[7] * w,
+        f[2] * u + f[5] * v + f[8] * w,
+    )
+    p0, p1 = m[6, k] * g0 + m[8, k] * g1 + m[10, k] * g2, m[7, k] * g0 + m[9, k] * g1 + m[11, k] * g2
+    q0, q1 = m[12, k] * l0 + m[14, k] * l1 + m[16, k] * l2, m[13, k] * l0 + m[15, k] * l1 + m[17, k] * l2
+    slope = p0 * p0 + p1 * p1 + q0 * q0 + q1 * q1 + 1e-300
+    return u * l0 + v * l1 + w * l2, slope, (p0, p1), (q0, q1)
+
+
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def _is_behind(p, m, k, slack):
+    """Whether the rays diverge by more than `slack` (see `is_in_front`)."""
+    x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
+    a, b, c = p[0] * x + p[1] * y + p[2] * z, p[3] * x + p[4] * y + p[5] * z, p[6] * x + p[7] * y + p[8] * z
+    along, at, bt = a * u + b * v + c * w, a * p[9] + b * p[10] + c * p[11], u * p[9] + v * p[10] + w * p[11]
+    return along * bt - at < -slack or bt - along * at < -slack
+
+
+@kernel(extra_fastmath=REASSOC)
+def _score_block(p, m, start, stop, threshold_sq):
+    slack, total, f = math.sqrt(threshold_sq), 0.0, p[12:21]
+    for k in range(start, stop):
+        e, slope, _, _ = _error(f, m, k)
+        r = e * e / slope
+        total += threshold_sq if _is_behind(p, m, k, slack) or r > threshold_sq else r
+    return total
+
+
+@kernel(extra_fastmath=REASSOC)
+def wide_residuals(p, m, slack, out):
+    """Squared distances; infinite where rays diverge by more than `slack`."""
+    f = p[12:21]
+    for k in range(m.shape[1]):
+        e, slope, _, _ = _error(f, m, k)
+        out[k] = math.inf if _is_behind(p, m, k, slack) else e * e / slope
+
+
+@kernel(extra_fastmath=REASSOC)
+def _agreeing_block(f, m, start, stop, threshold_sq):
+    count = 0
+    for k in range(start, stop):
+        e, slope, _, _ = _error(f, m, k)
+        count += 1 if e * e < threshold_sq * slope else 0
+    return count
+
+
+@kernel(extra_fastmath=REASSOC)
+def _rows_of_block(p, m, start, stop, threshold_sq, soft_sq, rows):
+    """Residuals (rows[0]) and their derivatives by E (rows[1:10]) of matches start..stop, zero where truncated."""
+    slack, total, f = math.sqrt(threshold_sq), 0.0, p[12:21]
+    for k in range(start, stop):
+        e, slope, one, two = _error(f, m, k)
+        r = e * e / slope
+        is_out = _is_behind(p, m, k, slack) or r > threshold_sq
+        total += threshold_sq if is_out else r
+        root = 0.0 if is_out else math.sqrt(1.0 / (slope * (1.0 + r / soft_sq)))
+        ratio, n = e / slope, k - start
+        rows[0, n] = root * e
+        # dr / dE_ij = (y2_i y1_j - (e / m) ((J2 J2^T E y1)_i y1_j + (J1 J1^T E^T y2)_j y2_i)) / sqrt(m)
+        for i in range(3):
+            left = m[SECOND + i, k] - ratio * (
+                m[SECOND_SLOPE + 2 * i, k] * two[0] + m[SECOND_SLOPE + 2 * i + 1, k] * two[1]
+            )
+            for j in range(3):
+                right = m[FIRST_SLOPE + 2 * j, k] * one[0] + m[FIRST_SLOPE + 2 * j + 1, k] * one[1]
+                rows[1 + 3 * i + j, n] = root * (left * m[j, k] - ratio * right * m[SECOND + i, k])
+    return total
+
+
+@kernel
+def _gather_rays(m, sample, y1, y2):
+    for k in range(len(y1)):
+        for i in range(3):
+            y1[k, i], y2[k, i] = m[i, sample[k]], m[SECOND + i, sample[k]]
+
+
+def _num_items(problem):
+    return problem.rays.shape[1]
+
+
+def _solve_sample(problem, sample, models, work):
+    y1, y2, essentials, _, solver = work
+    _gather_rays(problem.rays, sample, y1, y2)
+    count = essential_five_point(y1, y2, essentials, solver)
+    for k in range(count):
+        for i in range(9):
+            models[k, 12 + i] = essentials[k, i]
+    return count
+
+
+def _agreeing(problem, model, threshold_sq, start, stop):
+    return _agreeing_block(model[12:21], problem.rays, start, stop, threshold_sq)
+
+
+def _settle(problem, sample, model, settled, work):
+    y1, y2, _, motions, _ = work
+    _gather_rays(problem.rays, sample, y1, y2)
+    count = motions_from_essential(model[12:21], y1, y2, motions)
+    for c in range(count):
+        copy_numbers(motions[c], settled[c])
+        essential_from_motion(settled[c], settled[c, 12:21])
+    return count
+
+
+def _score(problem, model, threshold_sq, bail_out):
+    rays, total = problem.rays, 0.0
+    n = rays.shape[1]
+    for start in range(0, n, BLOCK):
+        total += _score_block(model, rays, start, min(start + BLOCK, n), threshold_sq)
+        if total > bail_out:
+            break
+    return total
+
+
+def _residuals_sq(problem, model, threshold_sq, out):
+    wide_residuals(model, problem.rays, math.sqrt(threshold_sq), out)
+
+
+def _near(problem, model, threshold_sq):
+    residuals = np.empty(problem.rays.shape[1])
+    wide_residuals(model, problem.rays, math.sqrt(threshold_sq), residuals)
+    return WideMotionProblem(columns_within(problem.rays, residuals, threshold_sq))
+
+
+def _linearize(problem, model, threshold_sq, soft_sq, a, b):
+    size = 5
+    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
+    clear_rows(a)
+    clear(b)
+    derivatives_of_essential(model, d)
+    rays, total = problem.rays, 0.0
+    n = rays.shape[1]
+    for start in range(0, n, BLOCK):
+        stop = min(start + BLOCK, n)
+        total += _rows_of_block(model, rays, start, stop, threshold_sq, soft_sq, rows)
+        add_normal_equations(d, rows, jac, stop - start, a, b)
+    for i in range(size):
+        for j in range(i):
+            a[j, i] = a[i, j]
+    return total
+
+
+implement(
+    WideMotionProblem,
+    **{
+        **RELATIVE_POSE,
+        "num_items": _num_items,
+        "solve_sample": _solve_sample,
+        "agreeing": _agreeing,
+        "settle": _settle,
+        "score": _score,
+        "residuals_sq": _residuals_sq,
+        "near": _near,
+        "linearize": _linearize,
+    },
+)
