@@ -7,21 +7,21 @@ from scipy.stats import chi2
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
-from epipole.robust import estimate_relative_pose
+from epipole.robust import PairKind, PairMatches, estimate_relative_pose, verify_pairs
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, relative_residuals
 from epipole.robust._wide_motion_kernels import WideMotionProblem, wide_residuals
-from epipole.robust.two_view import _rays_with_slopes, rays_on_plane
+from epipole.robust.rays import rays_on_plane, rays_with_slopes
 from epipole.synthetic.problems import two_view_problem
 
 
-def wide_views(seed, half_deg, noise_px=1.0, outliers=0.3, count=800):
+def wide_views(seed, half_deg, noise_px=1.0, outliers=0.3, count=800, baseline=1.0):
     """A fisheye's matches, evenly over the sphere within so many degrees off the axis."""
     rng = np.random.default_rng(seed)
     camera = Camera(
         CameraModel.OPENCV_FISHEYE, 1600, 1600, np.array([400.0, 400.0, 799.5, 799.5, 0.01, 0.0, 0.0, 0.0])
     )
     motion = Rigid3.exp(np.concatenate([rng.normal(size=3), 0.1 * rng.normal(size=3)]))
-    motion = Rigid3(motion.rotation, motion.translation / np.linalg.norm(motion.translation))
+    motion = Rigid3(motion.rotation, baseline * motion.translation / np.linalg.norm(motion.translation))
     cosine, around = rng.uniform(np.cos(np.radians(half_deg)), 1, count), rng.uniform(0, 2 * np.pi, count)
     sine = np.sqrt(1 - cosine**2)
     rays = np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=1)
@@ -65,7 +65,7 @@ def test_sampson_on_the_rays_of_a_pinhole_is_sampson_on_its_plane(rng):
     y1, y2 = (rays_on_plane(p.camera1, x) for x in (p.pixels1, p.pixels2))
     scale = p.camera1.focal_px
     plane = RelativePoseProblem(np.ascontiguousarray(np.concatenate([y1, y2], axis=1).T))
-    rays = _rays_with_slopes(p.camera1, p.pixels1, p.camera2, p.pixels2, scale)
+    rays = rays_with_slopes(p.camera1, p.pixels1, p.camera2, p.pixels2, scale)
     wide = WideMotionProblem(np.ascontiguousarray(rays.T))
     model = np.zeros(32)
     motion = p.cam2_from_cam1
@@ -78,3 +78,15 @@ def test_sampson_on_the_rays_of_a_pinhole_is_sampson_on_its_plane(rng):
         results.append(out)
     near = results[0] < (0.5 / scale) ** 2
     np.testing.assert_allclose(results[1][near], results[0][near], rtol=2e-3)
+
+
+@pytest.mark.parametrize(("baseline", "kind"), [(1.0, PairKind.GENERAL), (0.0, PairKind.ROTATION)])
+def test_pairs_of_wide_lenses_are_named(baseline, kind):
+    pairs, truths = [], []
+    for seed in range(8):
+        x1, x2, truth, _, camera = wide_views(seed, 88, baseline=baseline)
+        pairs.append(PairMatches(x1, x2, camera, camera))
+        truths.append(truth)
+    for geometry, truth in zip(verify_pairs(pairs, RansacConfig(max_error_px=3.0)), truths):
+        assert geometry.kind is kind
+        assert (geometry.inlier_mask & truth).sum() > 0.95 * truth.sum()

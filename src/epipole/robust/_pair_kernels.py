@@ -41,6 +41,8 @@ class Pairs(NamedTuple):
     """(cameras, 8)."""
     focal_px: np.ndarray
     """(cameras,), mean focal lengths."""
+    wide: np.ndarray
+    """(cameras,), whether the plane z = 1 is no picture of theirs."""
     seed: np.ndarray
     """(pairs,), uint64."""
 
@@ -70,7 +72,8 @@ class Fits(NamedTuple):
 
 
 @kernel
-def _longest(pairs):
+def longest(pairs):
+    """Most matches of a pair."""
     most = 0
     for p in range(len(pairs.seed)):
         most = max(most, pairs.offsets[p + 1] - pairs.offsets[p])
@@ -78,7 +81,7 @@ def _longest(pairs):
 
 
 @kernel
-def _choose(pairs, p, use, chosen):
+def choose(pairs, p, use, chosen):
     """The matches of pair p to be used, in random order; returns their number."""
     count = 0
     for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
@@ -89,7 +92,8 @@ def _choose(pairs, p, use, chosen):
 
 
 @kernel(allocates=True)
-def _shuffle(chosen, count, seed):
+def shuffle(chosen, count, seed):
+    """Bring the first numbers into random order."""
     state = np.empty(1, np.uint64)
     state[0] = seed
     for k in range(count - 1, 0, -1):
@@ -114,7 +118,7 @@ def _onto_plane(pairs, p, k, which, out, column):
 
 
 @kernel
-def _keep(pairs, p, chosen, count, residuals, scale, fits):
+def keep(pairs, p, chosen, count, residuals, scale, fits):
     """Residuals back to the caller's order, in pixels."""
     for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
         fits.residuals_px[k] = math.inf
@@ -123,21 +127,22 @@ def _keep(pairs, p, chosen, count, residuals, scale, fits):
 
 
 @kernel
-def _share(search, count):
+def least_share(search, count):
+    """Share of inliers that is still of use."""
     return min(1.0, max(search.min_share, search.min_inliers / count))
 
 
 @kernel(allocates=True)
 def fit_motions(pairs, wanted, use, search, fits):
     """Relative poses of the wanted pairs over the matches marked in `use`."""
-    longest = _longest(pairs)
-    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
     information, ranking = np.empty((5, 5)), np.empty(0, np.int64)
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
-        count = _choose(pairs, p, use, chosen)
-        _shuffle(chosen, count, pairs.seed[p])
+        count = choose(pairs, p, use, chosen)
+        shuffle(chosen, count, pairs.seed[p])
         seen = 0
         for c in range(count):
             if _onto_plane(pairs, p, chosen[c], 0, items, seen) and _onto_plane(
@@ -156,7 +161,7 @@ def fit_motions(pairs, wanted, use, search, fits):
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,
-                _share(search, seen),
+                least_share(search, seen),
                 pairs.seed[p],
                 ranking,
                 fits.raw[p],
@@ -164,7 +169,7 @@ def fit_motions(pairs, wanted, use, search, fits):
                 information,
             )
             fits.iterations[p] = iterations if score < math.inf else -1
-        _keep(pairs, p, chosen, seen, residuals, scale, fits)
+        keep(pairs, p, chosen, seen, residuals, scale, fits)
 
 
 @kernel
@@ -194,14 +199,14 @@ def _normalize(pairs, chosen, count, frame, items):
 @kernel(allocates=True)
 def fit_fundamentals(pairs, wanted, use, search, fits):
     """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
-    longest = _longest(pairs)
-    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
     information, ranking = np.empty((7, 7)), np.empty(0, np.int64)
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
-        count = _choose(pairs, p, use, chosen)
-        _shuffle(chosen, count, pairs.seed[p])
+        count = choose(pairs, p, use, chosen)
+        shuffle(chosen, count, pairs.seed[p])
         fits.iterations[p] = -1
         residuals = np.full(count, math.inf)
         fits.frame[p, 4] = 1.0
@@ -213,7 +218,7 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,
-                _share(search, count),
+                least_share(search, count),
                 pairs.seed[p],
                 ranking,
                 fits.raw[p],
@@ -221,18 +226,18 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
                 information,
             )
             fits.iterations[p] = iterations if score < math.inf else -1
-        _keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+        keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
 
 
 @kernel(allocates=True)
 def fit_homographies(pairs, use, search, fits):
     """Homographies of all pairs over the matches marked in `use`."""
-    longest = _longest(pairs)
-    chosen, items = np.empty(longest, np.int64), np.empty((4, longest))
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
     information, ranking = np.empty((9, 9)), np.empty(0, np.int64)
     for p in range(len(pairs.seed)):
-        count = _choose(pairs, p, use, chosen)
-        _shuffle(chosen, count, pairs.seed[p])
+        count = choose(pairs, p, use, chosen)
+        shuffle(chosen, count, pairs.seed[p])
         fits.iterations[p] = -1
         residuals = np.full(count, math.inf)
         fits.frame[p, 4] = 1.0
@@ -244,7 +249,7 @@ def fit_homographies(pairs, use, search, fits):
                 search.confidence,
                 search.min_iterations,
                 search.max_iterations,
-                _share(search, count),
+                least_share(search, count),
                 pairs.seed[p],
                 ranking,
                 fits.raw[p],
@@ -252,7 +257,7 @@ def fit_homographies(pairs, use, search, fits):
                 information,
             )
             fits.iterations[p] = iterations if score < math.inf else -1
-        _keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+        keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
 
 
 class Verdicts(NamedTuple):

@@ -33,6 +33,7 @@ from epipole.robust.estimate import (
     run_loop,
     usable_rows,
 )
+from epipole.robust.rays import is_wide, rays_on_plane, rays_with_slopes
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
@@ -147,7 +148,6 @@ def estimate_essential_matrix(
 
 
 _BREADTH_OF_PLANES = 1.5
-_UNEVEN = 1.25
 _ALL_BUT_CHANCE = 0.8
 """Share of the inliers on one plane above which those off it may agree by chance alone."""
 
@@ -213,13 +213,6 @@ def estimate_homography(
     return found.estimate(model / norm, _projected(np.kron(back, t1.T) / norm, model, found))
 
 
-def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[np.ndarray, "n 2"]:
-    """Where the rays of pixels (n, 2) cross the plane z = 1 before the camera; NaN where they do not."""
-    rays = camera.unproject(as_points(pixels, name, 2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(rays[:, 2:] > 1e-3, rays[:, :2] / rays[:, 2:], np.nan)
-
-
 def _fit_motion(
     pixels1: Any,
     pixels2: Any,
@@ -232,46 +225,19 @@ def _fit_motion(
     y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
     n = require_same_length(pixels1=y1, pixels2=y2)
     scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
-    is_wide = upright is None and (_is_wide(camera1, pixels1, y1) or _is_wide(camera2, pixels2, y2))
-    if is_wide:
-        matches = _rays_with_slopes(camera1, pixels1, camera2, pixels2, scale_px)
+    wide = upright is None and (is_wide(camera1) or is_wide(camera2))
+    if wide:
+        matches = rays_with_slopes(camera1, pixels1, camera2, pixels2, scale_px)
     else:
         matches = np.concatenate([y1, y2], axis=1)
     order = random_order(usable_rows(matches), config)
     columns = np.ascontiguousarray(matches[order].T)
-    problem: Any = WideMotionProblem(columns) if is_wide else RelativePoseProblem(columns)
+    problem: Any = WideMotionProblem(columns) if wide else RelativePoseProblem(columns)
     if upright is not None:
         problem = UprightMotionProblem(columns, *upright)
     return run_loop(
         problem, order, n, scale_px, config, checked_quality(quality, n), ModelTraits(of_order_one=True)
     )
-
-
-def _is_wide(camera: Camera, pixels: Any, on_plane: np.ndarray) -> bool:
-    """Whether pixels differ in size on the plane z = 1 by more than a quarter, or some rays never meet it."""
-    if not camera.model.distortion_indices:
-        return False
-    missed = ~np.isfinite(on_plane).all(axis=1)
-    seen = on_plane[~missed]
-    _, jacobian, _ = camera.project_with_jacobian(np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
-    by_plane = jacobian[:, :, :2] / camera.focal_px
-    square = (by_plane**2).sum(axis=(1, 2))
-    product = np.abs(by_plane[:, 0, 0] * by_plane[:, 1, 1] - by_plane[:, 0, 1] * by_plane[:, 1, 0])
-    largest = np.sqrt(0.5 * (square + np.sqrt(np.maximum(square**2 - 4.0 * product**2, 0.0))))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if (largest > _UNEVEN).any() or (product / largest < 1.0 / _UNEVEN).any():
-            return True
-    return bool(missed.any() and np.isfinite(camera.unproject(as_points(pixels, "pixels", 2)[missed])).any())
-
-
-def _rays_with_slopes(
-    camera1: Camera, pixels1: Any, camera2: Camera, pixels2: Any, scale_px: float
-) -> Float64[np.ndarray, "n 18"]:
-    """Rows of `WideMotionProblem`."""
-    y1, slope1 = camera1.unproject_with_jacobian(pixels1)
-    y2, slope2 = camera2.unproject_with_jacobian(pixels2)
-    slopes = (scale_px * slope.reshape(-1, 6) for slope in (slope1, slope2))
-    return np.concatenate([y1, y2, *slopes], axis=1)
 
 
 def _fit_pixels(

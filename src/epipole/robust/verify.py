@@ -20,7 +20,9 @@ from epipole.geometry.epipolar import (
 )
 from epipole.robust import _pair_kernels as kernels
 from epipole.robust._contract_kernels import MODEL_SIZE
+from epipole.robust._wide_pair_kernels import fit_wide_motions
 from epipole.robust.pair_kind import PairKind
+from epipole.robust.rays import is_wide
 
 PLANE_SHARE = 0.7
 """A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
@@ -152,7 +154,7 @@ def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeom
     inliers = epipolar.residuals_px < config.max_error_px
     if not calibrated.all():
         loose = _search(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
-        kernels.fit_motions(packed, ~calibrated, inliers, loose, motions)
+        _fit_motions(packed, ~calibrated, inliers, loose, motions)
     planes = _room(packed)
     plane_search = _search(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
     kernels.fit_homographies(packed, inliers, plane_search, planes)
@@ -175,11 +177,26 @@ def _fit_epipolar(
     if not calibrated.all():
         kernels.fit_fundamentals(packed, ~calibrated, finite, search, epipolar)
     if calibrated.any():
-        kernels.fit_motions(packed, calibrated, finite, search, motions)
+        _fit_motions(packed, calibrated, finite, search, motions)
         of_calibrated = np.repeat(calibrated, np.diff(packed.offsets))
         np.copyto(epipolar.residuals_px, motions.residuals_px, where=of_calibrated)
         np.copyto(epipolar.iterations, motions.iterations, where=calibrated)
     return epipolar, motions
+
+
+def _fit_motions(
+    packed: kernels.Pairs,
+    wanted: np.ndarray,
+    use: np.ndarray,
+    search: kernels.Search,
+    motions: kernels.Fits,
+) -> None:
+    """Relative poses, of wide lenses on their rays."""
+    wide = wanted & (packed.wide[packed.camera1] | packed.wide[packed.camera2])
+    if (wanted & ~wide).any():
+        kernels.fit_motions(packed, wanted & ~wide, use, search, motions)
+    if wide.any():
+        fit_wide_motions(packed, wide, use, search, motions)
 
 
 def _pack(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
@@ -198,6 +215,7 @@ def _pack(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
         np.array([int(c.model) for c in cameras], np.int64),
         np.stack([c.padded_params() for c in cameras]),
         np.array([c.focal_px for c in cameras]),
+        np.array([is_wide(c) for c in cameras], bool),
         np.array([(config.seed + pair.seed) % 2**64 for pair in pairs], np.uint64),
     )
 

@@ -1,0 +1,74 @@
+"""Relative poses of many pairs of wide lenses; apart, so that who has none does not wait for the compiler."""
+
+import math
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject_one
+from epipole.robust._loop_kernels import ransac
+from epipole.robust._pair_kernels import choose, keep, least_share, longest, shuffle
+from epipole.robust._wide_motion_kernels import WideMotionProblem
+
+
+@kernel(fuse=True)
+def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
+    """The ray of match k in camera `which`, and its slope times `scale`; whether there is one."""
+    camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
+    model, params = np.int64(pairs.models[camera]), pairs.params[camera]
+    x, y, z = unproject_one(model, params, pairs.pixels[2 * which, k], pairs.pixels[2 * which + 1, k])
+    project_with_jacobian_one(model, params, x, y, z, by_point, by_params)
+    out[3 * which, column], out[3 * which + 1, column], out[3 * which + 2, column] = x, y, z
+    aa = bb = ab = 0.0
+    for i in range(3):
+        aa += by_point[0, i] * by_point[0, i]
+        bb += by_point[1, i] * by_point[1, i]
+        ab += by_point[0, i] * by_point[1, i]
+    over = scale / (aa * bb - ab * ab)
+    for i in range(3):  # P^T (P P^T)^-1
+        row = 6 + 6 * which + 2 * i
+        out[row, column] = over * (bb * by_point[0, i] - ab * by_point[1, i])
+        out[row + 1, column] = over * (aa * by_point[1, i] - ab * by_point[0, i])
+    return abs(over) < math.inf and abs(x) < math.inf
+
+
+@kernel(allocates=True)
+def fit_wide_motions(pairs, wanted, use, search, fits):
+    """Relative poses of the wanted pairs over the matches marked in `use`."""
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((18, most))
+    by_point, by_params = np.empty((2, 3)), np.empty((2, 8))
+    information, ranking = np.empty((5, 5)), np.empty(0, np.int64)
+    for p in range(len(pairs.seed)):
+        if not wanted[p]:
+            continue
+        count = choose(pairs, p, use, chosen)
+        shuffle(chosen, count, pairs.seed[p])
+        scale = 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
+        seen = 0
+        for c in range(count):
+            k = chosen[c]
+            if _ray(pairs, p, k, 0, scale, by_point, by_params, items, seen) and _ray(
+                pairs, p, k, 1, scale, by_point, by_params, items, seen
+            ):
+                chosen[seen] = k
+                seen += 1
+        fits.iterations[p] = -1
+        residuals = np.full(seen, math.inf)
+        if seen >= max(5, search.min_inliers):
+            score, iterations = ransac(
+                WideMotionProblem(items[:, :seen].copy()),
+                (search.max_error_px / scale) ** 2,
+                1.0,
+                search.confidence,
+                search.min_iterations,
+                search.max_iterations,
+                least_share(search, seen),
+                pairs.seed[p],
+                ranking,
+                fits.raw[p],
+                residuals,
+                information,
+            )
+            fits.iterations[p] = iterations if score < math.inf else -1
+        keep(pairs, p, chosen, seen, residuals, scale, fits)
