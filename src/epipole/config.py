@@ -102,8 +102,8 @@ class RansacConfig:
     max_iterations: int = 10_000
     min_inliers: int = 15
     """Fewer inliers count as failure."""
-    min_inlier_ratio: float = 0.3
-    """A smaller share of inliers is not searched for, though taken when met."""
+    min_inlier_ratio: float = 0.0
+    """A smaller share of inliers is not searched for, though taken when met: saves time where it would be a failure."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -217,7 +217,7 @@ class ReconstructConfig:
     features: FeatureConfig = field(default_factory=FeatureConfig)
     matching: MatchConfig = field(default_factory=MatchConfig)
     pairing: PairingConfig = field(default_factory=PairingConfig)
-    verification: RansacConfig = field(default_factory=RansacConfig)
+    verification: RansacConfig = field(default_factory=lambda: RansacConfig(min_inlier_ratio=0.3))
     mapper: MapperConfig = field(default_factory=MapperConfig)
 
     def __post_init__(self) -> None:

@@ -182,10 +182,16 @@ def test_pose_and_focal_length_are_found_together():
     assert 4.0 < np.mean(squared) < 11.0
 
 
-def test_a_plane_gives_no_focal_length_and_says_so():
-    p = absolute_pose_problem(100, 0.0, 0.0, 1, planar=True)
-    found = estimate_pose_and_focal(p.points_in_world, p.pixels, p.camera.K[:2, 2])
-    assert not found.success
+def test_a_slanted_plane_tells_the_focal_length_and_a_parallel_one_says_it_does_not(rng):
+    for seed in range(4):
+        p = absolute_pose_problem(100, 0.0, 0.5, seed, planar=True)
+        found = estimate_pose_and_focal(p.points_in_world, p.pixels, p.camera.K[:2, 2])
+        assert found.success
+        assert found.model.focal_px == pytest.approx(800.0, rel=0.01)
+    for noise_px in (0.0, 0.5):
+        points = np.concatenate([rng.uniform(-2, 2, (100, 2)), np.full((100, 1), 6.0)], axis=1)
+        pixels = CAMERA.project(points) + noise_px * rng.normal(size=(100, 2))
+        assert not estimate_pose_and_focal(points, pixels, CAMERA.K[:2, 2]).success
 
 
 def test_ranked_matches_are_tried_first():

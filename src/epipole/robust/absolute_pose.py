@@ -150,7 +150,8 @@ def estimate_pose_and_focal(
 ) -> Estimate[FocalPose]:
     """Pose and focal length of a camera without distortion: four points (P4Pf), then the reprojection error.
 
-    Points in one plane leave samples of four without a solution: `Reason.NO_MODEL`.
+    Four points of one plane seldom give a solution, so that a plane alone may end in `Reason.NO_MODEL`; one that is parallel
+    to the picture leaves the focal length open and always does.
 
     Args:
         points_in_world: (n, 3); NaN and infinite ones are outliers.
