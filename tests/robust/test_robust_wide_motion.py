@@ -10,7 +10,7 @@ from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
 from epipole.robust import PairKind, PairMatches, estimate_relative_pose, verify_pairs
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, relative_residuals
 from epipole.robust._wide_motion_kernels import WideMotionProblem, wide_residuals
-from epipole.robust.rays import rays_on_plane, rays_with_slopes
+from epipole.robust.rays import is_wide, rays_on_plane, rays_with_slopes
 from epipole.synthetic.problems import two_view_problem
 
 
@@ -90,3 +90,17 @@ def test_pairs_of_wide_lenses_are_named(baseline, kind):
     for geometry, truth in zip(verify_pairs(pairs, RansacConfig(max_error_px=3.0)), truths):
         assert geometry.kind is kind
         assert (geometry.inlier_mask & truth).sum() > 0.95 * truth.sum()
+
+
+def test_which_lenses_are_wide():
+    def camera(model, *params, size=(1600, 1200)):
+        return Camera(model, *size, np.array(params, float))
+
+    assert not is_wide(camera(CameraModel.PINHOLE, 500, 500, 799.5, 599.5))
+    assert not is_wide(camera(CameraModel.SIMPLE_RADIAL, 1300, 799.5, 599.5, -0.03))
+    assert is_wide(camera(CameraModel.SIMPLE_RADIAL, 700, 799.5, 599.5, -0.1))
+    fisheye = (400.0, 400.0, 799.5, 599.5, 0.0, 0.0, 0.0, 0.0)
+    assert is_wide(camera(CameraModel.OPENCV_FISHEYE, *fisheye))
+    # Its circle lies within the picture: the corners have no ray at all.
+    assert is_wide(camera(CameraModel.OPENCV_FISHEYE, 200.0, 200.0, *fisheye[2:]))
+    assert not is_wide(camera(CameraModel.OPENCV_FISHEYE, 4000.0, 4000.0, *fisheye[2:]))

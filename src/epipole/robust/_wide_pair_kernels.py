@@ -17,7 +17,7 @@ def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
     camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
     model, params = np.int64(pairs.models[camera]), pairs.params[camera]
     x, y, z = unproject_one(model, params, pairs.pixels[2 * which, k], pairs.pixels[2 * which + 1, k])
-    project_with_jacobian_one(model, params, x, y, z, by_point, by_params)
+    u, v = project_with_jacobian_one(model, params, x, y, z, by_point, by_params)
     out[3 * which, column], out[3 * which + 1, column], out[3 * which + 2, column] = x, y, z
     aa = bb = ab = 0.0
     for i in range(3):
@@ -29,7 +29,7 @@ def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
         row = 6 + 6 * which + 2 * i
         out[row, column] = over * (bb * by_point[0, i] - ab * by_point[1, i])
         out[row + 1, column] = over * (aa * by_point[1, i] - ab * by_point[0, i])
-    return abs(over) < math.inf and abs(x) < math.inf
+    return abs(over) < math.inf and abs(u + v) < math.inf
 
 
 @kernel(allocates=True)

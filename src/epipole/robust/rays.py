@@ -22,15 +22,17 @@ def rays_on_plane(camera: Camera, pixels: Any, name: str = "pixels") -> Float64[
 
 
 def is_wide(camera: Camera) -> bool:
-    """Whether pixels at the rim of the picture are of another size on the plane z = 1, or never meet it."""
+    """Whether pixels of the picture are of different sizes on the plane z = 1, or some never meet it."""
     if not camera.model.distortion_indices:
         return False
-    u, v = np.linspace(0.0, camera.width - 1.0, 5), np.linspace(0.0, camera.height - 1.0, 5)
-    rim = [(a, b) for a in u for b in v if a in (u[0], u[-1]) or b in (v[0], v[-1])]
-    seen = rays_on_plane(camera, rim)
-    if not np.isfinite(seen).all():
-        return bool(np.isfinite(camera.unproject(rim)[~np.isfinite(seen).all(axis=1)]).any())
-    _, jacobian, _ = camera.project_with_jacobian(np.concatenate([seen, np.ones((len(seen), 1))], axis=1))
+    grid = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))
+    pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+    rays, on_plane = camera.unproject(pixels), rays_on_plane(camera, pixels)
+    meets = np.isfinite(on_plane).all(axis=1)
+    if np.isfinite(rays[~meets]).all(axis=1).any():
+        return True
+    on_plane = np.concatenate([on_plane[meets], np.ones((int(meets.sum()), 1))], axis=1)
+    _, jacobian, _ = camera.project_with_jacobian(on_plane)
     sizes = np.linalg.svd(jacobian[:, :, :2] / camera.focal_px, compute_uv=False)
     return bool((sizes > _UNEVEN).any() or (sizes < 1.0 / _UNEVEN).any())
 

@@ -175,7 +175,7 @@ def estimate_fundamental_matrix(
     """
     config = config or RansacConfig()
     problem, found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config, quality)
-    if found.reason is Reason.OK and _holds_by_a_plane(problem, found.raw, config.max_error_px * t1[0, 0]):
+    if found.reason is Reason.OK and _is_held_by_a_plane(problem, found.raw, config.max_error_px * t1[0, 0]):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -268,7 +268,7 @@ def _fit_pixels(
     return problem, found, t1, t2
 
 
-def _holds_by_a_plane(problem: FundamentalProblem, raw: np.ndarray, max_error: float) -> bool:
+def _is_held_by_a_plane(problem: FundamentalProblem, raw: np.ndarray, max_error: float) -> bool:
     """Whether F stands on a plane and on no more matches off it than chance gives.
 
     Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
