@@ -61,8 +61,9 @@ def rendered_pairs(count: int) -> list[KnownPair]:
         scene = floor if kind == "planar" else yard
         first = _above(rng) if kind == "planar" else views[seed % len(views)]
         if kind == "general":
-            second = courtyard_views()[(24 * seed // count + 2) % 24]
-            first = courtyard_views()[24 * seed // count % 24]
+            around = courtyard_views()
+            place = (len(around) - 2) * seed // count
+            first, second = around[place], around[place + 2]
         elif kind == "planar":
             second = _above(rng)
         elif kind == "rotation":

@@ -282,18 +282,20 @@ def ransac(
     residuals,
     information,
 ):
-    """Write the best model, the squared residuals (n) and the information matrix J^T J of its inliers.
+    """Write the best model, the squared residuals (n) and J^T J of its inliers (MOST_FREEDOM, MOST_FREEDOM).
 
-    Samples are uniform, or PROSAC's if `ranking` holds the items, best first. Models that are only nearly true, as planes
-    of the world are nearly plane, are searched for at `breadth` times the threshold and polished far beyond it: there the
-    threshold takes the part of MAGSAC's greatest deviation (Barath et al., CVPR 2020). Returns (score, iterations); the
-    score is infinite if no model was found.
+    Samples are uniform, or PROSAC's if `ranking` holds the items, best first (None: not even compiled). Models that are
+    only nearly true, as planes of the world are nearly plane, are searched for at `breadth` times the threshold and
+    polished far beyond it: there the threshold takes the part of MAGSAC's greatest deviation (Barath et al., CVPR 2020).
+    Returns (score, iterations); the score is infinite if no model was found.
     """
     threshold_sq = breadth * breadth * asked_sq
     n, size = num_items(problem), sample_size(problem)
     state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
     state[0] = seed
-    work, test, progress = workspace(problem), np.zeros(2), _start_of_ranked(n, size)
+    work, test = workspace(problem), np.zeros(2)
+    if ranking is not None:
+        progress = _start_of_ranked(n, size)
     models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
     best_score, best_gain, share, iteration, seconds = math.inf, 0.0, 0.0, 0, 0
@@ -301,7 +303,7 @@ def ransac(
     needed = _iterations_needed(min_share, size, confidence, min_iterations, max_iterations)
     while iteration < needed:
         iteration += 1
-        if len(ranking) > 0:
+        if ranking is not None:
             _draw_ranked(state, ranking, progress, iteration, size, sample)
         else:
             draw(state, n, size, sample)
@@ -321,7 +323,7 @@ def ransac(
                     copy_numbers(model, best)
                     share = _share_within(problem, model, threshold_sq, residuals)
                     enough = _iterations_needed(share, size, confidence, min_iterations, max_iterations)
-                    if len(ranking) > 0:
+                    if ranking is not None:
                         ranked = _iterations_needed_ranked(
                             ranking, residuals, threshold_sq, size, confidence, min_iterations, max_iterations
                         )
@@ -335,26 +337,11 @@ def ransac(
         if breadth > 1.0:
             best_score = score(problem, best, asked_sq, math.inf)
         residuals_sq(problem, best, asked_sq, residuals)
-        _inform(problem, best, asked_sq, information)
+        linearize(problem, best, asked_sq, math.inf, information, np.empty(MOST_FREEDOM))
     return best_score, iteration
-
-
-@kernel(allocates=True)
-def _inform(problem, model, threshold_sq, information):
-    a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
-    linearize(problem, model, threshold_sq, math.inf, a, b)
-    for i in range(len(information)):
-        for j in range(len(information)):
-            information[i, j] = a[i, j]
 
 
 @kernel
 def sizes(problem):
-    """(items in a sample, degrees of freedom)."""
-    return sample_size(problem), degrees_of_freedom(problem)
-
-
-@kernel
-def numbers_per_residual(problem):
-    """1 or 2."""
-    return residual_size(problem)
+    """(items in a sample, degrees of freedom, numbers in a residual)."""
+    return sample_size(problem), degrees_of_freedom(problem), residual_size(problem)

@@ -11,6 +11,7 @@ import numpy as np
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_one, unproject_one
 from epipole.robust._block_kernels import median, rotate_left
+from epipole.robust._contract_kernels import MOST_FREEDOM
 from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._loop_kernels import next_random, ransac
@@ -137,7 +138,7 @@ def fit_motions(pairs, wanted, use, search, fits):
     """Relative poses of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information, ranking = np.empty((5, 5)), np.empty(0, np.int64)
+    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
@@ -163,7 +164,7 @@ def fit_motions(pairs, wanted, use, search, fits):
                 search.max_iterations,
                 least_share(search, seen),
                 pairs.seed[p],
-                ranking,
+                None,
                 fits.raw[p],
                 residuals,
                 information,
@@ -201,7 +202,7 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
     """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information, ranking = np.empty((7, 7)), np.empty(0, np.int64)
+    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
@@ -220,7 +221,7 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
                 search.max_iterations,
                 least_share(search, count),
                 pairs.seed[p],
-                ranking,
+                None,
                 fits.raw[p],
                 residuals,
                 information,
@@ -234,7 +235,7 @@ def fit_homographies(pairs, use, search, fits):
     """Homographies of all pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information, ranking = np.empty((9, 9)), np.empty(0, np.int64)
+    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
@@ -251,7 +252,7 @@ def fit_homographies(pairs, use, search, fits):
                 search.max_iterations,
                 least_share(search, count),
                 pairs.seed[p],
-                ranking,
+                None,
                 fits.raw[p],
                 residuals,
                 information,

@@ -6,6 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject_one
+from epipole.robust._contract_kernels import MOST_FREEDOM
 from epipole.robust._loop_kernels import ransac
 from epipole.robust._pair_kernels import choose, keep, least_share, longest, shuffle
 from epipole.robust._wide_motion_kernels import WideMotionProblem
@@ -38,7 +39,7 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((18, most))
     by_point, by_params = np.empty((2, 3)), np.empty((2, 8))
-    information, ranking = np.empty((5, 5)), np.empty(0, np.int64)
+    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
@@ -65,7 +66,7 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
                 search.max_iterations,
                 least_share(search, seen),
                 pairs.seed[p],
-                ranking,
+                None,
                 fits.raw[p],
                 residuals,
                 information,

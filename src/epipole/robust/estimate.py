@@ -14,7 +14,7 @@ from epipole._checks import as_float_array
 from epipole.config import RansacConfig
 from epipole.errors import ShapeError
 from epipole.robust import _loop_kernels as loop
-from epipole.robust._contract_kernels import MODEL_SIZE
+from epipole.robust._contract_kernels import MODEL_SIZE, MOST_FREEDOM
 
 Model = TypeVar("Model")
 
@@ -168,14 +168,12 @@ def run_loop(
         traits: of the kind of model.
     """
     m = len(order)
-    size, freedom = loop.sizes(problem)
+    size, freedom, size_of_residual = loop.sizes(problem)
     if m < size:
         return failed(Reason.TOO_FEW, n, freedom)
-    ranking = np.zeros(0, np.int64)
-    if quality is not None:
-        ranking = np.argsort(-quality[order], kind="stable")
+    ranking = None if quality is None else np.argsort(-quality[order], kind="stable")
     raw, residuals = np.zeros(MODEL_SIZE), np.full(m, np.inf)
-    information = np.zeros((freedom, freedom))
+    information = np.zeros((MOST_FREEDOM, MOST_FREEDOM))
     threshold_sq = (config.max_error_px / scale_px) ** 2
     score, iterations = loop.ransac(
         problem,
@@ -197,10 +195,9 @@ def run_loop(
     out[order] = np.sqrt(residuals) * scale_px
     inlier_mask = out < config.max_error_px
     num_inliers = int(inlier_mask.sum())
-    size_of_residual = loop.numbers_per_residual(problem)
     noise = untruncated_noise(out[inlier_mask], config.max_error_px, size_of_residual, freedom)
     covariance, determined = invert_information(
-        information, noise / scale_px, of_order_one=traits.of_order_one
+        information[:freedom, :freedom], noise / scale_px, of_order_one=traits.of_order_one
     )
     if num_inliers < config.min_inliers:
         reason = Reason.TOO_FEW_INLIERS

@@ -98,9 +98,10 @@ def essential_constraints(e, work, out):
 
 
 @kernel
-def _multiply_add(a, b, out, sign):
-    for i in range(len(a)):
-        for j in range(len(b)):
+def _multiply_add(a, na, b, nb, out, sign):
+    """The product of the first coefficients of two polynomials."""
+    for i in range(na):
+        for j in range(nb):
             out[i + j] += sign * a[i] * b[j]
 
 
@@ -142,9 +143,9 @@ def essential_five_point(y1, y2, essentials, w):
     for r in range(3):
         p, q = (r + 1) % 3, (r + 2) % 3
         clear(minor)
-        _multiply_add(b[p, 0, :4], b[q, 1, :4], minor, 1.0)
-        _multiply_add(b[p, 1, :4], b[q, 0, :4], minor, -1.0)
-        _multiply_add(minor, b[r, 2], poly, 1.0)
+        _multiply_add(b[p, 0], 4, b[q, 1], 4, minor, 1.0)
+        _multiply_add(b[p, 1], 4, b[q, 0], 4, minor, -1.0)
+        _multiply_add(minor, 7, b[r, 2], 5, poly, 1.0)
     count = real_roots(poly, root_work, roots)
     found = 0
     for k in range(count):
@@ -400,27 +401,24 @@ def motions_from_essential(e, y1, y2, motions):
         moved[3 + j] = size * (t[2] * e[j] - t[0] * e[6 + j])
         moved[6 + j] = size * (t[0] * e[3 + j] - t[1] * e[j])
     found = 0
-    for turn in (1.0, -1.0):
-        for sign in (1.0, -1.0):
-            out = motions[found]
-            for i in range(3):
-                p, q = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3)
-                for j in range(3):
-                    m, n = (j + 1) % 3, (j + 2) % 3
-                    cofactor = e[p + m] * e[q + n] - e[p + n] * e[q + m]
-                    out[3 * i + j] = cofactor - turn * moved[3 * i + j]
-                out[9 + i] = sign * t[i]
-            if not orthonormalize_rows(out):
-                return found
-            in_front = True
-            for k in range(len(y1)):
-                if not is_in_front(out, y1[k], y2[k]):
-                    in_front = False
-                    break
-            if in_front:
-                found += 1
-                if found == len(motions):
-                    return found
+    for which in range(4):
+        turn, sign = (1.0 if which < 2 else -1.0), (1.0 if which % 2 == 0 else -1.0)
+        out = motions[found]
+        for i in range(3):
+            p, q = 3 * ((i + 1) % 3), 3 * ((i + 2) % 3)
+            for j in range(3):
+                m, n = (j + 1) % 3, (j + 2) % 3
+                cofactor = e[p + m] * e[q + n] - e[p + n] * e[q + m]
+                out[3 * i + j] = cofactor - turn * moved[3 * i + j]
+            out[9 + i] = sign * t[i]
+        if not orthonormalize_rows(out):
+            return found
+        in_front = True
+        for k in range(len(y1)):
+            in_front = in_front and is_in_front(out, y1[k], y2[k])
+        found += 1 if in_front else 0
+        if found == len(motions):
+            return found
     return found
 
 
