@@ -72,7 +72,7 @@ def test_sampson_on_the_rays_of_a_pinhole_is_sampson_on_its_plane(rng):
     model[:9], model[9:12] = motion.rotation.ravel(), motion.translation
     model[12:21] = essential_from_cam2_from_cam1(motion).ravel()
     results = []
-    for problem, residuals in ((plane.matches, relative_residuals), (wide.rays, wide_residuals)):
+    for problem, residuals in ((plane.matches, relative_residuals), (wide.matches, wide_residuals)):
         out = np.empty(300)
         residuals(model, problem, 0.01, out)
         results.append(out)

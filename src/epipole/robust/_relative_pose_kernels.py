@@ -167,71 +167,8 @@ def _workspace(problem):
     return np.empty((5, 3)), np.empty((5, 3)), np.empty((10, 9)), np.empty((4, 12)), five_point_workspace()
 
 
-def _solve_sample(problem, sample, models, work):
-    y1, y2, essentials, _, solver = work
-    gather(problem.matches, sample, y1, y2)
-    count = essential_five_point(y1, y2, essentials, solver)
-    for k in range(count):
-        for i in range(9):
-            models[k, 12 + i] = essentials[k, i]
-    return count
-
-
-def _agreeing(problem, model, threshold_sq, start, stop):
-    return sampson_agreeing(model[12:21], problem.matches, threshold_sq, start, stop)
-
-
-def _settle(problem, sample, model, settled, work):
-    """Those of the four motions of E that put the sample in front."""
-    y1, y2, _, motions, _ = work
-    gather(problem.matches, sample, y1, y2)
-    count = motions_from_essential(model[12:21], y1, y2, motions)
-    for c in range(count):
-        copy_numbers(motions[c], settled[c])
-        essential_from_motion(settled[c], settled[c, 12:21])
-    return count
-
-
-def _score(problem, model, threshold_sq, bail_out):
-    matches, total = problem.matches, 0.0
-    n = matches.shape[1]
-    for start in range(0, n, BLOCK):
-        total += _score_block(model, matches, start, min(start + BLOCK, n), threshold_sq)
-        if total > bail_out:
-            break
-    return total
-
-
-def _residuals_sq(problem, model, threshold_sq, out):
-    relative_residuals(model, problem.matches, math.sqrt(threshold_sq), out)
-
-
 def _residual_size(problem):
     return np.int64(1)
-
-
-def _near(problem, model, threshold_sq):
-    residuals = np.empty(problem.matches.shape[1])
-    relative_residuals(model, problem.matches, math.sqrt(threshold_sq), residuals)
-    return RelativePoseProblem(columns_within(problem.matches, residuals, threshold_sq))
-
-
-def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    size = 5
-    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
-    clear_rows(a)
-    clear(b)
-    derivatives_of_essential(model, d)
-    matches, total = problem.matches, 0.0
-    n = matches.shape[1]
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, matches, start, stop, threshold_sq, soft_sq, rows)
-        add_normal_equations(d, rows, jac, stop - start, a, b)
-    for i in range(size):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
 
 
 def _retract(problem, model, delta, out):
@@ -248,19 +185,83 @@ def _retract(problem, model, delta, out):
     essential_from_motion(out, out[12:21])
 
 
-RELATIVE_POSE = {
-    "sample_size": _sample_size,
-    "num_items": _num_items,
-    "degrees_of_freedom": _sample_size,
-    "workspace": _workspace,
-    "solve_sample": _solve_sample,
-    "agreeing": _agreeing,
-    "settle": _settle,
-    "score": _score,
-    "residuals_sq": _residuals_sq,
-    "near": _near,
-    "residual_size": _residual_size,
-    "linearize": _linearize,
-    "retract": _retract,
-}
+def contract_of_motions(kind, rays_of, agreeing_block, score_block, rows_of_block, residuals_of):
+    """The contract of relative poses whose matches are kept as `kind` keeps them, given what looks at a match."""
+
+    def solve_sample(problem, sample, models, work):
+        y1, y2, essentials, _, solver = work
+        rays_of(problem.matches, sample, y1, y2)
+        count = essential_five_point(y1, y2, essentials, solver)
+        for k in range(count):
+            for i in range(9):
+                models[k, 12 + i] = essentials[k, i]
+        return count
+
+    def agreeing(problem, model, threshold_sq, start, stop):
+        return agreeing_block(model[12:21], problem.matches, threshold_sq, start, stop)
+
+    def settle(problem, sample, model, settled, work):
+        # Those of the four motions of E that put the sample in front.
+        y1, y2, _, motions, _ = work
+        rays_of(problem.matches, sample, y1, y2)
+        count = motions_from_essential(model[12:21], y1, y2, motions)
+        for c in range(count):
+            copy_numbers(motions[c], settled[c])
+            essential_from_motion(settled[c], settled[c, 12:21])
+        return count
+
+    def score(problem, model, threshold_sq, bail_out):
+        matches, total = problem.matches, 0.0
+        n = matches.shape[1]
+        for start in range(0, n, BLOCK):
+            total += score_block(model, matches, start, min(start + BLOCK, n), threshold_sq)
+            if total > bail_out:
+                break
+        return total
+
+    def residuals_sq(problem, model, threshold_sq, out):
+        residuals_of(model, problem.matches, math.sqrt(threshold_sq), out)
+
+    def near(problem, model, threshold_sq):
+        residuals = np.empty(problem.matches.shape[1])
+        residuals_of(model, problem.matches, math.sqrt(threshold_sq), residuals)
+        return kind(columns_within(problem.matches, residuals, threshold_sq))
+
+    def linearize(problem, model, threshold_sq, soft_sq, a, b):
+        size = 5
+        d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
+        clear_rows(a)
+        clear(b)
+        derivatives_of_essential(model, d)
+        matches, total = problem.matches, 0.0
+        n = matches.shape[1]
+        for start in range(0, n, BLOCK):
+            stop = min(start + BLOCK, n)
+            total += rows_of_block(model, matches, start, stop, threshold_sq, soft_sq, rows)
+            add_normal_equations(d, rows, jac, stop - start, a, b)
+        for i in range(size):
+            for j in range(i):
+                a[j, i] = a[i, j]
+        return total
+
+    return {
+        "sample_size": _sample_size,
+        "num_items": _num_items,
+        "degrees_of_freedom": _sample_size,
+        "workspace": _workspace,
+        "solve_sample": solve_sample,
+        "agreeing": agreeing,
+        "settle": settle,
+        "score": score,
+        "residuals_sq": residuals_sq,
+        "near": near,
+        "residual_size": _residual_size,
+        "linearize": linearize,
+        "retract": _retract,
+    }
+
+
+RELATIVE_POSE = contract_of_motions(
+    RelativePoseProblem, gather, sampson_agreeing, _score_block, _rows_of_block, relative_residuals
+)
 implement(RelativePoseProblem, **RELATIVE_POSE)

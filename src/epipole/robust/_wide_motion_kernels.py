@@ -12,15 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import BLOCK, REASSOC, add_normal_equations, columns_within
+from epipole.robust._block_kernels import REASSOC
 from epipole.robust._contract_kernels import implement
-from epipole.robust._relative_pose_kernels import RELATIVE_POSE, derivatives_of_essential
-from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
-from epipole.solvers._two_view_kernels import (
-    essential_five_point,
-    essential_from_motion,
-    motions_from_essential,
-)
+from epipole.robust._relative_pose_kernels import contract_of_motions
 
 SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
 
@@ -28,7 +22,7 @@ SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
 class WideMotionProblem(NamedTuple):
     """Matched rays and their derivatives."""
 
-    rays: np.ndarray
+    matches: np.ndarray
     """(18, n): y1, y2 (of length one), then J1 and J2 (3 x 2, row by row)."""
 
 
@@ -81,7 +75,7 @@ def wide_residuals(p, m, slack, out):
 
 
 @kernel(extra_fastmath=REASSOC)
-def _agreeing_block(f, m, start, stop, threshold_sq):
+def _agreeing_block(f, m, threshold_sq, start, stop):
     count = 0
     for k in range(start, stop):
         e, slope, _, _ = _error(f, m, k)
@@ -119,83 +113,9 @@ def _gather_rays(m, sample, y1, y2):
             y1[k, i], y2[k, i] = m[i, sample[k]], m[SECOND + i, sample[k]]
 
 
-def _num_items(problem):
-    return problem.rays.shape[1]
-
-
-def _solve_sample(problem, sample, models, work):
-    y1, y2, essentials, _, solver = work
-    _gather_rays(problem.rays, sample, y1, y2)
-    count = essential_five_point(y1, y2, essentials, solver)
-    for k in range(count):
-        for i in range(9):
-            models[k, 12 + i] = essentials[k, i]
-    return count
-
-
-def _agreeing(problem, model, threshold_sq, start, stop):
-    return _agreeing_block(model[12:21], problem.rays, start, stop, threshold_sq)
-
-
-def _settle(problem, sample, model, settled, work):
-    y1, y2, _, motions, _ = work
-    _gather_rays(problem.rays, sample, y1, y2)
-    count = motions_from_essential(model[12:21], y1, y2, motions)
-    for c in range(count):
-        copy_numbers(motions[c], settled[c])
-        essential_from_motion(settled[c], settled[c, 12:21])
-    return count
-
-
-def _score(problem, model, threshold_sq, bail_out):
-    rays, total = problem.rays, 0.0
-    n = rays.shape[1]
-    for start in range(0, n, BLOCK):
-        total += _score_block(model, rays, start, min(start + BLOCK, n), threshold_sq)
-        if total > bail_out:
-            break
-    return total
-
-
-def _residuals_sq(problem, model, threshold_sq, out):
-    wide_residuals(model, problem.rays, math.sqrt(threshold_sq), out)
-
-
-def _near(problem, model, threshold_sq):
-    residuals = np.empty(problem.rays.shape[1])
-    wide_residuals(model, problem.rays, math.sqrt(threshold_sq), residuals)
-    return WideMotionProblem(columns_within(problem.rays, residuals, threshold_sq))
-
-
-def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    size = 5
-    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
-    clear_rows(a)
-    clear(b)
-    derivatives_of_essential(model, d)
-    rays, total = problem.rays, 0.0
-    n = rays.shape[1]
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, rays, start, stop, threshold_sq, soft_sq, rows)
-        add_normal_equations(d, rows, jac, stop - start, a, b)
-    for i in range(size):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
-
-
 implement(
     WideMotionProblem,
-    **{
-        **RELATIVE_POSE,
-        "num_items": _num_items,
-        "solve_sample": _solve_sample,
-        "agreeing": _agreeing,
-        "settle": _settle,
-        "score": _score,
-        "residuals_sq": _residuals_sq,
-        "near": _near,
-        "linearize": _linearize,
-    },
+    **contract_of_motions(
+        WideMotionProblem, _gather_rays, _agreeing_block, _score_block, _rows_of_block, wide_residuals
+    ),
 )
