@@ -28,6 +28,7 @@ WARM_UP = 3
 RESAMPLES = 2000
 FAILED = 1e6
 AUC_DEG = (5.0, 10.0, 20.0)
+KNOW_LENSES = ("epipole", "poselib", "pycolmap")
 
 
 def main() -> None:
@@ -72,6 +73,8 @@ def _measure(
             continue
         if peer.version() is None:
             console.print(f"{peer.name}: not installed")
+        elif problems[0].lens != "PINHOLE" and peer.package not in KNOW_LENSES:
+            console.print(f"{peer.name}: knows no {problems[0].lens}")
         elif peer.package != "pydegensac" or task.kind in ("fundamental", "homography"):
             workers.append(Worker(peer, task.kind))
     if not workers:

@@ -63,8 +63,7 @@ class Epipole(EstimationPeer):
             )
 
         def camera(p: EstimationProblem) -> Camera:
-            K = p.K
-            return Camera(CameraModel.PINHOLE, *p.size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]))
+            return Camera(CameraModel[p.lens], *p.size, np.array(p.params))
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             c = camera(p)
@@ -147,9 +146,7 @@ class Poselib(EstimationPeer):
             }
 
         def camera(p: EstimationProblem) -> dict[str, Any]:
-            K = p.K
-            params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-            return {"model": "PINHOLE", "width": p.size[0], "height": p.size[1], "params": params}
+            return {"model": p.lens, "width": p.size[0], "height": p.size[1], "params": p.params}
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found, _ = poselib.estimate_relative_pose(
@@ -245,9 +242,7 @@ class Pycolmap(EstimationPeer):
             return out
 
         def camera(p: EstimationProblem) -> Any:
-            K = p.K
-            params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-            return pycolmap.Camera(model="PINHOLE", width=p.size[0], height=p.size[1], params=params)
+            return pycolmap.Camera(model=p.lens, width=p.size[0], height=p.size[1], params=p.params)
 
         def relative(p: EstimationProblem, limits: EstimationLimits) -> Model:
             found = pycolmap.estimate_essential_matrix(

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import scipy.io
 
+from epipole.cameras import Camera, CameraModel
 from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
@@ -43,6 +44,14 @@ class EstimationProblem:
     """cam2_from_cam1 (up to length) or cam_from_world."""
     validation: np.ndarray | None = None
     """True matches u1 v1 u2 v2, (m, 4)."""
+    lens: Literal["PINHOLE", "OPENCV_FISHEYE"] = "PINHOLE"
+    """Of both cameras; a fisheye's coefficients are zero."""
+
+    @property
+    def params(self) -> list[float]:
+        """Of the camera model."""
+        four = [float(self.K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        return four if self.lens == "PINHOLE" else four + [0.0] * 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +102,40 @@ def _synthetic_absolute(num_points: int, outliers: float) -> Callable[[Path, int
                 EstimationProblem(
                     "absolute_pose", p.points_in_world, p.pixels, p.camera.K, size, p.cam_from_world
                 )
+            )
+        return out
+
+    return make
+
+
+def _fisheye(half_deg: float) -> Callable[[Path, int], list[EstimationProblem]]:
+    """An equidistant fisheye, points evenly over the directions so far off the axis; 30 % wrong, one pixel of noise."""
+
+    def make(_data: Path, count: int) -> list[EstimationProblem]:
+        K = np.array([[400.0, 0.0, 639.5], [0.0, 400.0, 639.5], [0.0, 0.0, 1.0]])
+        camera = Camera(
+            CameraModel.OPENCV_FISHEYE, 1280, 1280, np.array([400, 400, 639.5, 639.5, 0, 0, 0, 0.0])
+        )
+        out = []
+        for seed in range(count):
+            rng = np.random.default_rng(seed)
+            motion = Rigid3.exp(np.concatenate([rng.standard_normal(3), 0.1 * rng.standard_normal(3)]))
+            motion = Rigid3(motion.rotation, motion.translation / np.linalg.norm(motion.translation))
+            cosine, around = (
+                rng.uniform(np.cos(np.radians(half_deg)), 1, 1000),
+                rng.uniform(0, 2 * np.pi, 1000),
+            )
+            sine = np.sqrt(1.0 - cosine**2)
+            points = np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=1)
+            points *= rng.uniform(4.0, 9.0, (1000, 1))
+            pixels = [camera.project(x) for x in (points, motion.apply(points))]
+            pixels = [x + rng.standard_normal(x.shape) for x in pixels]
+            wrong = rng.random(1000) < 0.3
+            pixels[1][wrong] = rng.uniform(0, 1280, (int(wrong.sum()), 2))
+            seen = np.isfinite(pixels[0]).all(axis=1) & np.isfinite(pixels[1]).all(axis=1)
+            one, two = (x[seen] for x in pixels)
+            out.append(
+                EstimationProblem("relative_pose", one, two, K, (1280, 1280), motion, lens="OPENCV_FISHEYE")
             )
         return out
 
@@ -238,6 +281,10 @@ TASKS = {
                 f"fundamental-plane-{percent}", "fundamental", _dominant_plane(1000, 0.4, percent / 100)
             )
             for percent in (80, 90, 95)
+        ),
+        *(
+            EstimationTask(f"relative-fisheye-{degrees}", "relative_pose", _fisheye(degrees))
+            for degrees in (60, 88)
         ),
         EstimationTask("fundamental-clicked", "fundamental", _clicked("fundamental")),
         EstimationTask("homography-clicked", "homography", _clicked("homography")),

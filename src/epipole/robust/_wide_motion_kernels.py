@@ -28,7 +28,7 @@ class WideMotionProblem(NamedTuple):
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
 def _error(f, m, k):
-    """(e, m, a1, a2): the algebraic error, its squared slope, and J1 J1^T E^T y2, J2 J2^T E y1."""
+    """(e, m, J1^T E^T y2, J2^T E y1): the algebraic error, its squared slope, and the slopes by both pixels."""
     x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
     l0, l1, l2 = (
         f[0] * x + f[1] * y + f[2] * z,
