@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
 
 import epipole
 from epipole import _jit
+from epipole._callees import Kernel
 from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel
 from epipole.sfm.warm_up import warm_up
 
@@ -84,6 +84,30 @@ def test_inlined_helpers() -> None:
     assert "reassoc" in _dot.targetoptions["fastmath"] and "reassoc" not in _length.targetoptions["fastmath"]
 
 
+def test_what_only_kernels_call_is_no_machine_code() -> None:
+    """It is compiled once, into each kernel that Python calls, and gives the same numbers as when called itself."""
+
+    @kernel
+    def scaled(x, scale):
+        return scale * x
+
+    @kernel
+    def total(values, scale):
+        sum_ = 0.0
+        for value in values:
+            sum_ += scaled(value, scale)
+        return sum_
+
+    values = np.array([1.0, np.nan, 2.5])[[0, 2]]
+    assert total(values, 2.0) == 7.0
+    assert scaled.signatures == [] and len(scaled.callee.overloads) == 1
+    (only,) = scaled.callee.overloads.values()
+    assert only.library.get_pointer_to_function(only.fndesc.mangled_name) == 0
+    with pytest.raises(TypeError, match="takes no arguments"):
+        only.entry_point(1.0, 2.0)
+    assert scaled(1.5, 2.0) == 3.0 and scaled.nopython_signatures[0].args == only.signature.args
+
+
 def test_kernels_are_serial_cached_and_release_the_interpreter_lock() -> None:
     options = _length.targetoptions
     assert options["nogil"] and not options.get("parallel", False) and options["error_model"] == "numpy"
@@ -134,7 +158,7 @@ def test_the_folder_follows_the_sources_of_all_kernels(tmp_path: Path) -> None:
     for room in ("a", "b"):
         package = tmp_path / room / "epipole"
         (package / "cameras").mkdir(parents=True)
-        for name in ("__init__.py", "_jit.py", "errors.py"):
+        for name in ("__init__.py", "_jit.py", "_callees.py", "errors.py"):
             (package / name).write_text((source / name).read_text())
         (package / "cameras" / "_x_kernels.py").write_text(f"# {room}\n")
         (package / "cameras" / "x.py").write_text(f"# {room}\n")
@@ -173,9 +197,9 @@ def test_kernels_that_borrow_their_arrays_return_none() -> None:
     for source in sorted(package.rglob("_*_kernels.py")):
         name = ".".join(("epipole", *source.relative_to(package).with_suffix("").parts))
         for function in vars(importlib.import_module(name)).values():
-            if not isinstance(function, Dispatcher) or function.targetoptions["_nrt"]:
+            if not isinstance(function, Kernel) or function.targetoptions["_nrt"]:
                 continue
-            for overload in function.overloads.values():
+            for overload in (*function.overloads.values(), *function.callee.overloads.values()):
                 seen += 1
                 assert "array" not in str(overload.signature.return_type), f"{name}.{function.__name__}"
-    assert seen > 10  # those called from Python; on a machine without compiled kernels, their callees too
+    assert seen > 10  # those called from Python and their callees, as far as they were compiled just now

@@ -24,19 +24,29 @@ from llvmlite.binding import get_host_cpu_name
 from numba.core import config
 from numba.core import event as numba_event
 
+from epipole._callees import CalleeCompiler, Kernel
+
 try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 _numba_config: Any = config
-_njit: Any = numba.njit  # its stubs lack `_nrt`
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # No nnan or ninf: `fastmath=True` makes isfinite() and isnan() lie. No contract or arcp either: they round
 # differently where a callee was inlined, so that a cold and a warm cache disagreed in the last digits; leaving
 # them out cost no measurable time.
 SAFE_FASTMATH = {"nsz"}
+
+OVERLOAD_OPTIONS = {
+    "error_model": "numpy",
+    "fastmath": SAFE_FASTMATH,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": CalleeCompiler,
+}
+"""For Numba's `overload`, whose functions only kernels call."""
 
 
 @cache
@@ -50,7 +60,7 @@ def cache_folder() -> Path:
     digest = hashlib.sha256(
         f"{numba.__version__} {sys.version_info[:2]} {package} {get_host_cpu_name()}".encode()
     )
-    for source in sorted([*package.rglob("_*_kernels.py"), Path(__file__)]):
+    for source in sorted([*package.rglob("_*_kernels.py"), package / "_callees.py", Path(__file__)]):
         digest.update(f"{source.stat().st_mtime_ns}".encode())
         digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
@@ -148,17 +158,20 @@ def kernel(
     previous = _numba_config.CACHE_DIR
     _numba_config.CACHE_DIR = str(cache_folder())
     try:
-        compiled = _njit(
+        compiled = Kernel(
             unwrap(function),
-            cache=True,
-            nogil=True,
-            error_model="numpy",
-            fastmath=SAFE_FASTMATH | set(extra_fastmath),
-            inline="always" if inline else "never",
-            forceinline=fuse,
-            _nrt=allocates,
-            no_cfunc_wrapper=True,  # for use as a value, which nothing here is; it took 4 % of compiling
+            targetoptions={
+                "nopython": True,
+                "nogil": True,
+                "error_model": "numpy",
+                "fastmath": SAFE_FASTMATH | set(extra_fastmath),
+                "inline": "always" if inline else "never",
+                "forceinline": fuse,
+                "_nrt": allocates,
+                "no_cfunc_wrapper": True,  # for use as a value, which nothing here is; it took 4 % of compiling
+            },
         )
+        compiled.enable_caching()
         _lock_saving(compiled)
     finally:
         _numba_config.CACHE_DIR = previous

@@ -10,7 +10,7 @@ from inspect import signature, unwrap
 from numba import types
 from numba.extending import overload
 
-from epipole._jit import SAFE_FASTMATH
+from epipole._jit import OVERLOAD_OPTIONS
 
 MODEL_SIZE = 32  # room for the largest model
 MOST_MODELS = 40  # that one sample can give
@@ -94,14 +94,6 @@ _implementations: dict[str, dict] = {}
 _otherwise = {"escape": unwrap(_stay)}
 
 
-_OPTIONS = {
-    "error_model": "numpy",
-    "fastmath": SAFE_FASTMATH,
-    "no_cpython_wrapper": True,  # they are called by kernels alone
-    "no_cfunc_wrapper": True,
-}
-
-
 def _open(function):
     known = _implementations.setdefault(function.__name__, {})
 
@@ -114,7 +106,7 @@ def _open(function):
     names = ", ".join(signature(function).parameters)
     scope = {"choose": choose}
     exec(f"def chooser({names}): return choose(problem)", scope)
-    overload(function, jit_options=_OPTIONS)(scope["chooser"])
+    overload(function, jit_options=OVERLOAD_OPTIONS)(scope["chooser"])
 
 
 for _function in (
