@@ -10,11 +10,17 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one, unproject_one
+from epipole.cameras._camera_kernels import (
+    OPENCV_FISHEYE,
+    expand_params,
+    project_one,
+    project_with_jacobian_one,
+    unproject_one,
+)
 
 MAX_ROWS_TRIED = 10  # pairs of rows are tried among so many of a point's, spread evenly
 OK, TOO_FEW_VIEWS, PARALLEL, BEHIND, LARGE_ERROR = 0, 1, 2, 3, 4
-LEAST_DEPTH = 1e-3
+FARTHEST = 1e3  # focal lengths from the principal point
 
 
 class Rows(NamedTuple):
@@ -204,6 +210,27 @@ def best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, bes
     return best
 
 
+@kernel
+def plain_lens(model, params, f):
+    """Whether the lens does not distort, its principal point, and what takes its pixels to a focal length f."""
+    fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
+    is_plain = model != OPENCV_FISHEYE and d0 == 0.0 and d1 == 0.0 and d2 == 0.0 and d3 == 0.0
+    return is_plain, cx, cy, f / fx, f / fy
+
+
+@kernel(inline=True)
+def without_lens(lens, model, params, f, u, v):
+    """The pixel of a pinhole of focal length f, from its principal point; NaN where it has no ray before the camera."""
+    is_plain, cx, cy, sx, sy = lens
+    if is_plain:
+        a, b = sx * (u - cx), sy * (v - cy)
+    else:
+        x, y, z = unproject_one(model, params, u, v)
+        per_z = f / z if z > 0.0 else math.nan
+        a, b = per_z * x, per_z * y
+    return a, b
+
+
 @kernel(allocates=True)
 def triangulate_two_views(
     models, params, motion, essential, focal, max_cosine, pixels1, pixels2, start, stop, out
@@ -216,6 +243,8 @@ def triangulate_two_views(
     """
     points, errors, cosines, reasons = out
     f1, f2 = focal[0], focal[1]
+    per_f1, per_f2 = 1.0 / f1, 1.0 / f2
+    lens1, lens2 = plain_lens(models[0], params[0], f1), plain_lens(models[1], params[1], f2)
     e = essential
     e00, e01, e02 = e[0] / (f1 * f2), e[1] / (f1 * f2), e[2] / f2
     e10, e11, e12 = e[3] / (f1 * f2), e[4] / (f1 * f2), e[5] / f2
@@ -224,13 +253,11 @@ def triangulate_two_views(
     for k in range(start, stop):
         points[k, 0] = points[k, 1] = points[k, 2] = math.nan
         errors[k], cosines[k] = math.inf, 1.0
-        x, y, z = unproject_one(models[0], params[0], pixels1[k, 0], pixels1[k, 1])
-        u, v, w = unproject_one(models[1], params[1], pixels2[k, 0], pixels2[k, 1])
-        if not (z > LEAST_DEPTH and w > LEAST_DEPTH):
+        a0, a1 = without_lens(lens1, models[0], params[0], f1, pixels1[k, 0], pixels1[k, 1])
+        b0, b1 = without_lens(lens2, models[1], params[1], f2, pixels2[k, 0], pixels2[k, 1])
+        if not (a0 * a0 + a1 * a1 < (FARTHEST * f1) ** 2 and b0 * b0 + b1 * b1 < (FARTHEST * f2) ** 2):
             reasons[k] = TOO_FEW_VIEWS
             continue
-        a0, a1 = f1 * x / z, f1 * y / z
-        b0, b1 = f2 * u / w, f2 * v / w
         # n2: normal of x1's line in image 2; n1: of x2's line in image 1.
         n20, n21 = e00 * a0 + e01 * a1 + e02, e10 * a0 + e11 * a1 + e12
         n10, n11 = e00 * b0 + e10 * b1 + e20, e01 * b0 + e11 * b1 + e21
@@ -245,8 +272,8 @@ def triangulate_two_views(
         step *= 2.0 * d / (m20 * m20 + m21 * m21 + m10 * m10 + m11 * m11 + 1e-300)
         d20, d21, d10, d11 = step * m20, step * m21, step * m10, step * m11
         errors[k] = math.sqrt(0.25 * (d20 * d20 + d21 * d21 + d10 * d10 + d11 * d11))
-        x, y = (a0 - d10) / f1, (a1 - d11) / f1
-        u, v = (b0 - d20) / f2, (b1 - d21) / f2
+        x, y = (a0 - d10) * per_f1, (a1 - d11) * per_f1
+        u, v = (b0 - d20) * per_f2, (b1 - d21) * per_f2
         p, q, s = r[0] * x + r[1] * y + r[2], r[3] * x + r[4] * y + r[5], r[6] * x + r[7] * y + r[8]
         # X1 = depth (x, y, 1): depth R x1 + t is parallel to x2, so depth (x2 x R x1) = -(x2 x t).
         z0, z1, z2 = v * s - q, p - u * s, u * q - v * p
