@@ -3,39 +3,132 @@
 import math
 
 import numpy as np
+from numpy.polynomial.chebyshev import cheb2poly
 
 from epipole._jit import kernel
 from epipole.solvers._linear_kernels import null_space
+from epipole.solvers._polynomial_kernels import roots_within, roots_workspace
 from epipole.solvers._two_view_kernels import essential_constraints
 
-LEAST_FOCAL, MOST_FOCAL, GRID, DIP_STEPS = 0.25, 8.0, 48, 6
+MOST_SHARED = 8
+"""Solutions of six matches that are kept; hardly ever are there more in the range of focal lengths."""
+DEGREE = 15
+LEAST_FOCAL, MOST_FOCAL = 0.25, 8.0
+FAR = 100.0  # f^-2 where the polynomial is all but its leading term
+# Chebyshev's nodes, and what makes coefficients of the values there: by way of Chebyshev's polynomials, for the inverse
+# of the powers' own matrix is exact to six digits less.
+ANGLES = np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1)
+NODES = np.cos(ANGLES)
+TO_COEFFICIENTS = sum(
+    np.outer(
+        np.pad(cheb2poly(np.eye(DEGREE + 1)[n]), (0, DEGREE))[: DEGREE + 1],
+        (1.0 if n == 0 else 2.0) / (DEGREE + 1) * np.cos(n * ANGLES),
+    )
+    for n in range(DEGREE + 1)
+)
 # Columns of the 20 monomials of the essential constraints that hold no z: x3 y3 x2y xy2 x2 y2 xy x y 1.
 WITHOUT_Z = np.array([0, 1, 2, 3, 5, 7, 9, 12, 15, 19])
 X, Y = 7, 8  # where x and y stand among them
 
 
 @kernel
-def _constraint_matrix(basis, focal, w):
-    """C(f) (10 x 10) with C (x3 ... 1)^T = 0 for E = K (x F1 + y F2 + F3) K, K = diag(1, 1, 1 / f) up to scale.
+def shared_focal_six_point(x1, x2, essentials, focals, w):
+    """E (k, 9) and f (k,) of two cameras with one focal length, from six matches (rows (u, v, 1), pixels of order one).
 
-    Returns its determinant; afterwards `lu` holds its triangular factors and `pivots` the order of the rows.
+    x2^T F x1 = 0 leaves F = x F1 + y F2 + F3. For a focal length the constraints of the essential matrix are ten
+    equations in the ten monomials of x and y; their determinant is a polynomial of degree 15 in f^-2 that vanishes at
+    the true one (Stewenius et al. 2005; Kukelova, Bujnak and Pajdla, BMVC 2008). It is interpolated from 16 focal
+    lengths; its roots between a quarter and eight units, for no other is a lens, are polished on the determinant.
+    Assumption: square pixels, no distortion, principal points at zero. Returns k, at most 8.
     """
-    e, quadratics, system, lu, pivots = w
-    for i in range(3):
-        for j in range(3):
-            scale = (focal if i < 2 else 1.0) * (focal if j < 2 else 1.0) / (focal * focal)
-            k = 3 * i + j
-            e[k, 0], e[k, 1], e[k, 2], e[k, 3] = (
-                basis[0, k] * scale,
-                basis[1, k] * scale,
-                0.0,
-                basis[2, k] * scale,
-            )
-    essential_constraints(e, quadratics, system)
+    a, basis, constraints, lu, values, poly, roots, root_work, v, work = w
+    for k in range(6):
+        for i in range(3):
+            for j in range(3):
+                a[k, 3 * i + j] = x2[k, i] * x1[k, j]
+    null_space(a, basis)
+    _constraint_polynomial(basis, constraints, work)
+    mean = _determinant_polynomial(constraints, lu, values, poly)
+    found = 0
+    for k in range(roots_within(poly, 1.0, root_work, roots)):
+        square = mean * (1.0 + roots[k]) / (1.0 - roots[k])
+        if found == MOST_SHARED or not MOST_FOCAL**-2 <= square <= LEAST_FOCAL**-2:
+            continue
+        square = _polish_root(constraints, square, lu)
+        if not square > 0.0:
+            continue
+        focal = 1.0 / math.sqrt(square)
+        _determinant(constraints, 1.0, square, lu)
+        _null_vector(lu, v)
+        if _essential_of(basis, v[X], v[Y], focal, essentials[found]):
+            focals[found] = focal
+            found += 1
+    return found
+
+
+@kernel
+def _constraint_polynomial(basis, constraints, w):
+    """C0, C1, C2 (3 x 10 x 10): (C0 + q C1 + q^2 C2) (x3 ... 1)^T = 0 for q = f^-2.
+
+    With E = D F D, D = diag(1, 1, f^-1), row (i, j) of the constraints is D_ii D_jj times a polynomial of degree two
+    in q, and det E is q det F. Three values of q give it.
+    """
+    e, quadratics, system = w
+    for n in range(3):
+        depth = 0.5 * 2.0**n
+        for i in range(3):
+            for j in range(3):
+                k = 3 * i + j
+                scale = (depth if i == 2 else 1.0) * (depth if j == 2 else 1.0)
+                for c in range(4):
+                    e[k, c] = 0.0 if c == 2 else scale * basis[min(c, 2), k]
+        essential_constraints(e, quadratics, system)
+        for r in range(10):
+            scale = depth * depth
+            if r > 0:
+                scale = (depth if r > 6 else 1.0) * (depth if r % 3 == 0 else 1.0)
+            for c in range(10):
+                constraints[n, r, c] = system[r, WITHOUT_Z[c]] / scale
     for r in range(10):
         for c in range(10):
-            lu[r, c] = system[r, WITHOUT_Z[c]]
-        pivots[r] = r
+            # Newton's divided differences at q = 1/4, 1, 4.
+            low, middle, high = constraints[0, r, c], constraints[1, r, c], constraints[2, r, c]
+            first, second = (middle - low) / 0.75, (high - middle) / 3.0
+            bend = (second - first) / 3.75
+            constraints[0, r, c] = low - 0.25 * first + 0.25 * bend
+            constraints[1, r, c] = first - 1.25 * bend
+            constraints[2, r, c] = bend
+
+
+@kernel
+def _determinant_polynomial(constraints, lu, values, poly):
+    """The determinant's polynomial in u, f^-2 = m (1 + u) / (1 - u), times (1 - u)^15; returns m.
+
+    All focal lengths are -1 < u < 1. With m the geometric mean of the roots' sizes the polynomial is as large at one end
+    as at the other; else it would vary by twenty orders of magnitude.
+    """
+    far = _determinant(constraints, 1.0, FAR, lu)
+    if far == 0.0:
+        far = math.inf
+    mean = (abs(_determinant(constraints, 1.0, 0.0, lu) / far) * FAR**DEGREE) ** (1.0 / DEGREE)
+    for k in range(DEGREE + 1):
+        # The ten equations are of degree two in f^-2: of the 20 factors 1 - u, 15 are the polynomial's.
+        below = 1.0 - NODES[k]
+        values[k] = _determinant(constraints, below, mean * (1.0 + NODES[k]), lu) / below**5
+    for k in range(DEGREE + 1):
+        poly[k] = 0.0
+        for n in range(DEGREE + 1):
+            poly[k] += TO_COEFFICIENTS[k, n] * values[n]
+    return mean
+
+
+@kernel
+def _determinant(constraints, p, q, lu):
+    """Det (p^2 C0 + p q C1 + q^2 C2); `lu` holds the triangular factors, q / p is f^-2."""
+    a, b, c = p * p, p * q, q * q
+    for i in range(10):
+        for j in range(10):
+            lu[i, j] = a * constraints[0, i, j] + b * constraints[1, i, j] + c * constraints[2, i, j]
     determinant = 1.0
     for k in range(10):
         best = k
@@ -44,16 +137,33 @@ def _constraint_matrix(basis, focal, w):
                 best = r
         if best != k:
             determinant = -determinant
-            for c in range(10):
-                lu[k, c], lu[best, c] = lu[best, c], lu[k, c]
-        determinant *= lu[k, k]
-        if lu[k, k] == 0.0:
+            for n in range(k, 10):
+                lu[k, n], lu[best, n] = lu[best, n], lu[k, n]
+        pivot = lu[k, k]
+        determinant *= pivot
+        if pivot == 0.0:
             return 0.0
+        pivot = 1.0 / pivot
         for r in range(k + 1, 10):
-            factor = lu[r, k] / lu[k, k]
-            for c in range(k + 1, 10):
-                lu[r, c] -= factor * lu[k, c]
+            factor = lu[r, k] * pivot
+            for n in range(k + 1, 10):
+                lu[r, n] -= factor * lu[k, n]
     return determinant
+
+
+@kernel
+def _polish_root(constraints, q, lu):
+    """The root of the determinant next to q, by the secant method."""
+    step = 1e-8 * q
+    at = _determinant(constraints, 1.0, q, lu)
+    for _ in range(6):
+        there = _determinant(constraints, 1.0, q + step, lu)
+        if there == at:
+            break
+        q, at, step = q + step, there, -there * step / (there - at)
+        if not abs(step) > 1e-15 * q:
+            break
+    return q
 
 
 @kernel
@@ -65,102 +175,6 @@ def _null_vector(lu, v):
         for c in range(k + 1, 10):
             total += lu[k, c] * v[c]
         v[k] = -total / lu[k, k]
-
-
-@kernel
-def shared_focal_six_point(x1, x2, essentials, focals, w):
-    """E (k, 9) and f (k,) of two cameras with one focal length, from six matches (rows (u, v, 1), pixels of order one).
-
-    x2^T F x1 = 0 leaves F = x F1 + y F2 + F3; for a focal length the constraints of the essential matrix are ten equations
-    in the ten monomials of x and y, whose determinant vanishes at the true one (Stewenius et al. 2005; Kukelova,
-    Bujnak and Pajdla, BMVC 2008). Its sign is followed over focal lengths from a quarter to eight units, for
-    no other is a lens. Assumption: square pixels, no distortion, principal points at zero. Returns k, at most 8.
-    """
-    a, basis, v, matrix = w
-    for k in range(6):
-        for i in range(3):
-            for j in range(3):
-                a[k, 3 * i + j] = x2[k, i] * x1[k, j]
-    null_space(a, basis)
-    found, step = 0, math.log(MOST_FOCAL / LEAST_FOCAL) / GRID
-    first, low = 0.0, LEAST_FOCAL
-    before, below = 0.0, _constraint_matrix(basis, low, matrix)
-    for n in range(1, GRID + 1):
-        high = LEAST_FOCAL * math.exp(step * n)
-        above = _constraint_matrix(basis, high, matrix)
-        if below * above < 0.0:
-            found = _add_root(basis, low, high, below, above, matrix, v, essentials, focals, found)
-        elif n > 1 and before * below > 0.0 and abs(below) < abs(before) and abs(below) < abs(above):
-            found = _search_dip(
-                basis, first, low, high, before, below, above, matrix, v, essentials, focals, found
-            )
-        first, before = low, below
-        low, below = high, above
-    return found
-
-
-@kernel
-def _search_dip(basis, first, low, high, before, below, above, matrix, v, essentials, focals, found):
-    """A dip towards zero between grid points may hide two roots: follow parabolas to its lowest point."""
-    for _ in range(DIP_STEPS):
-        # The lowest point of the parabola through three unequally spaced points.
-        p, q = (low - first) * (below - above), (low - high) * (below - before)
-        if p == q:
-            return found
-        dip = low - 0.5 * ((low - first) * p - (low - high) * q) / (p - q)
-        if not (dip > first and dip < high) or abs(dip - low) < 1e-9 * low:
-            return found
-        value = _constraint_matrix(basis, dip, matrix)
-        if value * below < 0.0:
-            if dip > low:
-                first, before = low, below
-            else:
-                high, above = low, below
-            found = _add_root(basis, first, dip, before, value, matrix, v, essentials, focals, found)
-            return _add_root(basis, dip, high, value, above, matrix, v, essentials, focals, found)
-        if abs(value) < abs(below):
-            if dip > low:
-                first, before = low, below
-            else:
-                high, above = low, below
-            low, below = dip, value
-        elif dip > low:
-            high, above = dip, value
-        else:
-            first, before = dip, value
-    return found
-
-
-@kernel
-def _add_root(basis, low, high, below, above, matrix, v, essentials, focals, found):
-    """Append the solution at the root between two focal lengths, if there is room; returns their number."""
-    if found == len(focals):
-        return found
-    focal = _root_between(basis, low, high, below, above, matrix)
-    _constraint_matrix(basis, focal, matrix)
-    _null_vector(matrix[3], v)
-    if _essential_of(basis, v[X], v[Y], focal, essentials[found]):
-        focals[found] = focal
-        found += 1
-    return found
-
-
-@kernel
-def _root_between(basis, low, high, below, above, matrix):
-    """The focal length where the determinant vanishes, by the Illinois rule (Dowell and Jarratt 1971)."""
-    for _ in range(40):
-        middle = (low * above - high * below) / (above - below)
-        value = _constraint_matrix(basis, middle, matrix)
-        if value == 0.0 or abs(high - low) < 1e-10 * high:
-            return middle
-        if value * above < 0.0:
-            low, below = high, above
-        else:
-            below *= 0.5
-        if abs(middle - high) < 1e-11 * high:
-            return middle
-        high, above = middle, value
-    return high
 
 
 @kernel
@@ -184,14 +198,18 @@ def _essential_of(basis, x, y, focal, out):
 @kernel(allocates=True)
 def shared_focal_workspace():
     """Arrays that `shared_focal_six_point` writes into."""
-    matrix = (
-        np.empty((9, 4)),
-        np.empty((7, 10)),
-        np.empty((10, 20)),
+    return (
+        np.empty((6, 9)),
+        np.empty((3, 9)),
+        np.empty((3, 10, 10)),
         np.empty((10, 10)),
-        np.empty(10, np.int64),
+        np.empty(DEGREE + 1),
+        np.empty(DEGREE + 1),
+        np.empty(DEGREE),
+        roots_workspace(),
+        np.empty(10),
+        (np.empty((9, 4)), np.empty((7, 10)), np.empty((10, 20))),
     )
-    return np.empty((6, 9)), np.empty((3, 9)), np.empty(10), matrix
 
 
 @kernel

@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 
-MOST_DEGREE = 10
+MOST_DEGREE = 15
 UNEVEN = 0.4871  # where intervals are cut: halves would meet roots that are whole numbers, zero first
 
 
@@ -121,6 +121,12 @@ def real_roots(poly, work, roots):
     Sturm's theorem (1829): between x and y lie as many different roots as its sequence loses sign changes.
     Bisection isolates each, Newton's method finishes. Roots that coincide to rounding count once.
     """
+    return roots_within(poly, math.inf, work, roots)
+
+
+@kernel
+def roots_within(poly, radius, work, roots):
+    """Those of the real roots that are no larger than the radius."""
     remainders, quotients, stack = work
     degree, biggest, scaled = len(poly) - 1, 0.0, remainders[3]
     for k in range(len(poly)):
@@ -142,7 +148,7 @@ def real_roots(poly, work, roots):
         return 0
     steps = _sturm_chain(scaled, degree, remainders, quotients)
     # All roots are smaller than 1 + max |a_k / a_n| (Cauchy).
-    size = 1.0 + biggest / abs(scaled[degree])
+    size = min(1.0 + biggest / abs(scaled[degree]), radius / unit)
     count = _isolated_roots(scaled, degree, quotients, steps, size / (1.0 + size), stack, roots)
     for k in range(count):
         roots[k] *= unit
