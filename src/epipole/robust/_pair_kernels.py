@@ -11,7 +11,7 @@ import numpy as np
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_one, unproject_one
 from epipole.robust._block_kernels import median, rotate_left
-from epipole.robust._contract_kernels import MOST_FREEDOM
+from epipole.robust._contract_kernels import MOST_FREEDOM, num_items
 from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._loop_kernels import next_random, ransac
@@ -134,11 +134,35 @@ def least_share(search, count):
 
 
 @kernel(allocates=True)
+def search_pair(pairs, p, problem, is_enough, chosen, scale, search, fits):
+    """The best model of pair p, whose items are its chosen matches in pixels over `scale`, and who agrees with it."""
+    count = num_items(problem)
+    residuals = np.full(count, math.inf)
+    fits.iterations[p] = -1
+    if is_enough:
+        score, iterations = ransac(
+            problem,
+            (search.max_error_px / scale) ** 2,
+            1.0,
+            search.confidence,
+            search.min_iterations,
+            search.max_iterations,
+            least_share(search, count),
+            pairs.seed[p],
+            None,
+            fits.raw[p],
+            residuals,
+            np.empty((MOST_FREEDOM, MOST_FREEDOM)),
+        )
+        fits.iterations[p] = iterations if score < math.inf else -1
+    keep(pairs, p, chosen, count, residuals, scale, fits)
+
+
+@kernel(allocates=True)
 def fit_motions(pairs, wanted, use, search, fits):
     """Relative poses of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
@@ -151,26 +175,9 @@ def fit_motions(pairs, wanted, use, search, fits):
             ):
                 chosen[seen] = chosen[c]
                 seen += 1
-        fits.iterations[p] = -1
-        residuals = np.full(seen, math.inf)
         scale = 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
-        if seen >= max(5, search.min_inliers):
-            score, iterations = ransac(
-                RelativePoseProblem(items[:, :seen].copy()),
-                (search.max_error_px / scale) ** 2,
-                1.0,
-                search.confidence,
-                search.min_iterations,
-                search.max_iterations,
-                least_share(search, seen),
-                pairs.seed[p],
-                None,
-                fits.raw[p],
-                residuals,
-                information,
-            )
-            fits.iterations[p] = iterations if score < math.inf else -1
-        keep(pairs, p, chosen, seen, residuals, scale, fits)
+        problem = RelativePoseProblem(items[:, :seen].copy())
+        search_pair(pairs, p, problem, seen >= max(5, search.min_inliers), chosen, scale, search, fits)
 
 
 @kernel
@@ -202,32 +209,17 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
     """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
-        fits.iterations[p] = -1
-        residuals = np.full(count, math.inf)
         fits.frame[p, 4] = 1.0
-        if count >= max(7, search.min_inliers) and _normalize(pairs, chosen, count, fits.frame[p], items):
-            score, iterations = ransac(
-                FundamentalProblem(items[:, :count].copy()),
-                (search.max_error_px / fits.frame[p, 4]) ** 2,
-                1.0,
-                search.confidence,
-                search.min_iterations,
-                search.max_iterations,
-                least_share(search, count),
-                pairs.seed[p],
-                None,
-                fits.raw[p],
-                residuals,
-                information,
-            )
-            fits.iterations[p] = iterations if score < math.inf else -1
-        keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+        is_enough = count >= max(7, search.min_inliers) and _normalize(
+            pairs, chosen, count, fits.frame[p], items
+        )
+        problem = FundamentalProblem(items[:, :count].copy())
+        search_pair(pairs, p, problem, is_enough, chosen, fits.frame[p, 4], search, fits)
 
 
 @kernel(allocates=True)
@@ -235,30 +227,13 @@ def fit_homographies(pairs, use, search, fits):
     """Homographies of all pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
-    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
-        fits.iterations[p] = -1
-        residuals = np.full(count, math.inf)
         fits.frame[p, 4] = 1.0
-        if count >= 4 and _normalize(pairs, chosen, count, fits.frame[p], items):
-            score, iterations = ransac(
-                HomographyProblem(items[:, :count].copy()),
-                (search.max_error_px / fits.frame[p, 4]) ** 2,
-                1.0,
-                search.confidence,
-                search.min_iterations,
-                search.max_iterations,
-                least_share(search, count),
-                pairs.seed[p],
-                None,
-                fits.raw[p],
-                residuals,
-                information,
-            )
-            fits.iterations[p] = iterations if score < math.inf else -1
-        keep(pairs, p, chosen, count, residuals, fits.frame[p, 4], fits)
+        is_enough = count >= 4 and _normalize(pairs, chosen, count, fits.frame[p], items)
+        problem = HomographyProblem(items[:, :count].copy())
+        search_pair(pairs, p, problem, is_enough, chosen, fits.frame[p, 4], search, fits)
 
 
 class Verdicts(NamedTuple):

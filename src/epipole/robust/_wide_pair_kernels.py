@@ -6,9 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject_one
-from epipole.robust._contract_kernels import MOST_FREEDOM
-from epipole.robust._loop_kernels import ransac
-from epipole.robust._pair_kernels import choose, keep, least_share, longest, shuffle
+from epipole.robust._pair_kernels import choose, longest, search_pair, shuffle
 from epipole.robust._wide_motion_kernels import WideMotionProblem
 
 
@@ -39,7 +37,6 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((18, most))
     by_point, by_params = np.empty((2, 3)), np.empty((2, 8))
-    information = np.empty((MOST_FREEDOM, MOST_FREEDOM))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
@@ -54,22 +51,5 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
             ):
                 chosen[seen] = k
                 seen += 1
-        fits.iterations[p] = -1
-        residuals = np.full(seen, math.inf)
-        if seen >= max(5, search.min_inliers):
-            score, iterations = ransac(
-                WideMotionProblem(items[:, :seen].copy()),
-                (search.max_error_px / scale) ** 2,
-                1.0,
-                search.confidence,
-                search.min_iterations,
-                search.max_iterations,
-                least_share(search, seen),
-                pairs.seed[p],
-                None,
-                fits.raw[p],
-                residuals,
-                information,
-            )
-            fits.iterations[p] = iterations if score < math.inf else -1
-        keep(pairs, p, chosen, seen, residuals, scale, fits)
+        problem = WideMotionProblem(items[:, :seen].copy())
+        search_pair(pairs, p, problem, seen >= max(5, search.min_inliers), chosen, scale, search, fits)
