@@ -17,7 +17,8 @@ from numba.extending import intrinsic
 _DOUBLE = ir.DoubleType()
 
 
-def _intrinsic(function: Any) -> Any:
+def row_intrinsic(function: Any) -> Any:
+    """Numba's `intrinsic`, of a function that the type checks of a test run may have wrapped."""
     return intrinsic(unwrap(function))
 
 
@@ -76,41 +77,41 @@ def _combination(num_terms: int, *, adds: bool) -> Any:
     return generate
 
 
-@_intrinsic
+@row_intrinsic
 def add_rows(typingctx, target, a, x, b, y, c, z, lanes):
     """Row target += a x + b y + c z."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=True)
 
 
-@_intrinsic
+@row_intrinsic
 def add_two_rows(typingctx, target, a, x, b, y, lanes):
     """Row target += a x + b y."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=True)
 
 
-@_intrinsic
+@row_intrinsic
 def set_rows(typingctx, target, a, x, b, y, c, z, lanes):
     """Row target = a x + b y + c z; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=False)
 
 
-@_intrinsic
+@row_intrinsic
 def scale_row(typingctx, target, a, x, lanes):
     """Row target = a x; target may be x."""
     return types.void(target, types.float64, x, lanes), _combination(1, adds=False)
 
 
-@_intrinsic
+@row_intrinsic
 def set_two_rows(typingctx, target, a, x, b, y, lanes):
     """Row target = a x + b y; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=False)
 
 
-@_intrinsic
+@row_intrinsic
 def add_product(typingctx, target, x, y, lanes):
     """Row target += x y, lane by lane."""
     signature = types.void(target, x, y, lanes)

@@ -246,3 +246,56 @@ class ReconstructConfig:
             raise ConfigError(
                 f"camera_params must be numbers separated by commas, got {self.camera_params!r}"
             ) from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoConfig:
+    """Options of dense stereo matching."""
+
+    min_disparity_px: int = 0
+    """Smallest disparity looked for; negative where the principal points or the axes differ."""
+    max_disparity_px: int | None = None
+    """Largest disparity looked for; None: found from the pictures."""
+    paths: Literal[4, 8] = 8
+    """Along how many directions costs are summed; four take half the time."""
+    window: tuple[int, int] = (5, 5)
+    """Width and height of the census window, odd."""
+    small_penalty: int = 20
+    """P1: for a change of disparity by one between neighbours, in bits of the census."""
+    edge_penalty: float = 6.0
+    """A larger change costs P1 (1 + edge_penalty exp(-difference of brightness / edge_fade))."""
+    edge_fade: float = 10.0
+    left_right: Literal["accurate", "fast"] = "accurate"
+    """Check against the other picture's own disparities, or (half the time) against those read off the same sums."""
+    max_left_right_px: float = 1.0
+    """Disparities of the two pictures that differ by more are occluded."""
+    min_margin: float = 0.0
+    """The second lowest sum must exceed the lowest by this share of it; else the pixel is ambiguous."""
+    min_region_px: int = 40
+    """Smaller regions of one smooth disparity are speckles."""
+    median_px: Literal[0, 3, 5] = 5
+    """Side of the median filter; 0: none."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
+            raise ConfigError(
+                f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"
+            )
+        if (
+            any(side < 1 or side % 2 == 0 for side in self.window)
+            or not 2 < self.window[0] * self.window[1] <= 121
+        ):
+            raise ConfigError(f"window must have odd sides and at most 121 pixels, is {self.window}")
+        bits = self.window[0] * self.window[1] - 1
+        largest = self.small_penalty * (1.0 + self.edge_penalty)
+        if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
+            raise ConfigError(
+                f"the window's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
+            )
+        if not self.max_left_right_px > 0 or self.min_margin < 0 or self.min_region_px < 0:
+            raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")

@@ -1,0 +1,244 @@
+"""Disparities of a rectified pair by semi-global matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8, UInt16
+
+from epipole import _parallel
+from epipole.config import StereoConfig
+from epipole.errors import ConfigError, ShapeError
+from epipole.image import census
+from epipole.stereo import _path_kernels as kernels
+from epipole.stereo._lane_kernels import LANES
+
+_MARGIN = 32  # rows beyond a strip in which its paths begin: later ones do not change the result (measured)
+_MOST_STRIP_BYTES = 1 << 27
+_LEAST_ROWS, _MOST_ROWS = 16, 192
+_MOST_DISPARITIES = 4096
+_COARSE = 4  # times smaller are the pictures from which the range is found
+_LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
+_SMOOTH_PX = 1.0  # neighbours of one region differ by no more
+
+DEFAULTS = StereoConfig()
+
+
+class StereoReason(IntEnum):
+    """Why a pixel has no disparity, or that it has one."""
+
+    OK = 0
+    OCCLUDED = 1
+    """The other picture's disparity differs: hidden there, or mistaken."""
+    OUT_OF_VIEW = 2
+    """Its match would lie beyond the other picture."""
+    AMBIGUOUS = 3
+    """Another disparity fits nearly as well: repeated texture."""
+    SPECKLE = 4
+    """It stands alone among others."""
+    TEXTURELESS = 5
+    """Nothing around it changes along the row: what smoothness alone would say is not a measurement."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisparityMap:
+    """Disparities of the left picture: x_right = x_left - disparity."""
+
+    disparity_px: Float32[np.ndarray, "h w"]
+    """NaN where unknown."""
+    reason: UInt8[np.ndarray, "h w"]
+    """Values of `StereoReason`."""
+
+    @property
+    def density(self) -> float:
+        """Share of pixels with a disparity."""
+        return float((self.reason == StereoReason.OK).mean())
+
+    def __repr__(self) -> str:
+        height, width = self.reason.shape
+        return f"DisparityMap({width} x {height}, {100 * self.density:.1f} % known)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Winners:
+    """What the sums of one picture say."""
+
+    disparity: Float32[np.ndarray, "h w"]
+    lowest: UInt16[np.ndarray, "h w"]
+    second: UInt16[np.ndarray, "h w"]
+    other: Float32[np.ndarray, "h w"]
+    """Disparities of the other picture read off the same sums, whole; NaN where there is none."""
+
+
+def match_stereo(left: Any, right: Any, config: StereoConfig = DEFAULTS) -> DisparityMap:
+    """Disparities of a rectified pair by semi-global matching of census windows (Hirschmueller, PAMI 2008).
+
+    Every step is one line below. A disparity is whole where the costs, summed along straight paths, are lowest, plus the
+    V through its neighbours' sums (Haller and Nedevschi, TIP 2012); what the other picture does not confirm is
+    unknown. Memory beside the pictures' own: 128 MB or 16 rows of sums (2 bytes for each pixel and disparity) per thread.
+
+    Args:
+        left: (h, w) or (h, w, 3), 8 or 16 bits; rows are epipolar lines.
+        right: the same size.
+        config: options.
+
+    Raises:
+        ShapeError: the pictures are no pair.
+        ConfigError: the range of disparities does not fit the pictures.
+    """
+    one, two = _grey_pair(left, right)
+    low, high = _search_range(one, two, config)
+    mine = _winners(one, two, low, high, config)
+    if config.left_right == "accurate":
+        mirrored = _winners(two[:, ::-1], one[:, ::-1], low, high, config)
+        theirs = mirrored.disparity[:, ::-1]
+    else:
+        theirs = mine.other
+    reason = _judge(mine, theirs, low, config)
+    reason[(reason == StereoReason.OK) & _is_textureless(one)] = StereoReason.TEXTURELESS
+    disparity = mine.disparity
+    if config.median_px:
+        disparity = cv2.medianBlur(disparity, config.median_px)
+    reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
+    return DisparityMap(np.where(reason == StereoReason.OK, disparity, np.float32(np.nan)), reason)
+
+
+def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16[np.ndarray, "h w"]]:
+    """Both pictures with one channel; a grey one may go with a coloured one."""
+    greys = []
+    for name, picture in (("left", left), ("right", right)):
+        array = np.asarray(picture)
+        if array.ndim == 3 and array.shape[2] == 3 and array.dtype in (np.uint8, np.uint16):
+            array = cv2.cvtColor(np.ascontiguousarray(array), cv2.COLOR_RGB2GRAY)
+        if array.ndim != 2 or array.dtype not in (np.uint8, np.uint16):
+            raise ShapeError(
+                f"{name} must be (h, w) or (h, w, 3) of 8 or 16 bits, is {array.shape} of {array.dtype}"
+            )
+        greys.append(array.astype(np.uint16))
+    if greys[0].shape != greys[1].shape:
+        (h1, w1), (h2, w2) = greys[0].shape, greys[1].shape
+        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+    if min(greys[0].shape) < 1:
+        raise ShapeError("the pictures are empty")
+    return greys[0], greys[1]
+
+
+def _search_range(left: np.ndarray, right: np.ndarray, config: StereoConfig) -> tuple[int, int]:
+    """First and last disparity to look for."""
+    low, high, width = config.min_disparity_px, config.max_disparity_px, left.shape[1]
+    if low >= width or (high is not None and high <= -width):
+        raise ConfigError(f"no disparity from {low} on exists in pictures {width} pixels wide")
+    if high is None:
+        high = max(_largest_disparity(left, right, config), low + 1)
+    high = min(high, width - 1)
+    if high - low >= _MOST_DISPARITIES:
+        raise ConfigError(
+            f"{high - low + 1} disparities are more than the {_MOST_DISPARITIES} that can be told apart"
+        )
+    return low, high
+
+
+def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig) -> int:
+    """What all but the nearest two in a thousand pixels have, from pictures a quarter as large."""
+    size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
+    small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
+    low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
+    found = _winners(small[0], small[1], low, high, config)
+    seen = _judge(found, found.other, low, config) == StereoReason.OK
+    if not seen.any():
+        return left.shape[1] // 4
+    scale = left.shape[1] / size[0]
+    return int(np.ceil(scale * (float(np.quantile(found.disparity[seen], 0.998)) + 2.0)))
+
+
+def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: StereoConfig) -> _Winners:
+    """Disparities of the left picture, from sums along the paths."""
+    height, width = left.shape
+    count = high - low + 1
+    depth = -(-count // LANES) * LANES
+    padding = depth + abs(low)
+    bits = census(left, config.window)
+    reversed_bits = np.zeros((height, bits.shape[2], width + 2 * padding), np.uint8)
+    reversed_bits[:, :, padding : padding + width] = census(right, config.window)[:, ::-1].transpose(0, 2, 1)
+    steps = np.arange(256)
+    jumps = np.rint(config.small_penalty * (1.0 + config.edge_penalty * np.exp(-steps / config.edge_fade)))
+    penalties = (config.paths, config.small_penalty, jumps.astype(np.int64))
+    out = (
+        np.empty((height, width), np.uint16),
+        np.empty((height, width), np.uint16),
+        np.empty((height, width), np.uint16),
+        np.empty((height, width, 2), np.uint16),
+        np.empty((height, width), np.uint16),
+    )
+    size, search = (height, width, bits.shape[2], padding), (low, count, depth)
+    rows = int(np.clip(_MOST_STRIP_BYTES // (2 * width * depth), _LEAST_ROWS, _MOST_ROWS))
+    flat, other_flat, grey = bits.reshape(-1), reversed_bits.reshape(-1), _brightness(left)
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.match_strip(
+            flat, other_flat, grey, size, search, penalties, a, b, _MARGIN, out
+        ),
+        height,
+        -(-height // rows),
+    )
+    winner, lowest, second, beside, other = out
+    others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
+    return _Winners(winner + _between(lowest, beside) + np.float32(low), lowest, second, others)
+
+
+def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
+    """0 ... 255 from the darkest to the brightest, whatever the depth of the picture."""
+    if grey.max(initial=0) <= 255:
+        return grey.astype(np.int64)
+    low, high = np.percentile(grey, (0.5, 99.5))
+    return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int64)
+
+
+def _between(lowest: np.ndarray, beside: np.ndarray) -> Float32[np.ndarray, "h w"]:
+    """Where between the whole disparities the minimum lies, -1/2 ... 1/2: at the bottom of a V with slopes of one steepness.
+
+    Sums of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers.
+    """
+    down = beside[..., 0].astype(np.float32) - lowest
+    up = beside[..., 1].astype(np.float32) - lowest
+    steeper = np.maximum(down, up)
+    offset = 0.5 * (down - up) / np.maximum(steeper, 1.0)
+    at_end = (beside == kernels.NOBODY).any(axis=2)
+    return np.where(at_end, np.float32(0.0), offset)
+
+
+def _judge(mine: _Winners, theirs: np.ndarray, low: int, config: StereoConfig) -> UInt8[np.ndarray, "h w"]:
+    """Reasons before speckles are looked for."""
+    height, width = mine.disparity.shape
+    x = np.arange(width)
+    matched = np.rint(x - mine.disparity).astype(np.int64)
+    inside = (matched >= 0) & (matched < width)
+    confirmed = np.take_along_axis(theirs, np.clip(matched, 0, width - 1), axis=1)
+    agrees = np.abs(confirmed - mine.disparity) <= config.max_left_right_px
+    reason = np.full((height, width), StereoReason.OK, np.uint8)
+    margin = mine.second.astype(np.float32) - mine.lowest
+    reason[margin <= config.min_margin * mine.lowest] = StereoReason.AMBIGUOUS
+    reason[~agrees] = StereoReason.OCCLUDED
+    reason[~inside | (x - low < 0)] = StereoReason.OUT_OF_VIEW
+    return reason
+
+
+def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
+    """Where no pixel of a window differs from its neighbours in the row by more than what noise does."""
+    bright = _brightness(grey).astype(np.float32)
+    changes = np.zeros_like(bright)
+    changes[:, 1:-1] = np.abs(bright[:, 2:] - bright[:, :-2]) >= _LEAST_CHANGE
+    return cv2.dilate(changes, np.ones((_TEXTURE_WINDOW, _TEXTURE_WINDOW))) == 0
+
+
+def _speckles(disparity: np.ndarray, reason: np.ndarray, least: int) -> np.ndarray:
+    """Pixels of regions that are smaller than `least`, whose neighbours differ by no more than a pixel."""
+    if least <= 1:
+        return np.zeros(disparity.shape, bool)
+    known = reason == StereoReason.OK
+    sixteenths = np.where(known, np.rint(16.0 * disparity), -32768.0).astype(np.int16)
+    cv2.filterSpeckles(sixteenths, -32768, least - 1, 16.0 * _SMOOTH_PX)
+    return known & (sixteenths == -32768)
