@@ -144,39 +144,24 @@ def extend_paths(
 
 
 @row_intrinsic
-def add_row(typingctx, sums, at_sums, more, at_more, blocks):
-    """Row sums += more, of 16-bit numbers."""
+def least_two(typingctx, sums, at_sums, more, at_more, blocks):
+    """(d, lowest, second) of the row sums += more: the disparity of its lowest, the first of them, and the lowest not beside it."""
     long = types.int64
-    signature = types.void(sums, long, more, long, long)
+    signature = types.UniTuple(long, 3)(sums, long, more, long, long)
 
     def generate(context, builder, signature, values):
         code = _Code(context, builder, signature, values)
         sums, more = code.data(0), code.data(2)
-        with cgutils.for_range(builder, values[4]) as block:
-            step = builder.mul(block.index, code.long(LANES))
-            place = builder.add(values[1], step)
-            other = code.load(more, builder.add(values[3], step), _SHORTS)
-            code.store(builder.add(code.load(sums, place, _SHORTS), other), sums, place)
-        return context.get_dummy_value()
-
-    return signature, generate
-
-
-@row_intrinsic
-def least_two(typingctx, sums, at_sums, blocks):
-    """(d, lowest, second) of a row of sums: the first disparity of the lowest sum, and the lowest that is not beside it."""
-    long = types.int64
-    signature = types.UniTuple(long, 3)(sums, long, long)
-
-    def generate(context, builder, signature, values):
-        code = _Code(context, builder, signature, values)
-        sums = code.data(0)
         full = ir.Constant(_SHORTS, [65535] * LANES)
         lanes = ir.Constant(_SHORTS, list(range(LANES)))
         best, place = cgutils.alloca_once_value(builder, full), cgutils.alloca_once_value(builder, full)
-        with cgutils.for_range(builder, values[2]) as block:
+        with cgutils.for_range(builder, values[4]) as block:
             step = builder.mul(block.index, code.long(LANES))
-            row = code.load(sums, builder.add(values[1], step), _SHORTS)
+            place_of_row = builder.add(values[1], step)
+            row = builder.add(
+                code.load(sums, place_of_row, _SHORTS), code.load(more, builder.add(values[3], step), _SHORTS)
+            )
+            code.store(row, sums, place_of_row)
             disparity = builder.add(code.spread(step, _SHORT), lanes)
             is_lower = builder.icmp_unsigned("<", row, builder.load(best))
             builder.store(builder.select(is_lower, row, builder.load(best)), best)
@@ -186,7 +171,7 @@ def least_two(typingctx, sums, at_sums, blocks):
         at = code.least(builder.select(is_lowest, builder.load(place), full))
         builder.store(full, best)
         near = code.spread(builder.sub(at, code.long(1)), _SHORT)
-        with cgutils.for_range(builder, values[2]) as block:
+        with cgutils.for_range(builder, values[4]) as block:
             step = builder.mul(block.index, code.long(LANES))
             row = code.load(sums, builder.add(values[1], step), _SHORTS)
             away = builder.sub(

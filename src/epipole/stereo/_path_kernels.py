@@ -11,7 +11,7 @@ the row before and the present one in turn, with a column at either end in which
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.stereo._lane_kernels import LANES, add_row, count_bits, extend_paths, keep_lower, least_two
+from epipole.stereo._lane_kernels import LANES, count_bits, extend_paths, keep_lower, least_two
 
 MOST = 4  # paths of one sweep
 EDGE = LANES  # bytes between neighbours' disparities: 255, which no step takes
@@ -110,8 +110,8 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
 
 
 @kernel
-def choose_row(sums, at_row, y, width, search, out, best, winners):
-    """The disparities of the lowest sums in row y, of both pictures.
+def choose_row(sums, at_row, more, y, width, search, out, best, winners):
+    """Add the second sweep's sums of row y to the first's; the disparities of the lowest, of both pictures.
 
     out = (winner, lowest, second, beside, other's winner); best and winners are scratch, one place for each pixel of the
     other picture from right to left.
@@ -123,7 +123,7 @@ def choose_row(sums, at_row, y, width, search, out, best, winners):
         best[p], winners[p] = NOBODY, NOBODY
     for x in range(width):
         at = at_row + x * depth
-        k, low, next_low = least_two(sums, at, depth // LANES)
+        k, low, next_low = least_two(sums, at, more, x * depth, depth // LANES)
         winner[y, x], lowest[y, x], second[y, x] = k, low, next_low
         beside[y, x, 0] = sums[at + k - 1] if k > 0 else NOBODY
         beside[y, x, 1] = sums[at + k + 1] if k + 1 < depth else NOBODY
@@ -133,15 +133,14 @@ def choose_row(sums, at_row, y, width, search, out, best, winners):
 
 
 @kernel(allocates=True)
-def match_strip(left, right, grey, size, search, penalties, start, stop, margin, out):
-    """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them."""
+def match_strip(left, right, grey, size, search, penalties, start, stop, margin, sums, out):
+    """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them. sums: room for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
     room = width * depth
     paths = np.full(2 * MOST * (width + 2) * (EDGE + depth) + EDGE, 255, np.uint8)
     state = (paths, np.empty((2, MOST, width + 2), np.int64))
     costs, row = np.empty(room, np.uint8), np.empty(room, np.uint16)
-    sums = np.empty((stop - start) * room, np.uint16)
     best, winners = (
         np.empty(width + depth + abs(first), np.uint16),
         np.empty(width + depth + abs(first), np.uint16),
@@ -160,5 +159,4 @@ def match_strip(left, right, grey, size, search, penalties, start, stop, margin,
         sweep_row(costs, grey, y, min(y + 1, height - 1), -1, size, depth, penalties, state, row, 0)
         if y < stop:
             at = (y - start) * room
-            add_row(sums, at, row, 0, room // LANES)
-            choose_row(sums, at, y, width, search, out, best, winners)
+            choose_row(sums, at, row, y, width, search, out, best, winners)
