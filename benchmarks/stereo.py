@@ -1,0 +1,151 @@
+"""Disparities of real pairs against their truth, and the time they take. `python -m benchmarks.stereo`.
+
+Each program runs in a process of its own, in turn, after a warm-up; the table shows the median of the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.side_by_side import compare, table_of
+from benchmarks.tasks.stereo import figures, stereo_tasks
+
+Pairs = list[tuple[np.ndarray, np.ndarray, int]]
+
+
+def match_with_epipole(paths: int, left_right: str, pairs: Pairs, threads: int) -> list[np.ndarray]:
+    """match_stereo."""
+    from epipole import _parallel
+    from epipole.stereo import StereoConfig, match_stereo
+
+    _parallel.set_num_threads(threads)
+    return [
+        match_stereo(
+            left, right, StereoConfig(max_disparity_px=count - 1, paths=paths, left_right=left_right)
+        ).disparity_px
+        for left, right, count in pairs
+    ]
+
+
+def match_with_opencv(mode: str, block: int, pairs: Pairs, threads: int) -> list[np.ndarray]:
+    """cv2.StereoSGBM (P1 = 8, P2 = 32 times the window's area, as its documentation says) or StereoBM."""
+    import cv2
+
+    cv2.setNumThreads(threads)
+    out = []
+    for left, right, count in pairs:
+        if mode == "BM":
+            matcher = cv2.StereoBM_create(count, block)
+        else:
+            penalty = block * block
+            flag = getattr(cv2, f"StereoSGBM_MODE_{mode}")
+            matcher = cv2.StereoSGBM_create(
+                0, count, block, 8 * penalty, 32 * penalty, 1, 63, 10, 100, 2, flag
+            )
+        sixteenths = matcher.compute(left, right)
+        out.append(np.where(sixteenths >= 0, sixteenths / 16.0, np.nan))
+    return out
+
+
+def match_with_pandora(pairs: Pairs, threads: int) -> list[np.ndarray]:
+    """Pandora with libSGM: census 5 x 5, eight paths, V-fit, median, accurate cross-check."""
+    import pandora
+    import xarray as xr
+    from pandora.img_tools import add_disparity
+    from pandora.state_machine import PandoraMachine
+
+    os.environ["NUMBA_NUM_THREADS"] = str(threads)
+    pandora.import_plugin()
+    penalties = {"P1": 8, "P2": 32, "p2_method": "constant", "penalty_method": "sgm_penalty"}
+    steps = {
+        "matching_cost": {"matching_cost_method": "census", "window_size": 5, "subpix": 1},
+        "optimization": {"optimization_method": "sgm", "overcounting": False, "penalty": penalties},
+        "disparity": {"disparity_method": "wta", "invalid_disparity": "NaN"},
+        "refinement": {"refinement_method": "vfit"},
+        "filter": {"filter_method": "median"},
+        "validation": {"validation_method": "cross_checking_accurate"},
+    }
+
+    def dataset(picture: np.ndarray, low: int, high: int) -> Any:
+        height, width = picture.shape
+        axes = {"row": np.arange(height), "col": np.arange(width)}
+        out = xr.Dataset({"im": (["row", "col"], picture.astype(np.float32))}, coords=axes)
+        out.attrs = {
+            "no_data_img": -9999,
+            "valid_pixels": 0,
+            "no_data_mask": 1,
+            "crs": None,
+            "transform": None,
+        }
+        return out.pipe(add_disparity, disparity=[low, high], window=None)
+
+    out = []
+    for left, right, count in pairs:
+        found, _ = pandora.run(
+            PandoraMachine(), dataset(left, 1 - count, 0), dataset(right, 0, count - 1), {"pipeline": steps}
+        )
+        bits = found["validity_mask"].data.astype(int)
+        # Bits 0, 1, 6 to 11: no data, no disparity, occluded, mismatched and the like; 2 to 5 are warnings.
+        invalid = (bits & 0b111111000011) != 0
+        out.append(np.where(invalid, np.nan, -found["disparity_map"].data))
+    return out
+
+
+PROGRAMS: dict[str, tuple[Callable[..., Any], int]] = {
+    "epipole, 8 paths": (partial(match_with_epipole, 8, "accurate"), 2),
+    "epipole, 8 paths, fast check": (partial(match_with_epipole, 8, "fast"), 2),
+    "epipole, 4 paths, fast check": (partial(match_with_epipole, 4, "fast"), 2),
+    "OpenCV SGBM 3": (partial(match_with_opencv, "SGBM", 3), 2),
+    "OpenCV SGBM 5": (partial(match_with_opencv, "SGBM", 5), 2),
+    "OpenCV HH 3": (partial(match_with_opencv, "HH", 3), 2),
+    "OpenCV HH 5": (partial(match_with_opencv, "HH", 5), 2),
+    "OpenCV HH4 3": (partial(match_with_opencv, "HH4", 3), 2),
+    "OpenCV HH4 5": (partial(match_with_opencv, "HH4", 5), 2),
+    "OpenCV 3WAY 3": (partial(match_with_opencv, "SGBM_3WAY", 3), 2),
+    "OpenCV 3WAY 5": (partial(match_with_opencv, "SGBM_3WAY", 5), 2),
+    "OpenCV BM 15": (partial(match_with_opencv, "BM", 15), 2),
+    "pandora": (match_with_pandora, 2),
+}
+
+
+def main() -> None:
+    """Match every pair with every program and print the tables."""
+    parser = argparse.ArgumentParser(description="Dense stereo.")
+    parser.add_argument("--set", nargs="+")
+    parser.add_argument("--program", nargs="+", help="only those whose names begin so")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    report: dict[str, Any] = {"machine": describe_machine(2)}
+    chosen = {
+        name: program
+        for name, program in PROGRAMS.items()
+        if not arguments.program or any(name.startswith(p) for p in arguments.program)
+    }
+    for name, task in stereo_tasks(data).items():
+        if arguments.set and name not in arguments.set:
+            continue
+        pair = (task.left, task.right, task.num_disparities)
+        rows = compare(chosen, [pair], arguments.rounds, lambda out, task=task: figures(out[0], task))
+        for row in rows.values():
+            row["s/Mpx at 128"] = row["seconds"] / (task.left.size / 1e6) * (128 / task.num_disparities)
+        report[name] = rows
+        Console(width=130).print(table_of(name, rows))
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    (arguments.results / "stereo.json").write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

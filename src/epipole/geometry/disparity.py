@@ -1,0 +1,110 @@
+"""Disparity and depth of a rectified pair, and how the error of one becomes that of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole._checks import as_float_array
+from epipole.errors import ConfigError, ShapeError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points of a depth map."""
+
+    points_in_cam: Float64[np.ndarray, "n 3"]
+    mask: Bool[np.ndarray, "h w"]
+    """The pixels they belong to, row by row."""
+
+    def __len__(self) -> int:
+        return len(self.points_in_cam)
+
+
+def disparity_to_depth(
+    disparity_px: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
+) -> Float64[np.ndarray, ...]:
+    """Depth Z = f B / (d + o) of disparities d = x_left - x_right.
+
+    Args:
+        disparity_px: any shape; NaN stays NaN.
+        focal_px: f of both rectified cameras.
+        baseline: B, in the unit the depth is wanted in.
+        principal_offset_px: o = cx_right - cx_left, where the principal points differ (Middlebury's `doffs`).
+
+    Returns:
+        Infinite where d + o is zero; NaN where it is negative: no point in front of the cameras.
+
+    Raises:
+        ConfigError: focal length or baseline is not positive.
+    """
+    _check(focal_px, baseline)
+    shifted = as_float_array(disparity_px, "disparity_px") + principal_offset_px
+    with np.errstate(divide="ignore"):
+        return np.where(shifted >= 0, focal_px * baseline / np.abs(shifted), np.nan)
+
+
+def depth_to_disparity(
+    depth: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
+) -> Float64[np.ndarray, ...]:
+    """Disparity d = f B / Z - o; the inverse of `disparity_to_depth`. NaN where the depth is not positive.
+
+    Raises:
+        ConfigError: focal length or baseline is not positive.
+    """
+    _check(focal_px, baseline)
+    z = as_float_array(depth, "depth")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(z > 0, focal_px * baseline / z - principal_offset_px, np.nan)
+
+
+def depth_error(
+    depth: Any, focal_px: float, baseline: float, disparity_error_px: Any
+) -> Float64[np.ndarray, ...]:
+    """|dZ| = (Z^2 / (f B)) |dd|: it grows with the square of the depth, and falls with focal length and baseline.
+
+    Args:
+        depth: Z, any shape, in the unit of the baseline.
+        focal_px: f.
+        baseline: B.
+        disparity_error_px: the standard deviation, or any small error, of the disparity.
+
+    Raises:
+        ConfigError: focal length or baseline is not positive.
+    """
+    _check(focal_px, baseline)
+    z = as_float_array(depth, "depth")
+    return z * z / (focal_px * baseline) * np.abs(as_float_array(disparity_error_px, "disparity_error_px"))
+
+
+def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:
+    """The points (Z (x - cx) / fx, Z (y - cy) / fy, Z) of a depth map.
+
+    Args:
+        depth: (h, w); pixels that are NaN, infinite or not positive give no point.
+        K: (3, 3) of the camera, without skew.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    z = as_float_array(depth, "depth")
+    matrix = as_float_array(K, "K", 3, 3, finite=True)
+    if z.ndim != 2:
+        raise ShapeError(f"depth must be (h, w), got {z.shape}")
+    with np.errstate(invalid="ignore"):
+        mask = np.isfinite(z) & (z > 0)
+    y, x = np.nonzero(mask)
+    seen = z[mask]
+    points = np.stack(
+        [seen * (x - matrix[0, 2]) / matrix[0, 0], seen * (y - matrix[1, 2]) / matrix[1, 1], seen], axis=1
+    )
+    return PointCloud(points, mask)
+
+
+def _check(focal_px: float, baseline: float) -> None:
+    for name, value in (("focal_px", focal_px), ("baseline", baseline)):
+        if not 0 < value < np.inf:
+            raise ConfigError(f"{name} must be positive and finite, got {value}")
