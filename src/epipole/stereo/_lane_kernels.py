@@ -143,45 +143,70 @@ def extend_paths(
     return signature, generate
 
 
+class _Lowest:
+    """The lowest number of a row and its place, the first of them, as blocks of the row come by."""
+
+    def __init__(self, code: _Code) -> None:
+        self.code, self.builder = code, code.builder
+        self.full = ir.Constant(_SHORTS, [65535] * LANES)
+        self.value = cgutils.alloca_once_value(self.builder, self.full)
+        self.place = cgutils.alloca_once_value(self.builder, self.full)
+
+    def see(self, block: Any, places: Any) -> None:
+        before, builder = self.builder.load(self.value), self.builder
+        is_lower = builder.icmp_unsigned("<", block, before)
+        builder.store(builder.select(is_lower, block, before), self.value)
+        builder.store(builder.select(is_lower, places, builder.load(self.place)), self.place)
+
+    def found(self) -> tuple[Any, Any]:
+        """(place, value)."""
+        values, builder = self.builder.load(self.value), self.builder
+        lowest = self.code.least(values)
+        is_lowest = builder.icmp_unsigned("==", values, self.code.spread(lowest, _SHORT))
+        return self.code.least(builder.select(is_lowest, builder.load(self.place), self.full)), lowest
+
+
 @row_intrinsic
 def least_two(typingctx, sums, at_sums, more, at_more, blocks):
-    """(d, lowest, second) of the row sums += more: the disparity of its lowest, the first of them, and the lowest not beside it."""
+    """(d, lowest, second, d1, d2) of the row sums += more: where it is lowest, the lowest number, and the lowest not beside it.
+
+    d1 and d2: where sums was lowest before, and where more is. Of equal numbers the first counts.
+    """
     long = types.int64
-    signature = types.UniTuple(long, 3)(sums, long, more, long, long)
+    signature = types.UniTuple(long, 5)(sums, long, more, long, long)
 
     def generate(context, builder, signature, values):
         code = _Code(context, builder, signature, values)
         sums, more = code.data(0), code.data(2)
-        full = ir.Constant(_SHORTS, [65535] * LANES)
         lanes = ir.Constant(_SHORTS, list(range(LANES)))
-        best, place = cgutils.alloca_once_value(builder, full), cgutils.alloca_once_value(builder, full)
+        both, first, other = _Lowest(code), _Lowest(code), _Lowest(code)
         with cgutils.for_range(builder, values[4]) as block:
             step = builder.mul(block.index, code.long(LANES))
-            place_of_row = builder.add(values[1], step)
-            row = builder.add(
-                code.load(sums, place_of_row, _SHORTS), code.load(more, builder.add(values[3], step), _SHORTS)
+            place = builder.add(values[1], step)
+            row, added = (
+                code.load(sums, place, _SHORTS),
+                code.load(more, builder.add(values[3], step), _SHORTS),
             )
-            code.store(row, sums, place_of_row)
             disparity = builder.add(code.spread(step, _SHORT), lanes)
-            is_lower = builder.icmp_unsigned("<", row, builder.load(best))
-            builder.store(builder.select(is_lower, row, builder.load(best)), best)
-            builder.store(builder.select(is_lower, disparity, builder.load(place)), place)
-        lowest = code.least(builder.load(best))
-        is_lowest = builder.icmp_unsigned("==", builder.load(best), code.spread(lowest, _SHORT))
-        at = code.least(builder.select(is_lowest, builder.load(place), full))
-        builder.store(full, best)
+            first.see(row, disparity)
+            other.see(added, disparity)
+            row = builder.add(row, added)
+            both.see(row, disparity)
+            code.store(row, sums, place)
+        at, lowest = both.found()
+        best = cgutils.alloca_once_value(builder, both.full)
         near = code.spread(builder.sub(at, code.long(1)), _SHORT)
         with cgutils.for_range(builder, values[4]) as block:
             step = builder.mul(block.index, code.long(LANES))
             row = code.load(sums, builder.add(values[1], step), _SHORTS)
             away = builder.sub(
                 builder.add(code.spread(step, _SHORT), lanes), near
-            )  # 0, 1, 2: beside the best
+            )  # 0, 1, 2: beside the lowest
             is_far = builder.icmp_unsigned(">", away, ir.Constant(_SHORTS, [2] * LANES))
-            row = builder.select(is_far, row, full)
+            row = builder.select(is_far, row, both.full)
             builder.store(code.call("umin", builder.load(best), row), best)
-        second = code.least(builder.load(best))
-        return context.make_tuple(builder, signature.return_type, [at, lowest, second])
+        found = [at, lowest, code.least(builder.load(best)), first.found()[0], other.found()[0]]
+        return context.make_tuple(builder, signature.return_type, found)
 
     return signature, generate
 

@@ -113,18 +113,19 @@ def sweep_row(costs, grey, y, y_before, step, size, depth, penalties, state, sum
 def choose_row(sums, at_row, more, y, width, search, out, best, winners):
     """Add the second sweep's sums of row y to the first's; the disparities of the lowest, of both pictures.
 
-    out = (winner, lowest, second, beside, other's winner); best and winners are scratch, one place for each pixel of the
+    out = (winner, lowest, second, beside, spread, other's winner), spread being how far the two sweeps' own winners lie
+    apart; best and winners are scratch, one place for each pixel of the
     other picture from right to left.
     """
-    winner, lowest, second, beside, other = out
+    winner, lowest, second, beside, spread, other = out
     first, _, depth = search
     shift = max(-first, 0)
     for p in range(len(best)):
         best[p], winners[p] = NOBODY, NOBODY
     for x in range(width):
         at = at_row + x * depth
-        k, low, next_low = least_two(sums, at, more, x * depth, depth // LANES)
-        winner[y, x], lowest[y, x], second[y, x] = k, low, next_low
+        k, low, next_low, above, below = least_two(sums, at, more, x * depth, depth // LANES)
+        winner[y, x], lowest[y, x], second[y, x], spread[y, x] = k, low, next_low, abs(above - below)
         beside[y, x, 0] = sums[at + k - 1] if k > 0 else NOBODY
         beside[y, x, 1] = sums[at + k + 1] if k + 1 < depth else NOBODY
         keep_lower(sums, at, best, winners, width - 1 - x + first + shift, depth // LANES)

@@ -71,6 +71,11 @@ class _Winners:
     disparity: Float32[np.ndarray, "h w"]
     lowest: UInt16[np.ndarray, "h w"]
     second: UInt16[np.ndarray, "h w"]
+    """The lowest but for the lowest and its neighbours."""
+    steepness: Float32[np.ndarray, "h w"]
+    """Of the V."""
+    spread: UInt16[np.ndarray, "h w"]
+    """How far apart the winners of the downward and the upward sweep lie."""
     other: Float32[np.ndarray, "h w"]
     """Disparities of the other picture read off the same sums, whole; NaN where there is none."""
 
@@ -174,6 +179,7 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
         np.empty((height, width), np.uint16),
         np.empty((height, width, 2), np.uint16),
         np.empty((height, width), np.uint16),
+        np.empty((height, width), np.uint16),
     )
     size, search = (height, width, bits.shape[2], padding), (low, count, depth)
     rows = int(np.clip(_MOST_STRIP_BYTES // (2 * width * depth), _LEAST_ROWS, _MOST_ROWS))
@@ -189,9 +195,10 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
         )
 
     _parallel.map_chunks(match, height, num_strips)
-    winner, lowest, second, beside, other = out
+    winner, lowest, second, beside, spread, other = out
     others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
-    return _Winners(winner + _between(lowest, beside) + np.float32(low), lowest, second, others)
+    offset, steepness = _bottom_of_v(lowest, beside)
+    return _Winners(winner + offset + np.float32(low), lowest, second, steepness, spread, others)
 
 
 def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
@@ -202,17 +209,17 @@ def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int64)
 
 
-def _between(lowest: np.ndarray, beside: np.ndarray) -> Float32[np.ndarray, "h w"]:
-    """Where between the whole disparities the minimum lies, -1/2 ... 1/2: at the bottom of a V with slopes of one steepness.
+def _bottom_of_v(lowest: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(-1/2 ... 1/2, slope): where between the whole disparities a V of two equal slopes has its bottom.
 
     Sums of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers.
     """
     down = beside[..., 0].astype(np.float32) - lowest
     up = beside[..., 1].astype(np.float32) - lowest
-    steeper = np.maximum(down, up)
-    offset = 0.5 * (down - up) / np.maximum(steeper, 1.0)
+    steepness = np.maximum(down, up)
+    offset = 0.5 * (down - up) / np.maximum(steepness, 1.0)
     at_end = (beside == kernels.NOBODY).any(axis=2)
-    return np.where(at_end, np.float32(0.0), offset)
+    return np.where(at_end, np.float32(0.0), offset), np.where(at_end, np.minimum(down, up), steepness)
 
 
 def _judge(mine: _Winners, theirs: np.ndarray, low: int, config: StereoConfig) -> UInt8[np.ndarray, "h w"]:
