@@ -1,0 +1,113 @@
+"""Whether the error bars of disparities hold. `python -m benchmarks.stereo_sigma`; `--fit` prints the constants anew.
+
+Fitted on rendered rooms of even number; shown for rooms of odd number and for the real pairs. The truth's own quantisation
+is added in quadrature.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.side_by_side import table_of
+from benchmarks.tasks.stereo import stereo_tasks
+from epipole.stereo import StereoConfig, match_stereo, uncertainty
+from epipole.stereo.matching import match_with_evidence
+from epipole.synthetic.stereo_rooms import stereo_room
+
+QUANTUM_PX = {"cones": 0.25, "teddy": 0.25, "motorcycle": 0.0, "aloe": 1.0}
+ROOMS, KNOTS, PER_ROOM, WITHIN = 300, 16, 10_000, 0.68
+LEAST_ERROR_PX = 0.03
+
+
+def coverage(error: np.ndarray, sigma: np.ndarray, quantum_px: float) -> dict[str, float]:
+    """Shares of errors within one sigma, overall and in fifths of rising sigma; area under the sparsification curve."""
+    within = error <= np.hypot(sigma, quantum_px / np.sqrt(12.0))
+    order = np.argsort(sigma, kind="stable")
+    fifths = {
+        f"fifth {k + 1} %": 100.0 * float(within[part].mean())
+        for k, part in enumerate(np.array_split(order, 5))
+    }
+    kept = np.arange(1, len(error) + 1)
+    curve, best = np.cumsum(error[order]) / kept, np.cumsum(np.sort(error)) / kept
+    return {
+        "within %": 100.0 * float(within.mean()),
+        **fifths,
+        "median sigma px": float(np.median(sigma)),
+        "AUSE px": float((curve - best).mean()),
+        "average px": float(error.mean()),
+    }
+
+
+def room_config(disparity: np.ndarray) -> StereoConfig:
+    """The range of a rendered pair."""
+    return StereoConfig(max_disparity_px=int(np.nanmax(disparity)) + 8)
+
+
+def fit() -> None:
+    """Print weights and table fitted on the even rooms."""
+    rows, errors = [], []
+    for seed in range(0, ROOMS, 2):
+        pair = stereo_room(seed)
+        found, evidence = match_with_evidence(pair.left, pair.right, room_config(pair.disparity_px))
+        error = np.abs(found.disparity_px - pair.disparity_px)
+        known = np.isfinite(error)
+        some = np.random.default_rng(seed).permutation(int(known.sum()))[:PER_ROOM]
+        rows.append(uncertainty.cues(evidence)[known][some])
+        errors.append(error[known][some])
+    cues, error = np.concatenate(rows), np.concatenate(errors)
+    design = np.concatenate([np.ones((len(cues), 1)), cues, cues * cues], axis=1)
+    weights, *_ = np.linalg.lstsq(design, np.log(error + LEAST_ERROR_PX), rcond=None)
+    scores = design @ weights
+    order = np.array_split(np.argsort(scores), KNOTS)
+    knots = [float(np.median(scores[part])) for part in order]
+    sigmas = np.maximum.accumulate([np.quantile(error[part], WITHIN) for part in order])
+    for name, values in (("WEIGHTS", weights), ("SCORES", knots), ("LOG_SIGMAS", np.log(sigmas))):
+        print(f"{name} = np.array({np.round(values, 4).tolist()})")
+
+
+def main() -> None:
+    """Print how many errors lie within their bars."""
+    parser = argparse.ArgumentParser(description="Error bars of disparities.")
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    arguments = parser.parse_args()
+    if arguments.fit:
+        fit()
+        return
+    rows: dict[str, Any] = {}
+    errors, sigmas = [], []
+    for seed in range(1, ROOMS, 2):
+        pair = stereo_room(seed)
+        found = match_stereo(pair.left, pair.right, room_config(pair.disparity_px))
+        error = np.abs(found.disparity_px - pair.disparity_px)
+        errors.append(error[np.isfinite(error)])
+        sigmas.append(found.sigma_px[np.isfinite(error)])
+    rows["rendered rooms"] = coverage(np.concatenate(errors), np.concatenate(sigmas), 0.0)
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    for name, task in stereo_tasks(data).items():
+        found = match_stereo(task.left, task.right, StereoConfig(max_disparity_px=task.num_disparities - 1))
+        error = found.disparity_px - task.truth
+        known = np.isfinite(error)
+        rows[name] = coverage(np.abs(error[known]), found.sigma_px[known], QUANTUM_PX[name])
+        if QUANTUM_PX[name] == 1.0:
+            offset = float(np.median(error[known]))
+            rows[f"{name}, its truth {offset:+.2f}"] = coverage(
+                np.abs(error[known] - offset), found.sigma_px[known], QUANTUM_PX[name]
+            )
+    Console(width=150).print(table_of("errors within one sigma", rows))
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    report = {"machine": describe_machine(2), **rows}
+    (arguments.results / "stereo_sigma.json").write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

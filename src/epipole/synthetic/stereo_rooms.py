@@ -1,0 +1,123 @@
+"""Rectified pairs of made-up rooms with exact disparities: what stereo is fitted and tested on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from epipole.cameras import Camera, CameraModel
+from epipole.geometry import Rigid3, depth_to_disparity
+from epipole.synthetic.courtyard import look_at
+from epipole.synthetic.render import render
+from epipole.synthetic.scene import Box, HeightField, Plane, Primitive, Sphere, SyntheticScene, Texture
+
+_BLURS_PX, _NOISES = (0.0, 0.5, 0.8, 1.2), (0.5, 1.0, 2.0, 3.0, 5.0)
+_ROW_ERROR_PX = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoPair:
+    """A rectified pair with its truth."""
+
+    left: UInt8[np.ndarray, "h w"]
+    right: UInt8[np.ndarray, "h w"]
+    disparity_px: Float64[np.ndarray, "h w"]
+    """Of the left picture; NaN for the sky."""
+    camera: Camera
+    """Both cameras."""
+    baseline: float
+
+
+def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
+    """A wall, a rolling floor and a few things before them, seen by two cameras of some sharpness, contrast and noise.
+
+    As with real pairs, rows match to within a part of a pixel only, and half of the pictures went through JPEG.
+
+    Args:
+        seed: another room for another number.
+        size: width and height.
+    """
+    rng = np.random.default_rng(seed)
+    scene = _room(rng)
+    width, height = size
+    focal = width * rng.uniform(0.8, 1.2)
+    baseline = rng.uniform(0.08, 0.3)
+    params = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
+    camera = Camera(CameraModel.PINHOLE, width, height, params)
+    left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.3, 0.3), 5, 0.1))
+    pitch, roll = rng.normal(0.0, _ROW_ERROR_PX / focal), rng.normal(0.0, 2.0 * _ROW_ERROR_PX / width)
+    right_from_left = Rigid3.exp(np.array([0, 0, 0, pitch, 0, roll])) @ Rigid3(
+        np.eye(3), np.array([-baseline, 0.0, 0.0])
+    )
+    left = render(scene, camera, left_from_world)
+    right = render(scene, camera, right_from_left @ left_from_world)
+    contrast, noise, blur = rng.uniform(0.25, 1.0), rng.choice(_NOISES), rng.choice(_BLURS_PX)
+    gain = rng.uniform(0.85, 1.15) if rng.random() < 0.5 else 1.0
+    quality = int(rng.integers(80, 98)) if rng.random() < 0.5 else None
+    pictures = [
+        _photograph(picture.rgb, rng, contrast, noise, blur, exposure, quality)
+        for picture, exposure in ((left, 1.0), (right, gain))
+    ]
+    disparity = depth_to_disparity(left.depth, focal, baseline)
+    return StereoPair(pictures[0], pictures[1], disparity, camera, baseline)
+
+
+def _room(rng: np.random.Generator) -> SyntheticScene:
+    depth, tilt = rng.uniform(5, 12), rng.uniform(-0.5, 0.5)
+    wall = Plane(
+        center=(0, depth, 0), direction_u=(np.cos(tilt), np.sin(tilt), 0), direction_v=(0, 0, 1),
+        half_size=(12, 8), color=_color(rng), seed=_seed(rng),
+    )  # fmt: skip
+    floor = HeightField(
+        center=(0, depth / 2, -1.4), half_size=(8, 8), amplitude=rng.uniform(0, 0.15),
+        wavelength=rng.uniform(0.5, 2), color=_color(rng), seed=_seed(rng),
+    )  # fmt: skip
+    return SyntheticScene.of([wall, floor, *(_thing(rng, depth) for _ in range(rng.integers(4, 14)))])
+
+
+def _thing(rng: np.random.Generator, depth: float) -> Primitive:
+    center = (rng.uniform(-2.5, 2.5), rng.uniform(2.0, depth), rng.uniform(-1.2, 1.5))
+    color, seed = _color(rng), _seed(rng)
+    texture = Texture.PLAIN if rng.random() < 0.1 else Texture.RICH
+    kind = rng.integers(3)
+    if kind == 0:
+        return Sphere(center=center, radius=rng.uniform(0.1, 0.7), color=color, seed=seed, texture=texture)
+    angle = rng.uniform(0, np.pi)
+    if kind == 1:
+        half = (rng.uniform(0.05, 0.6), rng.uniform(0.05, 0.6), rng.uniform(0.05, 0.6))
+        return Box(center=center, half_size=half, angle_rad=angle, color=color, seed=seed, texture=texture)
+    return Plane(
+        center=center, direction_u=(np.cos(angle), np.sin(angle), 0), direction_v=(0, 0, 1),
+        half_size=(rng.uniform(0.1, 0.8), rng.uniform(0.1, 0.8)), color=color, seed=seed, texture=texture,
+    )  # fmt: skip
+
+
+def _color(rng: np.random.Generator) -> tuple[float, float, float]:
+    return rng.uniform(0.15, 0.85), rng.uniform(0.15, 0.85), rng.uniform(0.15, 0.85)
+
+
+def _seed(rng: np.random.Generator) -> int:
+    return int(rng.integers(1_000_000))
+
+
+def _photograph(
+    rgb: np.ndarray,
+    rng: np.random.Generator,
+    contrast: float,
+    noise: float,
+    blur_px: float,
+    gain: float,
+    jpeg_quality: int | None,
+) -> UInt8[np.ndarray, "h w"]:
+    grey: np.ndarray = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    if blur_px > 0:
+        grey = cv2.GaussianBlur(grey, (0, 0), blur_px)
+    grey = ((grey - 110.0) * contrast + 110.0) * gain + rng.normal(0.0, noise, grey.shape)
+    picture = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    if jpeg_quality is None:
+        return picture
+    _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE), np.uint8)

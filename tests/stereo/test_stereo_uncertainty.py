@@ -1,0 +1,51 @@
+"""Error bars of disparities on rooms they were not fitted on, and on real pairs."""
+
+import numpy as np
+import pytest
+
+from epipole.config import StereoConfig
+from epipole.stereo import match_stereo, uncertainty
+from epipole.synthetic.stereo_rooms import stereo_room
+
+
+@pytest.fixture(scope="module")
+def unseen():
+    """Errors and sigmas of rendered rooms of odd number: the constants come from even ones."""
+    errors, sigmas = [], []
+    for seed in range(10_001, 10_025, 2):
+        pair = stereo_room(seed, (320, 240))
+        found = match_stereo(
+            pair.left, pair.right, StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8)
+        )
+        error = np.abs(found.disparity_px - pair.disparity_px)
+        errors.append(error[np.isfinite(error)])
+        sigmas.append(found.sigma_px[np.isfinite(error)])
+        assert np.array_equal(np.isfinite(found.sigma_px), np.isfinite(found.disparity_px))
+    return np.concatenate(errors), np.concatenate(sigmas)
+
+
+def test_68_of_100_errors_lie_within_one_sigma(unseen):
+    error, sigma = unseen
+    assert 0.62 < (error <= sigma).mean() < 0.74
+    for part in np.array_split(np.argsort(sigma, kind="stable"), 5):
+        assert 0.55 < (error <= sigma)[part].mean() < 0.80
+
+
+def test_the_most_certain_pixels_are_the_best(unseen):
+    error, sigma = unseen
+    mean = [error[part].mean() for part in np.array_split(np.argsort(sigma, kind="stable"), 5)]
+    assert mean[0] < 0.5 * error.mean() and mean[4] > 2.0 * mean[2]
+
+
+def test_sigma_grows_with_the_score():
+    assert (np.diff(uncertainty.SCORES) > 0).all() and (np.diff(uncertainty.LOG_SIGMAS) >= 0).all()
+    assert len(uncertainty.SCORES) == len(uncertainty.LOG_SIGMAS)
+    assert uncertainty.score(np.zeros((2, uncertainty.NUM_CUES))).shape == (2,)
+
+
+def test_rooms_are_the_same_each_time():
+    one, two = stereo_room(3, (64, 48)), stereo_room(3, (64, 48))
+    np.testing.assert_array_equal(one.left, two.left)
+    np.testing.assert_array_equal(one.right, two.right)
+    assert one.left.shape == one.disparity_px.shape == (48, 64) and one.left.std() > 3
+    assert not np.array_equal(stereo_room(4, (64, 48)).left, one.left)
