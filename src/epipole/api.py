@@ -13,7 +13,7 @@ import numpy as np
 
 from epipole import __version__, _parallel
 from epipole._jit import compile_seconds
-from epipole.config import ReconstructConfig
+from epipole.config import ReconstructConfig, StereoConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
@@ -23,9 +23,12 @@ from epipole.io.photographs import read_rgb
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 from epipole.report import ImageRow, ReportContent, render_report
+from epipole.report.stereo_page import StereoPage, render_stereo_page
 from epipole.scene import Cameras, Reconstruction
 from epipole.sfm.pipeline import PipelineResult, run_pipeline
 from epipole.sfm.workspace import write_json
+from epipole.stereo import RectifiedRig
+from epipole.stereo.pipeline import REASON_COLORS, StereoResult, run_stereo
 from epipole.viewer import ViewerHandle
 from epipole.viewer import view as open_viewer
 from epipole.workflow import Progress, ProgressCallback, ignore_progress, load, timed
@@ -301,6 +304,46 @@ def _without_distortion(model: Reconstruction, pinholes: list) -> Reconstruction
         pixels[own] = np.nan_to_num(pinholes[c].project(rays), nan=-1e6)
     cameras = Cameras.from_list(pinholes, is_constant=[True] * len(pinholes))
     return replace(model, cameras=cameras, images=replace(model.images, keypoints_px=pixels))
+
+
+def stereo(
+    left: str | Path,
+    right: str | Path,
+    out: str | Path,
+    config: StereoConfig | None = None,
+    rig: RectifiedRig | None = None,
+) -> StereoResult:
+    """Disparities of a rectified pair with their standard deviations, with a rig also depth and points, and a report.
+
+    Args:
+        left: picture whose pixels get a disparity.
+        right: the other, of the same size; rows are epipolar lines.
+        out: output folder, made if missing.
+        config: options; None for the defaults.
+        rig: focal length and baseline; None: there are disparities but no depth.
+
+    Raises:
+        FileFormatError: a picture cannot be read.
+        ShapeError: the pictures are no pair.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, out = config or StereoConfig(), Path(out)
+    result = run_stereo(Path(left), Path(right), out, config, rig)
+    settings = {"version": __version__, "config": asdict(config), "rig": asdict(rig) if rig else None}
+    write_json(out / "config.json", settings)
+    page = StereoPage(
+        result.left_rgb,
+        result.right_rgb,
+        result.disparities,
+        REASON_COLORS[result.disparities.reason],
+        REASON_COLORS,
+        result.depths,
+        rig,
+        __version__,
+    )
+    with atomic_write(out / "report.html") as aside:
+        aside.write_text(render_stereo_page(page), encoding="utf-8")
+    return result
 
 
 def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:

@@ -13,14 +13,19 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from epipole.config import ReconstructConfig
+from epipole.config import ReconstructConfig, RigOptions, StereoConfig
 from epipole.errors import EpipoleError
 
 Images = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")]
 Out = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
 
+Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
+Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+
 DEFAULTS = ReconstructConfig()
+STEREO_DEFAULTS = StereoConfig()
+RIG_DEFAULTS = RigOptions()
 
 
 def reconstruct(
@@ -42,6 +47,35 @@ def reconstruct(
 
         result = run(images, out, config, progress)
     show_reconstruction(result)
+
+
+def stereo(
+    left: Left,
+    right: Right,
+    out: Out,
+    config: Annotated[StereoConfig, tyro.conf.arg(name="")] = STEREO_DEFAULTS,
+    rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
+) -> None:
+    """Disparities of a rectified pair, each with its standard deviation; depth and points where the rig is known.
+
+    Args:
+        left: Left picture; its pixels get the disparities.
+        right: Right picture, rectified with it.
+        out: Output folder.
+        config: Options.
+        rig: What is known of the cameras.
+    """
+    from epipole.cli.screen import show_stereo, waiting_for_kernels
+
+    with waiting_for_kernels():
+        from epipole.api import stereo as run
+        from epipole.io.photographs import read_header
+        from epipole.stereo.depth import rig_from_options
+
+        header = read_header(left)
+        cameras = rig_from_options(rig, (header.width, header.height))
+        result = run(left, right, out, config, cameras)
+    show_stereo(result)
 
 
 def demo(out: Out = Path("demo"), num_views: int = 24) -> None:
@@ -131,7 +165,9 @@ def version() -> None:
     print(f"epipole {__version__}")
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (reconstruct, demo, view, evaluate, undistort, convert, version)
+COMMANDS: tuple[Callable[..., None], ...] = (
+    *(reconstruct, stereo, demo, view, evaluate, undistort, convert, version),
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

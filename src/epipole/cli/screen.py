@@ -20,6 +20,7 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from epipole.api import Evaluation, ReconstructionResult
+    from epipole.stereo.pipeline import StereoResult
     from epipole.workflow import Progress, ProgressCallback
 
 WORDS = {
@@ -98,4 +99,42 @@ def show_evaluation(result: Evaluation) -> None:
         "rotation error", f"mean {result.rotation_mean_deg:.4f}, max {result.rotation_max_deg:.4f} degrees"
     )
     table.add_row("AUC of relative pose", ", ".join(f"@{d}: {100 * a:.2f}" for d, a in result.auc.items()))
+    Console().print(table)
+
+
+@contextmanager
+def waiting_for_kernels() -> Iterator[None]:
+    """A line that moves while a short command works, with the reason where it has to compile first."""
+    console = Console(stderr=True)
+    from epipole import _jit
+
+    begin = _jit.compile_seconds()
+    with console.status("Working (the first time on a machine kernels are compiled, for some seconds)"):
+        yield
+    if (seconds := _jit.compile_seconds() - begin) > 1.0:
+        console.print(f"{seconds:.0f} s of this went into compiling kernels; later runs start at once")
+
+
+def show_stereo(result: StereoResult) -> None:
+    """What of the pair is known, and where it lies."""
+    import numpy as np
+
+    from epipole.stereo import StereoReason
+
+    found = result.disparities
+    known = np.isfinite(found.disparity_px)
+    table = Table(title=f"Stereo pair: {100 * found.density:.1f} % of the pixels known", show_header=False)
+    for reason in StereoReason:
+        share = float((found.reason == reason).mean())
+        if share > 0 and reason != StereoReason.OK:
+            table.add_row(reason.name.lower().replace("_", " "), f"{100 * share:.1f} %")
+    if known.any():
+        low, high = np.percentile(found.disparity_px[known], (1, 99))
+        table.add_row("disparities", f"{low:.1f} to {high:.1f} px")
+        table.add_row("their median standard deviation", f"{np.median(found.sigma_px[known]):.2f} px")
+    if result.depths is not None and np.isfinite(result.depths.depth).any():
+        near, far = np.nanpercentile(result.depths.depth, (1, 99))
+        table.add_row("depths", f"{near:.3g} to {far:.3g}")
+        table.add_row("points", f"{result.num_points}")
+    table.add_row("written to", str(result.out))
     Console().print(table)

@@ -256,6 +256,9 @@ def _judge(mine: _Winners, apart: np.ndarray, low: int, config: StereoConfig) ->
     reason[margin <= config.min_margin * mine.lowest] = StereoReason.AMBIGUOUS
     reason[~(apart <= config.max_left_right_px)] = StereoReason.OCCLUDED
     reason[(matched < -0.5) | (matched > width - 0.5) | (x - low < 0)] = StereoReason.OUT_OF_VIEW
+    # Before the first known pixel of a row surfaces begin that reach beyond the other picture's border.
+    begins = (reason != StereoReason.OCCLUDED).cumsum(axis=1) == 0
+    reason[begins] = StereoReason.OUT_OF_VIEW
     return reason
 
 

@@ -1,0 +1,99 @@
+"""Maps of disparity or depth as files: PFM (floats) and 16-bit PNG."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+from epipole._checks import as_float_array
+from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.io._bytes import file_bytes
+from epipole.io.atomic import atomic_write
+
+PNG_SCALE = 256.0
+"""KITTI's: a stored number is 256 times the value; 0 stands for unknown."""
+_MOST_PIXELS = 1 << 28
+
+
+def write_pfm(path: str | Path, values: Any) -> None:
+    """Write a map (h, w) as a one-channel PFM: 32-bit floats, little-endian, last row first; NaN stays NaN.
+
+    Raises:
+        ShapeError: it is no map.
+        WorkspaceError: the file cannot be written.
+    """
+    array = _map(values)
+    height, width = array.shape
+    with atomic_write(path) as aside:
+        aside.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + array[::-1].astype("<f4").tobytes())
+
+
+def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
+    """Read a one-channel PFM of either byte order.
+
+    Raises:
+        FileFormatError: it is damaged or no such file.
+    """
+    path = Path(path)
+    parts = file_bytes(path).split(b"\n", 3)
+    try:
+        kind, (width, height), scale = parts[0].strip(), map(int, parts[1].split()), float(parts[2])
+        data = parts[3]
+    except (IndexError, ValueError) as error:
+        raise FileFormatError(path, "its header is not that of a PFM file") from error
+    if kind != b"Pf":
+        raise FileFormatError(path, f"it begins with {kind[:8]!r}; a one-channel PFM begins with 'Pf'")
+    if not 0 < width * height <= _MOST_PIXELS or width < 0 or scale == 0 or len(data) != 4 * width * height:
+        raise FileFormatError(
+            path, f"{width} x {height} pixels need {4 * width * height} bytes, it has {len(data)}"
+        )
+    order = "<f4" if scale < 0 else ">f4"
+    return np.frombuffer(data, order).reshape(height, width)[::-1].astype(np.float32)
+
+
+def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None:
+    """Write a map (h, w) as 16-bit PNG, round(scale * value); 0 for what is NaN or does not fit.
+
+    Raises:
+        ShapeError: it is no map.
+        ConfigError: the scale is not positive.
+        WorkspaceError: the file cannot be written.
+    """
+    array = _map(values)
+    if not scale > 0:
+        raise ConfigError(f"scale must be positive, got {scale}")
+    with np.errstate(invalid="ignore"):
+        scaled = np.rint(scale * array)
+        stored = np.where((scaled >= 1) & (scaled <= 65535), scaled, 0)
+    encoded, data = cv2.imencode(".png", stored.astype(np.uint16))
+    if not encoded:
+        raise ShapeError(f"a map of {array.shape} pixels cannot be a PNG")
+    with atomic_write(path) as aside:
+        aside.write_bytes(data.tobytes())
+
+
+def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
+    """Read what `write_png16` or KITTI has written; NaN where 0.
+
+    Raises:
+        FileFormatError: it is damaged, no 16-bit picture of one channel, or no such file.
+    """
+    path = Path(path)
+    data = file_bytes(path)
+    # OpenCV would take other formats by their first letters, a PFM's among them.
+    is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
+    if array is None or array.ndim != 2 or array.dtype != np.uint16:
+        raise FileFormatError(path, "it is not a 16-bit PNG of one channel")
+    return np.where(array > 0, array / np.float32(scale), np.float32(np.nan)).astype(np.float32)
+
+
+def _map(values: Any) -> np.ndarray:
+    array = as_float_array(values, "values")
+    if array.ndim != 2 or array.size == 0:
+        raise ShapeError(f"values must be a map (h, w), got {array.shape}")
+    return array

@@ -1,0 +1,105 @@
+"""From disparities to metres: depth, its standard deviation, points and their covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.config import RigOptions
+from epipole.errors import ConfigError
+from epipole.geometry import depth_error, disparity_to_depth
+from epipole.stereo.matching import DisparityMap
+
+
+@dataclass(frozen=True, slots=True)
+class RectifiedRig:
+    """Two cameras side by side with parallel axes and rows in common."""
+
+    focal_px: float
+    cx: float
+    """Principal point of the left camera."""
+    cy: float
+    baseline: float
+    """In any unit; depth comes in the same."""
+    principal_offset_px: float = 0.0
+    """cx_right - cx_left (Middlebury's `doffs`)."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: focal length or baseline is not positive, or a number is missing.
+        """
+        for name, value in (("focal_px", self.focal_px), ("baseline", self.baseline)):
+            if not 0 < value < np.inf:
+                hint = "; are left and right swapped?" if name == "baseline" and value < 0 else ""
+                raise ConfigError(f"{name} must be positive and finite, got {value}{hint}")
+        if not np.isfinite([self.cx, self.cy, self.principal_offset_px]).all():
+            raise ConfigError("cx, cy and principal_offset_px must be finite numbers")
+
+    @property
+    def K(self) -> Float64[np.ndarray, "3 3"]:
+        """Of the left camera."""
+        return np.array([[self.focal_px, 0.0, self.cx], [0.0, self.focal_px, self.cy], [0.0, 0.0, 1.0]])
+
+
+def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig | None:
+    """The rig of a rectified pair whose pictures have a width and height; None where nothing of it is known.
+
+    Raises:
+        ConfigError: one of focal length and baseline is missing, or not positive.
+    """
+    if options.focal_px is None and options.baseline is None:
+        return None
+    if options.focal_px is None or options.baseline is None:
+        missing = "focal_px" if options.focal_px is None else "baseline"
+        raise ConfigError(f"depth needs both focal_px and baseline; {missing} is missing")
+    cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    return RectifiedRig(options.focal_px, cx, cy, options.baseline, options.principal_offset_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthMap:
+    """Depth of the left picture's pixels, in the unit of the baseline."""
+
+    depth: Float64[np.ndarray, "h w"]
+    """z in the left camera; NaN where unknown."""
+    sigma: Float64[np.ndarray, "h w"]
+    """Standard deviation of the depth from that of the disparity alone; NaN where unknown."""
+
+
+def depth_of(disparities: DisparityMap, rig: RectifiedRig) -> DepthMap:
+    """Z = f B / (d + o) and its first-order standard deviation Z^2 / (f B) sigma_d.
+
+    Points at infinity have neither.
+    """
+    depth = disparity_to_depth(disparities.disparity_px, rig.focal_px, rig.baseline, rig.principal_offset_px)
+    depth = np.where(np.isfinite(depth), depth, np.nan)
+    return DepthMap(depth, depth_error(depth, rig.focal_px, rig.baseline, disparities.sigma_px))
+
+
+def point_covariances(
+    depths: DepthMap, rig: RectifiedRig, pixel_sigma_px: float = 0.3
+) -> Float64[np.ndarray, "h w 3 3"]:
+    """First-order covariance of every pixel's point: a needle along its ray.
+
+    X = Z r with r = ((x - cx) / f, (y - cy) / f, 1): r r^T sigma_Z^2, and Z^2 / f^2 times the variance of where in its pixel
+    the point lies (0.3 px: anywhere in it).
+
+    Raises:
+        ConfigError: pixel_sigma_px is negative.
+    """
+    if not pixel_sigma_px >= 0:
+        raise ConfigError(f"pixel_sigma_px must not be negative, got {pixel_sigma_px}")
+    height, width = depths.depth.shape
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    ray = np.stack(
+        [(x - rig.cx) / rig.focal_px, (y - rig.cy) / rig.focal_px, np.ones((height, width))], axis=-1
+    )
+    out = ray[..., :, None] * ray[..., None, :] * (depths.sigma**2)[..., None, None]
+    aside = (depths.depth * pixel_sigma_px / rig.focal_px) ** 2
+    out[..., 0, 0] += aside
+    out[..., 1, 1] += aside
+    return out

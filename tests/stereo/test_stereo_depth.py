@@ -1,0 +1,139 @@
+"""Depth with its error, points with their covariances, and the command on files."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from epipole import api
+from epipole.config import RigOptions, StereoConfig
+from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.io.depth_maps import read_pfm, read_png16
+from epipole.io.ply import read_points_ply
+from epipole.report.stereo_page import color_map
+from epipole.stereo import DisparityMap, RectifiedRig, StereoReason, depth_of, match_stereo, point_covariances
+from epipole.stereo.depth import rig_from_options
+from epipole.synthetic.stereo_rooms import stereo_room
+
+RIG = RectifiedRig(800.0, 319.5, 239.5, 0.12)
+
+
+def made_up(disparity, sigma):
+    disparity = np.asarray(disparity, np.float32)
+    reason = np.where(np.isfinite(disparity), StereoReason.OK, StereoReason.OCCLUDED).astype(np.uint8)
+    return DisparityMap(
+        disparity, np.where(np.isfinite(disparity), np.float32(sigma), np.float32(np.nan)), reason
+    )
+
+
+def test_depth_and_its_error_are_the_lessons():
+    found = depth_of(made_up([[40.0, 4.0, np.nan, 0.0]], 1.0), RIG)
+    np.testing.assert_allclose(found.depth, [[2.4, 24.0, np.nan, np.nan]], rtol=1e-6)
+    np.testing.assert_allclose(found.sigma, [[0.06, 6.0, np.nan, np.nan]], rtol=1e-6)
+
+
+def test_covariances_are_those_of_simulated_pixels(rng):
+    disparities = made_up(np.full((480, 640), 20.0), 0.2)
+    depths = depth_of(disparities, RIG)
+    first_order = point_covariances(depths, RIG)[100, 500]
+    d, x, y = (
+        20 + 0.2 * rng.standard_normal(200_000),
+        *(0.3 * rng.standard_normal((2, 200_000)) + [[500], [100]]),
+    )
+    z = RIG.focal_px * RIG.baseline / d
+    points = np.stack([z * (x - RIG.cx) / RIG.focal_px, z * (y - RIG.cy) / RIG.focal_px, z], axis=1)
+    np.testing.assert_allclose(first_order, np.cov(points.T), rtol=0.03, atol=2e-7)
+    with pytest.raises(ConfigError, match="pixel_sigma_px"):
+        point_covariances(depths, RIG, -1.0)
+
+
+def test_depth_errors_lie_within_their_bars_near_and_far():
+    """Z^2 / (f B) sigma_d against what is true, in fifths of rising depth."""
+    ratios, depths = [], []
+    for seed in range(20_001, 20_021, 2):
+        pair = stereo_room(seed, (320, 240))
+        rig = RectifiedRig(pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2], pair.baseline)
+        config = StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8)
+        found = depth_of(match_stereo(pair.left, pair.right, config), rig)
+        truth = rig.focal_px * rig.baseline / pair.disparity_px
+        known = np.isfinite(found.depth) & np.isfinite(truth)
+        ratios.append((np.abs(found.depth - truth) / found.sigma)[known])
+        depths.append(truth[known])
+    ratio, depth = np.concatenate(ratios), np.concatenate(depths)
+    assert 0.62 < (ratio <= 1).mean() < 0.75
+    for part in np.array_split(np.argsort(depth), 5):
+        assert 0.55 < (ratio[part] <= 1).mean() < 0.85
+
+
+def test_rigs_that_cannot_be():
+    with pytest.raises(ConfigError, match="swapped"):
+        RectifiedRig(800.0, 0, 0, -0.1)
+    for focal, baseline in ((0.0, 1.0), (800.0, 0.0), (np.nan, 1.0)):
+        with pytest.raises(ConfigError, match="positive"):
+            RectifiedRig(focal, 0, 0, baseline)
+    with pytest.raises(ConfigError, match="baseline is missing"):
+        rig_from_options(RigOptions(focal_px=800.0), (640, 480))
+    with pytest.raises(ConfigError, match="focal_px is missing"):
+        rig_from_options(RigOptions(baseline=0.1), (640, 480))
+    assert rig_from_options(RigOptions(), (640, 480)) is None
+    assert rig_from_options(RigOptions(focal_px=800.0, baseline=0.12), (640, 480)) == RIG
+
+
+@pytest.fixture
+def pair_files(tmp_path):
+    pair = stereo_room(7, (200, 150))
+    for side in ("left", "right"):
+        Image.fromarray(getattr(pair, side)).save(tmp_path / f"{side}.png")
+    return pair, tmp_path / "left.png", tmp_path / "right.png"
+
+
+def test_a_pair_of_files_to_everything(pair_files, tmp_path):
+    pair, left, right = pair_files
+    out = tmp_path / "out"
+    rig = RectifiedRig(pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2], pair.baseline)
+    found = api.stereo(left, right, out, StereoConfig(max_disparity_px=63), rig)
+    disparity, known = read_pfm(out / "disparity.pfm"), found.disparities.reason == StereoReason.OK
+    np.testing.assert_array_equal(disparity, found.disparities.disparity_px)
+    np.testing.assert_array_equal(read_pfm(out / "sigma_disparity.pfm"), found.disparities.sigma_px)
+    assert np.nanmax(np.abs(read_png16(out / "disparity.png") - disparity)) <= 0.5 / 256 + 1e-6
+    np.testing.assert_allclose(read_pfm(out / "depth.pfm"), found.depths.depth, rtol=1e-6)
+    np.testing.assert_allclose(read_pfm(out / "sigma_depth.pfm"), found.depths.sigma, rtol=1e-6)
+    cloud = read_points_ply(out / "cloud.ply")
+    assert len(cloud) == found.num_points == np.isfinite(found.depths.depth).sum()
+    reasons = np.asarray(Image.open(out / "reasons.png"))
+    assert (reasons[known] == 255).all() and (reasons[~known] != 255).any(axis=1).all()
+    page = (out / "report.html").read_text()
+    assert (
+        "Error against range" in page
+        and page.count("data:image/png") == 6
+        and "http" not in page.split("</style>")[1]
+    )
+    assert json.loads((out / "config.json").read_text())["rig"]["baseline"] == pair.baseline
+    assert "points" in repr(found)
+
+
+def test_without_a_rig_there_is_no_depth(pair_files, tmp_path):
+    _, left, right = pair_files
+    found = api.stereo(left, right, tmp_path / "out")
+    assert found.depths is None and not (tmp_path / "out" / "depth.pfm").exists()
+    assert "Error against range" not in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_files_that_are_no_pair(pair_files, tmp_path):
+    _, left, right = pair_files
+    Image.new("L", (190, 150)).save(tmp_path / "small.png")
+    with pytest.raises(ShapeError, match="190 x 150"):
+        api.stereo(left, tmp_path / "small.png", tmp_path / "out")
+    (tmp_path / "broken.png").write_bytes(left.read_bytes()[:300])
+    with pytest.raises(FileFormatError, match=r"broken\.png"):
+        api.stereo(tmp_path / "broken.png", right, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_of_nothing(tmp_path):
+    Image.new("L", (60, 40), 128).save(tmp_path / "blank.png")
+    found = api.stereo(tmp_path / "blank.png", tmp_path / "blank.png", tmp_path / "out", rig=RIG)
+    assert found.disparities.density == 0 and found.num_points == 0
+    assert "0.0 % of the left" in (tmp_path / "out" / "report.html").read_text()
+    assert (color_map(np.full((3, 3), np.nan)) == 0).all()
