@@ -17,7 +17,7 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
 from epipole.stereo import _path_kernels as kernels
 from epipole.stereo._lane_kernels import LANES
-from epipole.stereo.uncertainty import MatchEvidence, disparity_sigma
+from epipole.stereo.uncertainty import MatchEvidence, disparity_sigma, roughness
 
 _MARGIN = 32  # rows beyond a strip in which its paths begin: later ones do not change the result (measured)
 _MOST_STRIP_BYTES = 1 << 27
@@ -121,7 +121,7 @@ def match_with_evidence(
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
     margin = mine.second.astype(np.float32) - mine.lowest
-    evidence = MatchEvidence(mine.steepness, margin, apart, smoothing, mine.spread, disparity)
+    evidence = MatchEvidence(mine.steepness, margin, apart, smoothing, mine.spread, roughness(disparity))
     known, nan = reason == StereoReason.OK, np.float32(np.nan)
     sigma = np.where(known, disparity_sigma(evidence), nan)
     return DisparityMap(np.where(known, disparity, nan), sigma, reason), evidence
@@ -219,9 +219,9 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
 def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     """0 ... 255 from the darkest to the brightest, whatever the depth of the picture."""
     if grey.max(initial=0) <= 255:
-        return grey.astype(np.int64)
+        return grey.astype(np.int16)
     low, high = np.percentile(grey, (0.5, 99.5))
-    return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int64)
+    return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int16)
 
 
 def _bottom_of_v(lowest: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt16
 
+from epipole import _parallel
+
 NUM_CUES = 6
+_ROWS = 64  # at a time: the cues take 48 bytes a pixel
 WEIGHTS = np.array(
     [
         -0.2245,
@@ -90,31 +93,45 @@ class MatchEvidence:
     """What the median filter changed."""
     spread: UInt16[np.ndarray, "h w"]
     """How far apart the winners of the downward and the upward sweep lie."""
-    disparity_px: Float32[np.ndarray, "h w"]
+    roughness_px: Float32[np.ndarray, "h w"]
+    """How far its neighbours' disparities differ from each other."""
 
 
-def cues(evidence: MatchEvidence) -> Float64[np.ndarray, "h w cues"]:
-    """Logarithms of what is seen, the small constants being where it no longer says anything."""
-    disparity = evidence.disparity_px
-    roughness = cv2.boxFilter(np.abs(disparity - cv2.blur(disparity, (5, 5))), -1, (5, 5))
+def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Float64[np.ndarray, "h w cues"]:
+    """Of rows start..stop: logarithms of what is seen, the small constants being where it no longer says anything."""
+    rows = slice(start, stop)
     return np.stack(
         [
-            np.log(evidence.steepness + 4.0),
-            np.log(evidence.margin + 8.0),
-            np.log(evidence.left_right_px + 0.1),
-            np.log(evidence.smoothing_px + 0.1),
-            np.log1p(evidence.spread.astype(np.float64)),
-            np.log(roughness + 0.05),
+            np.log(evidence.steepness[rows] + 4.0),
+            np.log(evidence.margin[rows] + 8.0),
+            np.log(evidence.left_right_px[rows] + 0.1),
+            np.log(evidence.smoothing_px[rows] + 0.1),
+            np.log1p(evidence.spread[rows].astype(np.float32)),
+            np.log(evidence.roughness_px[rows] + 0.05),
         ],
         axis=-1,
     ).astype(np.float64)
 
 
-def score(of: Float64[np.ndarray, "... cues"], weights: np.ndarray = WEIGHTS) -> Float64[np.ndarray, ...]:
+def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """How far the disparities about a pixel differ from their means over 5 x 5."""
+    return np.asarray(
+        cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)) * np.float32(25.0)
+    )
+
+
+def score(of: Float64[np.ndarray, "... cues"]) -> Float64[np.ndarray, ...]:
     """The cues' weighted sum with their squares; larger is worse."""
-    return weights[0] + of @ weights[1 : 1 + NUM_CUES] + (of * of) @ weights[1 + NUM_CUES :]
+    return WEIGHTS[0] + of @ WEIGHTS[1 : 1 + NUM_CUES] + (of * of) @ WEIGHTS[1 + NUM_CUES :]
 
 
 def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
     """Standard deviation of each disparity, in pixels."""
-    return np.exp(np.interp(score(cues(evidence)), SCORES, LOG_SIGMAS)).astype(np.float32)
+    out = np.empty(evidence.steepness.shape, np.float32)
+
+    def fill(start: int, stop: int, _: int) -> None:
+        scores = score(cues(evidence, start, stop))
+        out[start:stop] = np.exp(np.interp(scores, SCORES, LOG_SIGMAS))
+
+    _parallel.map_chunks(fill, len(out), -(-len(out) // _ROWS))
+    return out
