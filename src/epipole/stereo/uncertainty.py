@@ -115,9 +115,7 @@ def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Fl
 
 def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """How far the disparities about a pixel differ from their means over 5 x 5."""
-    return np.asarray(
-        cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)) * np.float32(25.0)
-    )
+    return np.asarray(cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)))
 
 
 def score(of: Float64[np.ndarray, "... cues"]) -> Float64[np.ndarray, ...]:
