@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
-from epipole.config import FeatureConfig
+from epipole.config import FeatureConfig, StereoConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
 from epipole.mapping import bundle_problem_of
 from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
+from epipole.report.stereo_page import color_map
 from epipole.robust import (
     RansacConfig,
     estimate_absolute_pose,
@@ -22,8 +23,10 @@ from epipole.robust import (
     estimate_relative_pose,
     triangulate_points,
 )
+from epipole.stereo import match_stereo
 from epipole.synthetic import courtyard, courtyard_views, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem
+from epipole.synthetic.stereo_rooms import stereo_room
 
 PICTURES = Path(__file__).with_name("pictures")
 CAMERA = Camera(CameraModel.PINHOLE, 720, 480, np.array([620.0, 620.0, 359.5, 239.5]))
@@ -233,9 +236,23 @@ def bundle_growth() -> None:
     curve("bundle_growth", millions, series, ("million observations", "seconds, GB"))
 
 
+def stereo() -> None:
+    """A rendered pair: the left picture, its disparities, their standard deviations, and the errors in units of them."""
+    pair = stereo_room(2, (480, 360))
+    limit = int(np.nanmax(pair.disparity_px)) + 8
+    found = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=limit))
+    error = np.abs(found.disparity_px - pair.disparity_px) / found.sigma_px
+    panels = [
+        np.repeat(pair.left[..., None], 3, axis=2),
+        *(color_map(values) for values in (found.disparity_px, found.sigma_px, np.minimum(error, 3.0))),
+    ]
+    rows = [np.hstack(panels[:2]), np.hstack(panels[2:])]
+    cv2.imwrite(str(PICTURES / "stereo.jpg"), np.vstack(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
 if __name__ == "__main__":
     for draw in (
         *(homography, fundamental, relative_pose, triangulation, absolute_pose),
-        *(bundle_adjustment, bundle_growth),
+        *(bundle_adjustment, bundle_growth, stereo),
     ):
         draw()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighbouring_views, render_to
@@ -16,7 +17,9 @@ from epipole.api import _write_picture
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
+from epipole.io.depth_maps import read_pfm
 from epipole.metrics import camera_errors
+from epipole.synthetic.stereo_rooms import stereo_room
 
 
 def run(*arguments, expect=0):
@@ -119,6 +122,25 @@ def test_errors_are_one_line_and_a_code(tmp_path):
     assert printed.count("Traceback") == 0 and "does not exist" in printed
     assert "holds no model" in run("view", tmp_path, expect=1)
     assert "epipole" in run("version")
+
+
+def test_stereo_of_two_files(tmp_path):
+    pair = stereo_room(9, (240, 180))
+    left, right = tmp_path / "left.png", tmp_path / "right.png"
+    Image.fromarray(pair.left).save(left)
+    Image.fromarray(pair.right).save(right)
+    known = ("--focal-px", pair.camera.K[0, 0], "--baseline", pair.baseline)
+    printed = run("stereo", left, right, tmp_path / "out", *known)
+    assert "of the pixels known" in printed and "points" in printed
+    found, truth = (
+        read_pfm(tmp_path / "out" / "depth.pfm"),
+        pair.camera.K[0, 0] * pair.baseline / pair.disparity_px,
+    )
+    both = np.isfinite(found) & np.isfinite(truth)
+    assert both.mean() > 0.6 and np.median(np.abs(found / truth - 1)[both]) < 0.05
+    assert "baseline is missing" in run("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=1)
+    assert "no such file" in run("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
+    assert not (tmp_path / "two").exists()
 
 
 def test_help_is_quick_and_loads_nothing_heavy():
