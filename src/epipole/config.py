@@ -267,7 +267,7 @@ class StereoConfig:
     edge_fade: float = 10.0
     left_right: Literal["accurate", "fast"] = "accurate"
     """Check against the other picture's own disparities, or (half the time) against those read off the same sums."""
-    max_left_right_px: float = 1.0
+    max_left_right_px: float = 1.25
     """Disparities of the two pictures that differ by more are occluded."""
     min_margin: float = 0.0
     """The second lowest sum must exceed the lowest by this share of it; else the pixel is ambiguous."""
