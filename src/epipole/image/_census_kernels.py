@@ -1,29 +1,41 @@
 """The census transform: what is darker than the pixel in the middle."""
 
+import numpy as np
+
 from epipole._jit import kernel
 
 
 @kernel
+def _mark_darker(others, centers, bit, bits):
+    """Set a bit wherever the other pixel is darker."""
+    for i in range(len(bits)):
+        bits[i] = bits[i] | (bit if others[i] < centers[i] else np.uint8(0))
+
+
+@kernel(allocates=True)
 def census_rows(image, half_width, half_height, start, stop, out):
     """Rows start..stop of the census (Zabih and Woodfill 1994): a bit for each other pixel of the window, set where darker.
 
-    image (h, w); out (h, w, planes) bytes, eight bits each. Beyond the border the nearest pixel counts.
+    image (h, w); out (h, w, planes) bytes, eight bits each. Beyond the border the nearest pixel counts. One offset after the
+    other along a whole row: that is what the compiler makes vectors of.
     """
     height, width = image.shape
+    planes = out.shape[2]
+    padded = np.empty(width + 2 * half_width, image.dtype)
+    bits = np.empty((planes, width), np.uint8)
     for y in range(start, stop):
+        bits[:] = 0
+        place = 0
+        for dy in range(-half_height, half_height + 1):
+            row = image[min(max(y + dy, 0), height - 1)]
+            padded[:half_width] = row[0]
+            padded[half_width : half_width + width] = row
+            padded[half_width + width :] = row[width - 1]
+            for n in range(2 * half_width + 1):
+                if dy == 0 and n == half_width:
+                    continue
+                _mark_darker(padded[n : n + width], image[y], np.uint8(1 << (place & 7)), bits[place >> 3])
+                place += 1
         for x in range(width):
-            center = image[y, x]
-            place, bits, plane = 0, 0, 0
-            for dy in range(-half_height, half_height + 1):
-                row = min(max(y + dy, 0), height - 1)
-                for dx in range(-half_width, half_width + 1):
-                    if dy == 0 and dx == 0:
-                        continue
-                    if image[row, min(max(x + dx, 0), width - 1)] < center:
-                        bits |= 1 << place
-                    place += 1
-                    if place == 8:
-                        out[y, x, plane] = bits
-                        place, bits, plane = 0, 0, plane + 1
-            if place > 0:
-                out[y, x, plane] = bits
+            for p in range(planes):
+                out[y, x, p] = bits[p, x]

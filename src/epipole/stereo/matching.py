@@ -233,7 +233,7 @@ def _bottom_of_v(lowest: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np
     up = beside[..., 1].astype(np.float32) - lowest
     steepness = np.maximum(down, up)
     offset = 0.5 * (down - up) / np.maximum(steepness, 1.0)
-    at_end = (beside == kernels.NOBODY).any(axis=2)
+    at_end = (beside[..., 0] == kernels.NOBODY) | (beside[..., 1] == kernels.NOBODY)
     return np.where(at_end, np.float32(0.0), offset), np.where(at_end, np.minimum(down, up), steepness)
 
 
