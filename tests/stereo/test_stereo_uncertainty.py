@@ -37,6 +37,19 @@ def test_the_most_certain_pixels_are_the_best(unseen):
     assert mean[0] < 0.5 * error.mean() and mean[4] > 2.0 * mean[2]
 
 
+@pytest.mark.parametrize("options", [{"paths": 4}, {"left_right": "fast"}, {"window": (9, 7)}])
+def test_other_ways_of_matching_keep_the_bars(options):
+    """They were fitted with the defaults."""
+    within = []
+    for seed in range(10_001, 10_013, 2):
+        pair = stereo_room(seed, (320, 240))
+        config = StereoConfig(max_disparity_px=int(np.nanmax(pair.disparity_px)) + 8, **options)
+        found = match_stereo(pair.left, pair.right, config)
+        error = np.abs(found.disparity_px - pair.disparity_px)
+        within.append((error <= found.sigma_px)[np.isfinite(error)])
+    assert 0.60 < np.concatenate(within).mean() < 0.78
+
+
 def test_sigma_grows_with_the_score():
     assert (np.diff(uncertainty.SCORES) > 0).all() and (np.diff(uncertainty.LOG_SIGMAS) >= 0).all()
     assert len(uncertainty.SCORES) == len(uncertainty.LOG_SIGMAS)

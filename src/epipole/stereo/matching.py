@@ -120,8 +120,11 @@ def match_with_evidence(
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
-    margin = mine.second.astype(np.float32) - mine.lowest
-    evidence = MatchEvidence(mine.steepness, margin, apart, smoothing, mine.spread, roughness(disparity))
+    per_path = np.float32(8.0 / config.paths)  # half as many paths make sums half as large
+    margin = per_path * (mine.second.astype(np.float32) - mine.lowest)
+    evidence = MatchEvidence(
+        per_path * mine.steepness, margin, apart, smoothing, mine.spread, roughness(disparity)
+    )
     known, nan = reason == StereoReason.OK, np.float32(np.nan)
     sigma = np.where(known, disparity_sigma(evidence), nan)
     return DisparityMap(np.where(known, disparity, nan), sigma, reason), evidence
