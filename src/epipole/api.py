@@ -335,7 +335,6 @@ def stereo(
         result.left_rgb,
         result.right_rgb,
         result.disparities,
-        REASON_COLORS[result.disparities.reason],
         REASON_COLORS,
         result.depths,
         rig,

@@ -120,6 +120,17 @@ def test_without_a_rig_there_is_no_depth(pair_files, tmp_path):
     assert "Error against range" not in (tmp_path / "out" / "report.html").read_text()
 
 
+def test_depth_of_an_earlier_run_does_not_stay_beside_other_disparities(pair_files, tmp_path):
+    _, left, right = pair_files
+    out = tmp_path / "out"
+    api.stereo(left, right, out, rig=RIG)
+    (out / "mine.txt").write_text("precious")
+    assert (out / "depth.pfm").exists() and (out / "cloud.ply").exists()
+    api.stereo(left, right, out)
+    assert not any((out / name).exists() for name in ("depth.pfm", "sigma_depth.pfm", "cloud.ply"))
+    assert (out / "disparity.pfm").exists() and (out / "mine.txt").read_text() == "precious"
+
+
 def test_files_that_are_no_pair(pair_files, tmp_path):
     _, left, right = pair_files
     Image.new("L", (190, 150)).save(tmp_path / "small.png")

@@ -166,7 +166,14 @@ def version() -> None:
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (
-    *(reconstruct, stereo, demo, view, evaluate, undistort, convert, version),
+    reconstruct,
+    stereo,
+    demo,
+    view,
+    evaluate,
+    undistort,
+    convert,
+    version,
 )
 
 

@@ -38,8 +38,8 @@ class StereoPage:
     left_rgb: UInt8[np.ndarray, "h w 3"]
     right_rgb: UInt8[np.ndarray, "h w 3"]
     disparities: DisparityMap
-    reason_rgb: UInt8[np.ndarray, "h w 3"]
     reason_colors: UInt8[np.ndarray, "k 3"]
+    """Of the values of `StereoReason`."""
     depths: DepthMap | None
     rig: RectifiedRig | None
     version: str
@@ -54,7 +54,7 @@ def render_stereo_page(page: StereoPage) -> str:
         ("right", _shown(page.right_rgb)),
         (f"disparity, {_span(found.disparity_px)} px", _shown(color_map(found.disparity_px))),
         (f"its standard deviation, {_span(found.sigma_px)} px", _shown(color_map(found.sigma_px))),
-        ("what is not known, and why", _shown(page.reason_rgb)),
+        ("what is not known, and why", _shown(page.reason_colors[found.reason])),
     ]
     if page.depths is not None:
         pictures.append((f"depth, {_span(page.depths.depth)}", _shown(color_map(page.depths.depth))))

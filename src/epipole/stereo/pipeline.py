@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from epipole.config import StereoConfig
 from epipole.errors import ShapeError
 from epipole.geometry import depth_map_to_point_cloud
-from epipole.io.atomic import atomic_write
+from epipole.io.atomic import atomic_folder, atomic_write
 from epipole.io.depth_maps import write_pfm, write_png16
 from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
@@ -23,6 +23,9 @@ REASON_COLORS = np.array(
     [[255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]], np.uint8
 )
 """Of the values of `StereoReason` in `reasons.png`: white is known."""
+
+DEPTH_FILES = ("depth.pfm", "sigma_depth.pfm", "cloud.ply")
+"""Those of an earlier run with a rig do not stay beside the disparities of one without."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,18 +64,20 @@ def run_stereo(
             f"{left} is {w1} x {h1} pixels and {right} {w2} x {h2}: a rectified pair has one size"
         )
     disparities = match_stereo(left_rgb, right_rgb, config)
-    write_pfm(out / "disparity.pfm", disparities.disparity_px)
-    write_png16(out / "disparity.png", disparities.disparity_px)
-    write_pfm(out / "sigma_disparity.pfm", disparities.sigma_px)
-    write_picture(out / "reasons.png", REASON_COLORS[disparities.reason])
-    if rig is None:
-        return StereoResult(out, left_rgb, right_rgb, disparities, None, 0)
-    depths = depth_of(disparities, rig)
-    write_pfm(out / "depth.pfm", depths.depth)
-    write_pfm(out / "sigma_depth.pfm", depths.sigma)
-    cloud = depth_map_to_point_cloud(depths.depth, rig.K)
-    write_points_ply(out / "cloud.ply", cloud.points_in_cam, left_rgb[cloud.mask])
-    return StereoResult(out, left_rgb, right_rgb, disparities, depths, len(cloud))
+    depths = None if rig is None else depth_of(disparities, rig)
+    num_points = 0
+    with atomic_folder(out, stale=DEPTH_FILES) as aside:
+        write_pfm(aside / "disparity.pfm", disparities.disparity_px)
+        write_png16(aside / "disparity.png", disparities.disparity_px)
+        write_pfm(aside / "sigma_disparity.pfm", disparities.sigma_px)
+        write_picture(aside / "reasons.png", REASON_COLORS[disparities.reason])
+        if depths is not None and rig is not None:
+            write_pfm(aside / "depth.pfm", depths.depth)
+            write_pfm(aside / "sigma_depth.pfm", depths.sigma)
+            cloud = depth_map_to_point_cloud(depths.depth, rig.K)
+            write_points_ply(aside / "cloud.ply", cloud.points_in_cam, left_rgb[cloud.mask])
+            num_points = len(cloud)
+    return StereoResult(out, left_rgb, right_rgb, disparities, depths, num_points)
 
 
 def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
