@@ -8,16 +8,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from epipole.api import calibrate as calibrate
     from epipole.api import evaluate as evaluate
     from epipole.api import reconstruct as reconstruct
     from epipole.api import undistort as undistort
 
 __version__ = "0.1.0"
 
-_API = ("reconstruct", "evaluate", "undistort")
+_API = ("reconstruct", "calibrate", "evaluate", "undistort")
 _ROOMS = (
     *("geometry", "cameras", "image", "features", "solvers", "optim", "robust", "scene", "io"),
-    *("metrics", "synthetic", "workflow", "mapping", "sfm", "report", "viewer"),
+    *("metrics", "synthetic", "workflow", "mapping", "sfm", "stereo", "calibration", "report", "viewer"),
 )
 __all__ = [*_API, "__version__"]  # noqa: PLE0604 - the names are strings
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -13,22 +14,28 @@ import numpy as np
 
 from epipole import __version__, _parallel
 from epipole._jit import compile_seconds
-from epipole.config import ReconstructConfig, StereoConfig
-from epipole.errors import DegenerateGeometryError, FileFormatError, NoModelError
+from epipole.calibration.pipeline import CalibrationRun, run_calibration
+from epipole.config import CalibrationConfig, ReconstructConfig, StereoConfig
+from epipole.errors import DegenerateGeometryError, EpipoleError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
+from epipole.io.calibration_files import write_ros_yaml
 from epipole.io.colmap import read_colmap_model, write_colmap_model
 from epipole.io.photographs import read_rgb
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 from epipole.report import ImageRow, ReportContent, render_report
+from epipole.report.calibration_page import CalibrationPage, render_calibration_page
 from epipole.report.stereo_page import StereoPage, render_stereo_page
-from epipole.scene import Cameras, Reconstruction
+from epipole.scene import Cameras, Reconstruction, StereoRig
 from epipole.sfm.pipeline import PipelineResult, run_pipeline
 from epipole.sfm.workspace import write_json
-from epipole.stereo import RectifiedRig
+from epipole.stereo import RectifiedRig, rectify
+from epipole.stereo.batch import StereoBatch, is_many, list_pairs, run_batch
+from epipole.stereo.doctor import Diagnosis, examine
 from epipole.stereo.pipeline import REASON_COLORS, StereoResult, run_stereo
+from epipole.stereo.rectification import is_right_of_left
 from epipole.viewer import ViewerHandle
 from epipole.viewer import view as open_viewer
 from epipole.workflow import Progress, ProgressCallback, ignore_progress, load, timed
@@ -311,38 +318,184 @@ def stereo(
     right: str | Path,
     out: str | Path,
     config: StereoConfig | None = None,
-    rig: RectifiedRig | None = None,
+    rig: RectifiedRig | StereoRig | None = None,
 ) -> StereoResult:
-    """Disparities of a rectified pair with their standard deviations, with a rig also depth and points, and a report.
+    """Disparities of a pair with their standard deviations, with a rig also depth and points, and a report.
 
     Args:
         left: picture whose pixels get a disparity.
-        right: the other, of the same size; rows are epipolar lines.
+        right: the other.
         out: output folder, made if missing.
         config: options; None for the defaults.
-        rig: focal length and baseline; None: there are disparities but no depth.
+        rig: two calibrated cameras, by which the pair is rectified first; or what is known of a rectified pair;
+            None: the pair counts as rectified, and there are disparities but no depth.
 
     Raises:
         FileFormatError: a picture cannot be read.
-        ShapeError: the pictures are no pair.
+        ShapeError: the pictures are no pair, or not of the calibration's size.
+        ConfigError: left and right are swapped in the calibration.
+        DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
     config, out = config or StereoConfig(), Path(out)
     result = run_stereo(Path(left), Path(right), out, config, rig)
-    settings = {"version": __version__, "config": asdict(config), "rig": asdict(rig) if rig else None}
-    write_json(out / "config.json", settings)
     page = StereoPage(
-        result.left_rgb,
-        result.right_rgb,
-        result.disparities,
-        REASON_COLORS,
-        result.depths,
-        rig,
-        __version__,
+        *(result.left_rgb, result.right_rgb, result.disparities, REASON_COLORS),
+        *(result.depths, result.rig, result.warnings, __version__),
     )
     with atomic_write(out / "report.html") as aside:
         aside.write_text(render_stereo_page(page), encoding="utf-8")
+    write_json(out / "config.json", _stereo_settings(config, rig))
     return result
+
+
+def stereo_many(
+    left: str | Path,
+    right: str | Path,
+    out: str | Path,
+    config: StereoConfig | None = None,
+    rig: RectifiedRig | StereoRig | None = None,
+    progress: ProgressCallback = ignore_progress,
+) -> StereoBatch:
+    """`stereo` for every pair of two folders, or of stereo video (twice the same file: both pictures side by side).
+
+    A pair that cannot be measured is named with its reason and does not stop the others; a stopped run continues.
+
+    Raises:
+        FileFormatError: there are no pairs.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, out = config or StereoConfig(), Path(out)
+    pairs = list_pairs(Path(left), Path(right), out, config.max_frames)
+    batch = run_batch(
+        *(pairs, out, _stereo_settings(config, rig)),
+        lambda one, two, folder: stereo(one, two, folder, config, rig),
+        progress,
+    )
+    write_json(
+        out / "summary.json",
+        {"version": __version__, "done": [*batch.earlier, *batch.done], "problems": batch.problems},
+    )
+    return batch
+
+
+def stereo_of_model(
+    workspace: str | Path, first: str, second: str, out: str | Path, config: StereoConfig | None = None
+) -> StereoResult:
+    """`stereo` for two pictures of a finished reconstruction, rectified by their places; depth in the model's unit.
+
+    Args:
+        workspace: output folder of `reconstruct`.
+        first: name of the picture whose pixels get depth, unless it stands right of the other one.
+        second: name of the other.
+        out: output folder.
+        config: options.
+
+    Raises:
+        FileFormatError: there is no model, or a picture is not in it.
+        DegenerateGeometryError: the two pictures cannot be rectified.
+    """
+    workspace = Path(workspace)
+    model = read_colmap_model(find_model(workspace))
+    rows = {name: k for k, name in enumerate(model.images.name)}
+    registered, places = model.is_registered(), model.cams_from_world()
+    for name in (first, second):
+        if name not in rows or not registered[rows[name]]:
+            raise FileFormatError(workspace, f"{name} has no place in the model")
+    if first == second:
+        raise DegenerateGeometryError("a picture makes no pair with itself")
+    one, two = rows[first], rows[second]
+    cameras, of_image = model.cameras, model.camera_of_image
+    rig = StereoRig(
+        cameras[int(of_image[one])], cameras[int(of_image[two])], places[two] @ places[one].inverse()
+    )
+    if is_right_of_left(rig):
+        rig, first, second = rig.swapped(), second, first
+    pictures = workspace / "images"
+    return stereo(pictures / first, pictures / second, out, config, rig)
+
+
+def examine_stereo(
+    left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
+) -> Diagnosis:
+    """What is wrong with a pair, or with several of one rig: swapped, rows that do not match, not synchronous.
+
+    Args:
+        left: a picture, a folder or a video.
+        right: the other.
+        rig: as for `stereo`.
+        max_frames: pairs looked at, at most.
+
+    Raises:
+        FileFormatError: a picture cannot be read, or there is no pair.
+    """
+    left, right = Path(left), Path(right)
+    if not is_many(left, right):
+        return examine([(read_rgb(left), read_rgb(right))], rig)
+    with tempfile.TemporaryDirectory() as scratch:
+        pairs = list(list_pairs(left, right, Path(scratch), max_frames).values())
+        chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), max_frames)).astype(int))
+        return examine([(read_rgb(pairs[k][0]), read_rgb(pairs[k][1])) for k in chosen], rig)
+
+
+def _stereo_settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> dict[str, Any]:
+    described: Any = rig if rig is None else asdict(rig) if isinstance(rig, RectifiedRig) else repr(rig)
+    return {"version": __version__, "config": asdict(config), "rig": described}
+
+
+def calibrate(
+    images: str | Path,
+    out: str | Path,
+    config: CalibrationConfig | None = None,
+    right: str | Path | None = None,
+    progress: ProgressCallback = ignore_progress,
+) -> CalibrationRun:
+    """Calibrate a camera, or a pair, from pictures of a board, with a report.
+
+    Writes `calibration.json` (with covariances), `opencv.yaml`, ROS' `ros.yaml` (of a pair `ros_left.yaml` and
+    `ros_right.yaml`) and `report.html`.
+
+    Args:
+        images: folder of pictures; of a pair's: sub-folders left and right, or files left01.jpg and right01.jpg.
+        out: output folder, made if missing.
+        config: board and options.
+        right: folder of the right camera's pictures.
+        progress: called with the progress.
+
+    Raises:
+        FileFormatError: there are no pictures.
+        DegenerateGeometryError: the board is seen too seldom, or the views leave something open.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, out = config or CalibrationConfig(), Path(out)
+    run = run_calibration(Path(images), out, config, Path(right) if right else None, progress)
+    found = run.calibration
+    write_json(out / "config.json", {"version": __version__, "config": asdict(config)})
+    if len(found.cameras) == 1:
+        write_ros_yaml(out / "ros.yaml", found.cameras[0], "camera")
+    else:
+        _write_ros_pair(out, found.rig())
+    names = tuple(tuple(path.name for path in own) for own in run.pictures)
+    problems = {Path(name).name: reason for name, reason in run.problems.items()}
+    page = CalibrationPage(found, run.check, run.verdict, names, problems, __version__)
+    with atomic_write(out / "report.html") as aside:
+        aside.write_text(render_calibration_page(page), encoding="utf-8")
+    return run
+
+
+def _write_ros_pair(out: Path, rig: StereoRig) -> None:
+    """ROS asks for rectification; a pair that cannot be rectified goes without its files."""
+    try:
+        rectified = rectify(rig)
+    except EpipoleError:
+        return
+    flat = rectified.rig
+    for name, camera, rotation, offset in (
+        ("left", rig.left, rectified.rectified_from_left, 0.0),
+        ("right", rig.right, rectified.rectified_from_right, -flat.focal_px * flat.baseline),
+    ):
+        projection = np.column_stack([flat.K, [offset, 0.0, 0.0]])
+        write_ros_yaml(out / f"ros_{name}.yaml", camera, name, rotation, projection)
 
 
 def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
@@ -370,8 +523,13 @@ __all__ = [
     "Evaluation",
     "NoModelError",
     "ReconstructionResult",
+    "calibrate",
     "evaluate",
+    "examine_stereo",
     "reconstruct",
+    "stereo",
+    "stereo_many",
+    "stereo_of_model",
     "undistort",
     "view",
 ]

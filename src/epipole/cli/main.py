@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from epipole.config import ReconstructConfig, RigOptions, StereoConfig
+from epipole.config import CalibrationConfig, ReconstructConfig, RigOptions, StereoConfig
 from epipole.errors import EpipoleError
 
 Images = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")]
@@ -22,10 +22,12 @@ Target = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]
 
 Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
 Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+Paths = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LEFT RIGHT OUT")]
 
 DEFAULTS = ReconstructConfig()
 STEREO_DEFAULTS = StereoConfig()
 RIG_DEFAULTS = RigOptions()
+CALIBRATION_DEFAULTS = CalibrationConfig()
 
 
 def reconstruct(
@@ -50,32 +52,80 @@ def reconstruct(
 
 
 def stereo(
-    left: Left,
-    right: Right,
-    out: Out,
+    paths: Paths,
     config: Annotated[StereoConfig, tyro.conf.arg(name="")] = STEREO_DEFAULTS,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
+    calibration: tuple[Path, ...] = (),
+    workspace: Path | None = None,
+    pair: tuple[str, str] | None = None,
 ) -> None:
-    """Disparities of a rectified pair, each with its standard deviation; depth and points where the rig is known.
+    """Disparities of a pair, each with its standard deviation; depth and points where the cameras are known.
+
+    LEFT and RIGHT are two pictures, two folders, or two videos (twice the same one: both pictures side by side).
+    Without a calibration they count as rectified.
 
     Args:
-        left: Left picture; its pixels get the disparities.
-        right: Right picture, rectified with it.
-        out: Output folder.
+        paths: Left picture, whose pixels get the disparities; right picture; output folder.
         config: Options.
-        rig: What is known of the cameras.
+        rig: What is known of rectified cameras.
+        calibration: File of both cameras, of epipole, OpenCV or Kalibr; or two files (ROS' left and right, OpenCV's
+            intrinsics and extrinsics). The pair is rectified by it.
+        workspace: Output folder of a reconstruction to take two pictures from, in place of LEFT and RIGHT.
+        pair: Names of these pictures.
     """
-    from epipole.cli.screen import show_stereo, waiting_for_kernels
+    from epipole.cli.stereo import run_stereo
 
-    with waiting_for_kernels():
-        from epipole.api import stereo as run
-        from epipole.io.photographs import read_header
-        from epipole.stereo.depth import rig_from_options
+    run_stereo(paths, config, rig, calibration, (workspace, pair))
 
-        header = read_header(left)
-        cameras = rig_from_options(rig, (header.width, header.height))
-        result = run(left, right, out, config, cameras)
-    show_stereo(result)
+
+def stereo_doctor(
+    left: Left,
+    right: Right,
+    rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
+    calibration: tuple[Path, ...] = (),
+    json: bool = False,
+) -> None:
+    """What is wrong with a stereo pair: swapped, rows that do not match and why, not synchronous, odd units.
+
+    Also the depth error to expect at each range. `epipole stereo doctor` is the same.
+
+    Args:
+        left: Left picture, folder or video.
+        right: Right picture, folder or video.
+        rig: What is known of rectified cameras.
+        calibration: As for `stereo`.
+        json: Print JSON.
+    """
+    from epipole.cli.stereo import run_doctor
+
+    run_doctor(left, right, rig, calibration, as_json=json)
+
+
+def calibrate(
+    images: Images,
+    out: Out,
+    config: Annotated[
+        CalibrationConfig, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes
+    ] = CALIBRATION_DEFAULTS,
+    right: Path | None = None,
+) -> None:
+    """Calibrate a camera, or a pair of cameras, from pictures of a chessboard, ChArUco board or AprilTag grid.
+
+    A pair's pictures lie in sub-folders left and right, or are named left01.jpg and right01.jpg.
+
+    Args:
+        images: Folder of pictures.
+        out: Output folder.
+        config: Board and options.
+        right: Folder of the right camera's pictures, where it is not found by name.
+    """
+    from epipole.cli.screen import progress_on_screen, show_calibration
+
+    with progress_on_screen() as progress:
+        from epipole.api import calibrate as run
+
+        result = run(images, out, config, right, progress)
+    show_calibration(result)
 
 
 def demo(out: Out = Path("demo"), num_views: int = 24) -> None:
@@ -168,6 +218,8 @@ def version() -> None:
 COMMANDS: tuple[Callable[..., None], ...] = (
     reconstruct,
     stereo,
+    stereo_doctor,
+    calibrate,
     demo,
     view,
     evaluate,
@@ -180,6 +232,8 @@ COMMANDS: tuple[Callable[..., None], ...] = (
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors that are meant for the user become one line and exit code 1."""
     given = sys.argv[1:] if arguments is None else arguments
+    if given[:2] == ["stereo", "doctor"]:
+        given = ["stereo-doctor", *given[2:]]
     # Modules and kernels are many small objects that stay: to look through them again and again for cycles took
     # an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)

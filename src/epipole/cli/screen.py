@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,9 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from epipole.api import Evaluation, ReconstructionResult
+    from epipole.calibration.pipeline import CalibrationRun
+    from epipole.stereo.batch import StereoBatch
+    from epipole.stereo.doctor import Diagnosis
     from epipole.stereo.pipeline import StereoResult
     from epipole.workflow import Progress, ProgressCallback
 
@@ -33,6 +36,9 @@ WORDS = {
     "map": "Placing images",
     "undistort": "Undistorting",
     "render": "Rendering photographs",
+    "board": "Looking for the board",
+    "calibrate": "Calibrating",
+    "pairs": "Measuring pairs",
 }
 COMPILE_NOTE = "Compiling kernels, once on this machine (about a minute; later runs start at once)"
 
@@ -75,8 +81,7 @@ def show_reconstruction(result: ReconstructionResult) -> None:
             "", f"of which compiling kernels, once on this machine: {summary['compile_seconds']:.0f} s"
         )
     console.print(table)
-    for warning in result.warnings:
-        console.print(f"note: {warning}", style="yellow", highlight=False, markup=False)
+    _print_warnings(console, result.warnings)
     for name, reason in list(result.reasons.items())[:10]:
         console.print(f"  {name}: {reason}", highlight=False, markup=False)
     console.print(
@@ -137,4 +142,79 @@ def show_stereo(result: StereoResult) -> None:
         table.add_row("depths", f"{near:.3g} to {far:.3g}")
         table.add_row("points", f"{result.num_points}")
     table.add_row("written to", str(result.out))
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    _print_warnings(console, result.warnings)
+
+
+def show_batch(batch: StereoBatch) -> None:
+    """How many pairs were measured, and why others were not."""
+    console = Console()
+    earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
+    console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
+    _print_warnings(console, [f"{name}: {reason}" for name, reason in batch.problems.items()])
+
+
+def show_diagnosis(found: Diagnosis) -> None:
+    """What is wrong, or that nothing is; rows and the depth error to expect."""
+    console = Console()
+    if found.is_healthy:
+        console.print("healthy: nothing wrong was found", style="green")
+    _print_warnings(console, found.problems, "problem")
+    _print_warnings(console, found.notes)
+    table = Table(box=None, show_header=False)
+    table.add_row("features that match", str(found.num_matches))
+    table.add_row(
+        "vertical offset",
+        f"median {found.vertical_median_px:.2f} px, 95 % {found.vertical_p95_px:.2f} px, mean direction "
+        f"{found.vertical_signed_px:+.2f} px",
+    )
+    table.add_row(
+        "left after the best extrinsics, after distortion",
+        f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
+    )
+    for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
+        table.add_row(name, "  ".join(f"{value:+6.2f}" for value in row))
+    console.print(table)
+    if found.expectations:
+        ranges = Table("depth", "disparity, px", "error from matching", "from calibration", box=None)
+        for e in found.expectations:
+            wrong = f"{e.from_calibration:.3g}" if e.from_calibration == e.from_calibration else "not known"
+            ranges.add_row(f"{e.depth:g}", f"{e.disparity_px:.1f}", f"{e.from_matching:.3g}", wrong)
+        console.print(ranges)
+
+
+def show_calibration(run: CalibrationRun) -> None:
+    """The verdict, the cameras, and where the report is."""
+    console, found = Console(), run.calibration
+    console.print(
+        run.verdict.sentence, style="green" if run.verdict.passes else "yellow", highlight=False, markup=False
+    )
+    for c, camera in enumerate(found.cameras):
+        table = Table(f"{camera.model.name}", "value", "standard deviation", box=None)
+        for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
+            table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
+        console.print(table)
+    if len(found.cameras) > 1:
+        console.print(
+            f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}",
+            highlight=False,
+        )
+    _print_warnings(console, [f"{name}: {reason}" for name, reason in run.problems.items()])
+    for c, states in enumerate(found.view_states):
+        left_out = [
+            f"{path.name}: {state.value}"
+            for path, state in zip(run.pictures[c], states)
+            if state.value != "used"
+        ]
+        _print_warnings(console, left_out)
+    console.print(
+        f"calibration  {run.out / 'calibration.json'}\nreport       {run.out / 'report.html'}",
+        highlight=False,
+        markup=False,
+    )
+
+
+def _print_warnings(console: Console, warnings: Iterable[str], word: str = "note") -> None:
+    for warning in warnings:
+        console.print(f"{word}: {warning}", style="yellow", highlight=False, markup=False)

@@ -131,3 +131,53 @@ def svg(width: int, height: int, parts: Sequence[str], label: str) -> str:
     """An SVG element that scales with its column."""
     box, inside = f"0 0 {width} {height}", "".join(parts)
     return f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>'
+
+
+def draw_curves(
+    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, y_label: str
+) -> str:
+    """Positive values against positive values, both axes logarithmic; each curve is named at its end."""
+    every_x = [x for xs, _ in curves.values() for x in xs if x > 0 and math.isfinite(x)]
+    every_y = [y for _, ys in curves.values() for y in ys if y > 0 and math.isfinite(y)]
+    if not every_x or not every_y:
+        return ""
+    low_x, high_x = math.log10(min(every_x)), max(math.log10(max(every_x)), math.log10(min(every_x)) + 0.1)
+    low_y, high_y = math.log10(min(every_y)) - 0.05, math.log10(max(every_y)) + 0.05
+
+    def x_of(value: float) -> float:
+        return _LEFT + (math.log10(value) - low_x) / (high_x - low_x) * (_WIDTH - _LEFT - _RIGHT)
+
+    def y_of(value: float) -> float:
+        share = (math.log10(value) - low_y) / (high_y - low_y)
+        return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)
+
+    parts = [_grid_line(y_of(t), tick_text(t)) for t in _decades(low_y, high_y)]
+    bottom = _HEIGHT - _BOTTOM
+    parts += [
+        f'<text class="tick" x="{x_of(t):.1f}" y="{bottom + 15}" text-anchor="middle">{tick_text(t)}</text>'
+        for t in _decades(low_x, high_x)
+    ]
+    parts.append(f'<path class="axis" d="M{_LEFT} {bottom}H{_WIDTH - _RIGHT}"/>')
+    for k, (name, (xs, ys)) in enumerate(curves.items()):
+        known = [(x_of(x), y_of(y)) for x, y in zip(xs, ys) if x > 0 and y > 0 and math.isfinite(y)]
+        if not known:
+            continue
+        path = "L".join(f"{x:.1f} {y:.1f}" for x, y in known)
+        style = ("sequence", "mark")[k % 2]
+        parts.append(f'<path class="{style}" style="stroke-opacity:1;stroke-width:1.6" d="M{path}"/>')
+        parts.append(
+            f'<text class="label" x="{known[-1][0] - 4:.1f}" y="{known[-1][1] - 6:.1f}" text-anchor="end">{escape(name)}</text>'
+        )
+    parts.append(
+        f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 8}" text-anchor="middle">'
+        f"{escape(x_label)}</text>"
+    )
+    parts.append(f'<text class="label" x="4" y="{_TOP - 3}">{escape(y_label)}</text>')
+    return svg(_WIDTH, _HEIGHT, parts, f"{y_label} against {x_label}")
+
+
+def _decades(low: float, high: float) -> list[float]:
+    """1, 2, 5, 10 ... between powers of ten; whole powers alone where these would be many."""
+    factors = (1.0,) if high - low > 2.5 else (1.0, 2.0, 5.0)
+    steps = [m * 10.0**k for k in range(math.floor(low), math.ceil(high) + 1) for m in factors]
+    return [t for t in steps if low - 1e-9 <= math.log10(t) <= high + 1e-9]

@@ -8,4 +8,5 @@ from epipole.scene.images import Images as Images
 from epipole.scene.points import Points as Points
 from epipole.scene.points import Tracks as Tracks
 from epipole.scene.reconstruction import Reconstruction as Reconstruction
+from epipole.scene.stereo_rig import StereoRig as StereoRig
 from epipole.scene.view_graph import ViewGraph as ViewGraph

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 
 from epipole.config import RigOptions
 from epipole.errors import ConfigError
 from epipole.geometry import depth_error, disparity_to_depth
 from epipole.stereo.matching import DisparityMap
+
+_NEAREST, _FARTHEST = 8.0, 800.0  # baselines
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,10 @@ class RectifiedRig:
     """In any unit; depth comes in the same."""
     principal_offset_px: float = 0.0
     """cx_right - cx_left (Middlebury's `doffs`)."""
+    focal_sigma_px: float = 0.0
+    """Standard deviations of what a calibration has found; zero where nothing is known of them."""
+    baseline_sigma: float = 0.0
+    principal_offset_sigma_px: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -38,11 +44,26 @@ class RectifiedRig:
                 raise ConfigError(f"{name} must be positive and finite, got {value}{hint}")
         if not np.isfinite([self.cx, self.cy, self.principal_offset_px]).all():
             raise ConfigError("cx, cy and principal_offset_px must be finite numbers")
+        sigmas = (self.focal_sigma_px, self.baseline_sigma, self.principal_offset_sigma_px)
+        if not all(0 <= value < np.inf for value in sigmas):
+            raise ConfigError(f"standard deviations of a rig must not be negative, got {sigmas}")
 
     @property
     def K(self) -> Float64[np.ndarray, "3 3"]:
         """Of the left camera."""
         return np.array([[self.focal_px, 0.0, self.cx], [0.0, self.focal_px, self.cy], [0.0, 0.0, 1.0]])
+
+    def calibration_sigma(self, disparity_px: Float[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
+        """Error of each disparity, in pixels, that stands for those of f, B and the principal points: Z = f B / (d + o)."""
+        relative = (self.focal_sigma_px / self.focal_px) ** 2 + (self.baseline_sigma / self.baseline) ** 2
+        shifted = disparity_px.astype(np.float64) + self.principal_offset_px
+        return np.sqrt(relative * shifted**2 + self.principal_offset_sigma_px**2)
+
+    def round_ranges(self) -> list[float]:
+        """Depths 1, 2, 5, 10 ... from 8 to 800 baselines: the ranges of use."""
+        exponent = int(np.floor(np.log10(_NEAREST * self.baseline)))
+        steps = [m * 10.0**k for k in range(exponent, exponent + 4) for m in (1, 2, 5)]
+        return [z for z in steps if _NEAREST * self.baseline <= z <= _FARTHEST * self.baseline]
 
 
 def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig | None:
@@ -57,7 +78,11 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
         missing = "focal_px" if options.focal_px is None else "baseline"
         raise ConfigError(f"depth needs both focal_px and baseline; {missing} is missing")
     cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
-    return RectifiedRig(options.focal_px, cx, cy, options.baseline, options.principal_offset_px)
+    return RectifiedRig(
+        options.focal_px,
+        *(cx, cy, options.baseline, options.principal_offset_px),
+        *(options.focal_sigma_px, options.baseline_sigma, options.principal_offset_sigma_px),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,17 +92,37 @@ class DepthMap:
     depth: Float64[np.ndarray, "h w"]
     """z in the left camera; NaN where unknown."""
     sigma: Float64[np.ndarray, "h w"]
-    """Standard deviation of the depth from that of the disparity alone; NaN where unknown."""
+    """Standard deviation of the depth, from disparity and calibration together; NaN where unknown."""
+    calibration_sigma: Float64[np.ndarray, "h w"]
+    """The calibration's part of it, which neighbours share: averaging does not lessen it. Zero where nothing is known
+    of the calibration's errors."""
 
 
-def depth_of(disparities: DisparityMap, rig: RectifiedRig) -> DepthMap:
-    """Z = f B / (d + o) and its first-order standard deviation Z^2 / (f B) sigma_d.
+def depth_of(
+    disparities: DisparityMap,
+    rig: RectifiedRig,
+    calibration_sigma_px: Float64[np.ndarray, "h w"] | None = None,
+) -> DepthMap:
+    """Z = f B / (d + o) and its first-order standard deviation Z^2 / (f B) sigma.
 
     Points at infinity have neither.
+
+    Args:
+        disparities: of the left picture.
+        rig: focal length, baseline and principal points.
+        calibration_sigma_px: what the calibration's errors come to in pixels of disparity
+            (`stereo.calibration_error`); None: from the rig's own standard deviations.
     """
     depth = disparity_to_depth(disparities.disparity_px, rig.focal_px, rig.baseline, rig.principal_offset_px)
     depth = np.where(np.isfinite(depth), depth, np.nan)
-    return DepthMap(depth, depth_error(depth, rig.focal_px, rig.baseline, disparities.sigma_px))
+    if calibration_sigma_px is None:
+        calibration_sigma_px = rig.calibration_sigma(disparities.disparity_px)
+    together = np.hypot(disparities.sigma_px, calibration_sigma_px)
+    return DepthMap(
+        depth,
+        depth_error(depth, rig.focal_px, rig.baseline, together),
+        depth_error(depth, rig.focal_px, rig.baseline, calibration_sigma_px),
+    )
 
 
 def point_covariances(

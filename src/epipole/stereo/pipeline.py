@@ -1,7 +1,8 @@
-"""A rectified pair of files to disparities, depth and points on disk."""
+"""A pair of pictures to disparities, depth and points on disk."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,68 +17,136 @@ from epipole.io.atomic import atomic_folder, atomic_write
 from epipole.io.depth_maps import write_pfm, write_png16
 from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
+from epipole.scene import StereoRig
+from epipole.stereo.calibration_error import calibration_sigma
 from epipole.stereo.depth import DepthMap, RectifiedRig, depth_of
 from epipole.stereo.matching import DisparityMap, match_stereo
+from epipole.stereo.rectification import Rectification, rectify, within_both
+from epipole.stereo.rows import quick_warnings
 
 REASON_COLORS = np.array(
     [[255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]], np.uint8
 )
 """Of the values of `StereoReason` in `reasons.png`: white is known."""
 
-DEPTH_FILES = ("depth.pfm", "sigma_depth.pfm", "cloud.ply")
+OPTIONAL_FILES = (
+    *("depth.pfm", "sigma_depth.pfm", "cloud.ply"),
+    *("left.png", "right.png", "rectification.json"),
+)
 """Those of an earlier run with a rig do not stay beside the disparities of one without."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoResult:
-    """What `run_stereo` has found and written."""
+    """What was found of a pair."""
 
-    out: Path
     left_rgb: UInt8[np.ndarray, "h w 3"]
+    """Rectified, as all maps are."""
     right_rgb: UInt8[np.ndarray, "h w 3"]
     disparities: DisparityMap
+    rig: RectifiedRig | None
+    """Of the rectified pair; None: there are disparities but no depth."""
     depths: DepthMap | None
-    """None without a rig: disparities alone say nothing of metres."""
+    rectification: Rectification | None
+    """None for a pair that came rectified."""
+    warnings: tuple[str, ...]
     num_points: int
+    out: Path | None = None
+    """Where it was written."""
 
     def __repr__(self) -> str:
         depth = "no depth" if self.depths is None else f"{self.num_points} points"
         return f"StereoResult({self.disparities!r}, {depth}, in {self.out})"
 
 
-def run_stereo(
-    left: Path, right: Path, out: Path, config: StereoConfig, rig: RectifiedRig | None = None
+def measure_pair(
+    left_rgb: UInt8[np.ndarray, "h1 w1 3"],
+    right_rgb: UInt8[np.ndarray, "h2 w2 3"],
+    config: StereoConfig,
+    rig: RectifiedRig | StereoRig | None = None,
 ) -> StereoResult:
-    """Match a rectified pair and write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`.
+    """Rectify where the rig says how, match, and turn disparities into depth where it says how far apart the cameras are.
 
-    With a rig also `depth.pfm`, `sigma_depth.pfm` and `cloud.ply`.
+    Raises:
+        ShapeError: the pictures are no pair, or not of the calibration's size.
+        ConfigError: left and right are swapped in the calibration, or the range of disparities does not fit.
+        DegenerateGeometryError: the pair cannot be rectified.
+    """
+    rectification = None
+    if isinstance(rig, StereoRig):
+        _check_sizes(left_rgb, right_rgb, rig)
+        rectification = rectify(rig)
+        left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
+    elif left_rgb.shape != right_rgb.shape:
+        (h1, w1), (h2, w2) = left_rgb.shape[:2], right_rgb.shape[:2]
+        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+    flat = rectification.rig if rectification is not None else rig
+    assert not isinstance(flat, StereoRig)
+    disparities = match_stereo(left_rgb, right_rgb, config)
+    if rectification is not None:
+        disparities = within_both(disparities, rectification)
+    may_be_negative = config.min_disparity_px < 0 or (flat is not None and flat.principal_offset_px > 1.0)
+    warnings = list(quick_warnings(left_rgb, right_rgb, may_be_negative=may_be_negative))
+    depths, num_points = None, 0
+    if flat is not None:
+        wrong_px = None
+        if isinstance(rig, StereoRig) and rectification is not None:
+            if rig.covariance is None:
+                warnings.append(
+                    "the calibration has no covariance: sigma_depth is that of the disparities alone"
+                )
+            else:
+                wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
+        depths = depth_of(disparities, flat, wrong_px)
+        num_points = int(np.isfinite(depths.depth).sum())
+    return StereoResult(
+        left_rgb, right_rgb, disparities, flat, depths, rectification, tuple(warnings), num_points
+    )
+
+
+def run_stereo(
+    left: Path, right: Path, out: Path, config: StereoConfig, rig: RectifiedRig | StereoRig | None = None
+) -> StereoResult:
+    """Measure a pair of files and write what was found.
 
     Raises:
         FileFormatError: a picture cannot be read.
         ShapeError: the pictures are no pair.
+        ConfigError: rig and options do not fit the pictures.
         WorkspaceError: the output folder cannot be used.
     """
-    left_rgb, right_rgb = read_rgb(left), read_rgb(right)
-    if left_rgb.shape != right_rgb.shape:
-        (h1, w1), (h2, w2) = left_rgb.shape[:2], right_rgb.shape[:2]
-        raise ShapeError(
-            f"{left} is {w1} x {h1} pixels and {right} {w2} x {h2}: a rectified pair has one size"
-        )
-    disparities = match_stereo(left_rgb, right_rgb, config)
-    depths = None if rig is None else depth_of(disparities, rig)
-    num_points = 0
-    with atomic_folder(out, stale=DEPTH_FILES) as aside:
-        write_pfm(aside / "disparity.pfm", disparities.disparity_px)
-        write_png16(aside / "disparity.png", disparities.disparity_px)
-        write_pfm(aside / "sigma_disparity.pfm", disparities.sigma_px)
-        write_picture(aside / "reasons.png", REASON_COLORS[disparities.reason])
+    return write_stereo(measure_pair(read_rgb(left), read_rgb(right), config, rig), out)
+
+
+def write_stereo(result: StereoResult, out: Path) -> StereoResult:
+    """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`; and more where there is more.
+
+    With a rig `depth.pfm`, `sigma_depth.pfm` and `cloud.ply`; of a pair that was rectified here `left.png`, `right.png` and
+    `rectification.json`.
+
+    Raises:
+        WorkspaceError: the output folder cannot be used.
+    """
+    found, depths, rig = result.disparities, result.depths, result.rig
+    with atomic_folder(out, stale=OPTIONAL_FILES) as aside:
+        write_pfm(aside / "disparity.pfm", found.disparity_px)
+        write_png16(aside / "disparity.png", found.disparity_px)
+        write_pfm(aside / "sigma_disparity.pfm", found.sigma_px)
+        write_picture(aside / "reasons.png", REASON_COLORS[found.reason])
         if depths is not None and rig is not None:
             write_pfm(aside / "depth.pfm", depths.depth)
             write_pfm(aside / "sigma_depth.pfm", depths.sigma)
             cloud = depth_map_to_point_cloud(depths.depth, rig.K)
-            write_points_ply(aside / "cloud.ply", cloud.points_in_cam, left_rgb[cloud.mask])
-            num_points = len(cloud)
-    return StereoResult(out, left_rgb, right_rgb, disparities, depths, num_points)
+            write_points_ply(aside / "cloud.ply", cloud.points_in_cam, result.left_rgb[cloud.mask])
+        if result.rectification is not None:
+            write_picture(aside / "left.png", result.left_rgb)
+            write_picture(aside / "right.png", result.right_rgb)
+            text = json.dumps(_described(result.rectification), indent=1)
+            (aside / "rectification.json").write_text(text + "\n", encoding="utf-8")
+    return StereoResult(
+        *(result.left_rgb, result.right_rgb, found, rig, depths, result.rectification),
+        *(result.warnings, result.num_points, out),
+    )
 
 
 def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -89,3 +158,26 @@ def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     _, data = cv2.imencode(".png", rgb[..., ::-1])
     with atomic_write(path) as aside:
         aside.write_bytes(data.tobytes())
+
+
+def _described(rectification: Rectification) -> dict[str, object]:
+    width, height = rectification.size
+    return {
+        "width": width,
+        "height": height,
+        "K": rectification.rig.K.tolist(),
+        "baseline": rectification.rig.baseline,
+        "rectified_from_left": rectification.rectified_from_left.tolist(),
+        "rectified_from_right": rectification.rectified_from_right.tolist(),
+        "Q": rectification.Q.tolist(),
+        "is_turned": rectification.is_turned,
+    }
+
+
+def _check_sizes(left_rgb: np.ndarray, right_rgb: np.ndarray, rig: StereoRig) -> None:
+    for name, picture, camera in (("left", left_rgb, rig.left), ("right", right_rgb, rig.right)):
+        height, width = picture.shape[:2]
+        if (width, height) != (camera.width, camera.height):
+            raise ShapeError(
+                f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"
+            )

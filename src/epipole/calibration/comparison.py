@@ -1,0 +1,147 @@
+"""Do two calibrations say the same? Differences in pixels, after what no picture can tell is taken off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.calibration.board import BoardView
+from epipole.calibration.calibrate import Calibration, calibrate
+from epipole.calibration.coverage import covered_pixels
+from epipole.calibration.observations import Corners, RigState, adjust
+from epipole.calibration.start import place_view
+from epipole.cameras import Camera
+from epipole.errors import EpipoleError
+from epipole.geometry import Rigid3
+from epipole.geometry.rotation3 import Rotation3, skew
+
+_ROUNDS = 20
+_LEAST_VIEWS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProjectionDifference:
+    """How far apart two cameras project the same directions."""
+
+    pixels: Float64[np.ndarray, "n 2"]
+    """Of the first camera's picture."""
+    difference_px: Float64[np.ndarray, "n 2"]
+    """Second minus first; NaN where one of them sees nothing."""
+
+    @property
+    def distance_px(self) -> Float64[np.ndarray, " n"]:
+        """Lengths of the differences."""
+        return np.linalg.norm(self.difference_px, axis=1)
+
+    def __repr__(self) -> str:
+        return f"ProjectionDifference(median {np.nanmedian(self.distance_px):.3f} px)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossCheck:
+    """What half of the views says of the other half."""
+
+    fitted_rms_px: float
+    """Of the half that was fitted."""
+    held_out_rms_px: float
+    """Of the other half's corners, whose places alone were fitted."""
+    difference_px: tuple[float, ...]
+    """Median difference of the halves' projections, of every camera, where corners were seen."""
+
+
+def projection_difference(
+    first: Camera, second: Camera, pixels: Float64[np.ndarray, "n 2"] | None = None
+) -> ProjectionDifference:
+    """Difference of two cameras over the picture, after the rotation between their axes that makes it least.
+
+    A change of the principal point is nearly a turn of the camera, which no picture of a board tells apart; what remains is what
+    matters (mrcal's differencing, Kogan 2021, at infinity). Gauss-Newton with Cauchy's weights.
+
+    Args:
+        first: a camera.
+        second: another one, or the same calibrated again.
+        pixels: of the first one's picture; None: a grid over all of it.
+    """
+    if pixels is None:
+        u, v = np.meshgrid(np.linspace(0, first.width - 1, 24), np.linspace(0, first.height - 1, 18))
+        pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = first.unproject(pixels)
+    rotation = np.eye(3)
+    for _ in range(_ROUNDS):
+        turned = rays @ rotation.T
+        seen, by_point, _ = second.project_with_jacobian(np.nan_to_num(turned, nan=-1.0))
+        error = seen - pixels
+        usable = np.isfinite(error).all(axis=1) & np.isfinite(rays).all(axis=1)
+        if usable.sum() < 3:
+            break
+        jacobian = by_point[usable] @ -skew(turned[usable])
+        weight = 1.0 / (1.0 + (error[usable] ** 2).sum(axis=1))
+        normal = np.einsum("n,nij,nik->jk", weight, jacobian, jacobian)
+        step = -np.linalg.solve(normal, np.einsum("n,nij,ni->j", weight, jacobian, error[usable]))
+        rotation = Rotation3.exp(step).matrix @ rotation
+        if np.abs(step).max() < 1e-12:
+            break
+    known = np.isfinite(rays).all(axis=1)
+    difference = np.full_like(pixels, np.nan)
+    difference[known] = second.project(rays[known] @ rotation.T) - pixels[known]
+    return ProjectionDifference(pixels, difference)
+
+
+def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> CrossCheck | None:
+    """Calibrate with every second view that was used, and look at the others; None with fewer than six views or a bad half."""
+    used = np.unique(found.corners.view[found.used_mask])
+    if len(used) < _LEAST_VIEWS:
+        return None
+    sizes = [(c.width, c.height) for c in found.cameras]
+    kept = _only_used(views, found)
+    halves = [[[own[v] for v in used[start::2]] for own in kept] for start in (0, 1)]
+    try:
+        fitted = [calibrate(half, sizes, found.config) for half in halves]
+    except EpipoleError:
+        return None
+    held_out = [_held_out_rms(fitted[k], halves[1 - k]) for k in (0, 1)]
+    differences = [
+        projection_difference(a, b, covered_pixels(found, c))
+        for c, (a, b) in enumerate(zip(fitted[0].cameras, fitted[1].cameras))
+    ]
+    return CrossCheck(
+        float(np.mean([f.rms_px for f in fitted])),
+        float(np.mean(held_out)),
+        tuple(float(np.nanmedian(d.distance_px)) for d in differences),
+    )
+
+
+def _only_used(views: Sequence[Sequence[BoardView]], found: Calibration) -> list[list[BoardView]]:
+    corners, out = found.corners, []
+    for c, own in enumerate(views):
+        kept = []
+        for v, view in enumerate(own):
+            rows = corners.of_view(c, v)
+            good = corners.corner[rows[found.used_mask[rows]]]
+            mask = np.isin(view.corner, good)
+            kept.append(BoardView(view.corner[mask], view.pixels[mask]))
+        out.append(kept)
+    return out
+
+
+def _held_out_rms(fitted: Calibration, views: list[list[BoardView]]) -> float:
+    corners, board = Corners.of(views), fitted.board
+    rotation = np.full((corners.num_views, 3, 3), np.nan)
+    translation = np.full((corners.num_views, 3), np.nan)
+    for v in range(corners.num_views):
+        for c, camera in enumerate(fitted.cameras):
+            rows = corners.of_view(c, v)
+            placed = (
+                place_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
+            )
+            if placed is not None:
+                place = fitted.state.cam_from_rig[c].inverse() @ placed[0]
+                rotation[v], translation[v] = place.rotation, place.translation
+                break
+    state: RigState = replace(fitted.state, rig_from_board=Rigid3(rotation, translation))
+    state, _ = adjust(state, corners, board, refine_cameras=False)
+    squares = (state.residuals(corners, board) ** 2).sum(axis=1)
+    return float(np.sqrt(np.nanmean(squares)))

@@ -1,0 +1,127 @@
+"""The stereo commands: which job it is, from what was given."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from epipole.cli.screen import (
+    progress_on_screen,
+    show_batch,
+    show_diagnosis,
+    show_stereo,
+    waiting_for_kernels,
+)
+from epipole.config import RigOptions, StereoConfig
+from epipole.errors import ConfigError
+
+if TYPE_CHECKING:
+    from epipole.scene import StereoRig
+    from epipole.stereo import RectifiedRig
+
+
+def run_stereo(
+    paths: tuple[Path, ...],
+    config: StereoConfig,
+    options: RigOptions,
+    calibration: tuple[Path, ...],
+    of_model: tuple[Path | None, tuple[str, str] | None],
+) -> None:
+    """One pair, many pairs, or two pictures of a model.
+
+    Raises:
+        ConfigError: what was given does not say which pair.
+    """
+    workspace, pair = of_model
+    if workspace is not None or pair is not None:
+        if workspace is None or pair is None or len(paths) != 1:
+            raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
+        with waiting_for_kernels():
+            from epipole.api import stereo_of_model
+
+            result = stereo_of_model(workspace, pair[0], pair[1], paths[0], config)
+        show_stereo(result)
+        return
+    if len(paths) != 3:
+        raise ConfigError(f"expected LEFT RIGHT OUT, got {len(paths)} paths")
+    left, right, out = paths
+    from epipole.stereo.batch import is_many
+
+    if is_many(left, right):
+        with progress_on_screen() as progress:
+            from epipole.api import stereo_many
+
+            batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibration), progress)
+        show_batch(batch)
+        return
+    with waiting_for_kernels():
+        from epipole.api import stereo
+
+        result = stereo(left, right, out, config, rig_of(left, right, options, calibration))
+    show_stereo(result)
+
+
+def run_doctor(
+    left: Path, right: Path, options: RigOptions, calibration: tuple[Path, ...], *, as_json: bool
+) -> None:
+    """Examine and print."""
+    with waiting_for_kernels():
+        from epipole.api import examine_stereo
+
+        found = examine_stereo(left, right, rig_of(left, right, options, calibration))
+    if as_json:
+        from json import dumps
+
+        content = asdict(found)
+        content["cause"] = found.cause.value
+        content["vertical_map_px"] = [
+            [float(v) if np.isfinite(v) else None for v in row] for row in found.vertical_map_px
+        ]
+        print(dumps(content, indent=2, default=float))
+    else:
+        show_diagnosis(found)
+
+
+def rig_of(
+    left: Path, right: Path, options: RigOptions, calibration: tuple[Path, ...]
+) -> RectifiedRig | StereoRig | None:
+    """What the options and files say of the cameras.
+
+    Raises:
+        ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
+        FileFormatError: a calibration cannot be read.
+    """
+    from epipole.stereo.depth import rig_from_options
+
+    if calibration:
+        if options != RigOptions():
+            raise ConfigError("give a calibration, or focal_px and baseline of a rectified pair, not both")
+        from epipole.io.calibration_files import read_stereo_rig
+
+        return read_stereo_rig(*calibration, size=_size_of_first(left))
+    if options.focal_px is None and options.baseline is None:
+        return rig_from_options(options, (1, 1))
+    return rig_from_options(options, _size_of_first(left) or _size_of_first(right) or (1, 1))
+
+
+def _size_of_first(path: Path) -> tuple[int, int] | None:
+    """Width and height of a picture, or of the first of a folder; None for video."""
+    from epipole.io.photographs import list_photographs, read_header
+    from epipole.io.video import is_video
+
+    if is_video(path):
+        import cv2
+
+        capture = cv2.VideoCapture(str(path))
+        size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        return size if min(size) > 0 else None
+    if path.is_dir():
+        names = list_photographs(path).names
+        if not names:
+            return None
+        path = path / names[0]
+    header = read_header(path)
+    return header.width, header.height

@@ -1,0 +1,337 @@
+"""Calibrations as files: our JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from jaxtyping import Float64
+
+from epipole.cameras import Camera, CameraModel, camera_model_named
+from epipole.errors import EpipoleError, FileFormatError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.io._bytes import file_bytes
+from epipole.io._lens_coefficients import camera_of_coefficients, coefficients_of_camera
+from epipole.io.atomic import atomic_write
+from epipole.scene import StereoRig
+
+FORMAT = "epipole calibration"
+_VERSION = 1
+_SIZES = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
+_PAIR_KEYS = (
+    ("M1", "D1", "M2", "D2"),
+    ("K1", "D1", "K2", "D2"),
+    ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"),
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationFile:
+    """What a calibration file holds."""
+
+    cameras: tuple[Camera, ...]
+    cam_from_rig: Rigid3
+    """One row per camera; the first is the identity."""
+    covariance: Float64[np.ndarray, "22 22"] | None = None
+    """Of a pair, as in `StereoRig`."""
+
+
+def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
+    """Read cameras, and how they stand to each other where a file says so.
+
+    Args:
+        paths: one file; or two: those of the left and the right camera (ROS), or intrinsics and extrinsics (OpenCV's sample).
+        size: width and height of the pictures, for files that do not say (OpenCV's stereo sample).
+
+    Raises:
+        FileFormatError: a file cannot be read; the message says which key is missing.
+    """
+    files = [Path(p) for p in paths]
+    if len(files) not in (1, 2):
+        raise FileFormatError(files[0] if files else "calibration", "give one or two files")
+    contents = [_parse(path) for path in files]
+    with_camera = [k for k, content in enumerate(contents) if _is_single(content)]
+    if len(files) == 2 and len(with_camera) == 2:
+        return _left_and_right(files, contents, size)
+    merged: dict[str, Any] = {}
+    for content in contents:
+        merged |= content
+    path = files[0]
+    if merged.get("format") == FORMAT:
+        return _own(path, merged)
+    if "cam0" in merged:
+        return _kalibr(path, merged)
+    if _is_single(merged):
+        return CalibrationFile((_single(path, merged, size),), Rigid3.identity(1))
+    return _opencv_pair(path, merged, size)
+
+
+def read_stereo_rig(*paths: str | Path, size: tuple[int, int] | None = None) -> StereoRig:
+    """Read a pair of cameras.
+
+    Raises:
+        FileFormatError: a file cannot be read, or holds one camera alone.
+    """
+    found = read_calibration(*paths, size=size)
+    if len(found.cameras) < 2:
+        raise FileFormatError(
+            paths[0], "it holds one camera; depth needs two and how they stand to each other (R and T)"
+        )
+    try:
+        return StereoRig(found.cameras[0], found.cameras[1], found.cam_from_rig[1], found.covariance)
+    except EpipoleError as error:
+        raise FileFormatError(paths[0], str(error)) from error
+
+
+def write_calibration(
+    path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
+) -> None:
+    """Write our JSON: cameras, places, covariance, and whatever else is worth keeping under `about`.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    content = {
+        "format": FORMAT,
+        "version": _VERSION,
+        "cameras": [
+            {
+                "model": camera.model.name,
+                "width": camera.width,
+                "height": camera.height,
+                "params": dict(zip(camera.model.param_names, camera.params.tolist())),
+                "cam_from_rig": {
+                    "quat_wxyz": Rotation3(calibration.cam_from_rig.rotation[k]).as_quat_wxyz().tolist(),
+                    "translation": calibration.cam_from_rig.translation[k].tolist(),
+                },
+            }
+            for k, camera in enumerate(calibration.cameras)
+        ],
+        "covariance": None if calibration.covariance is None else calibration.covariance.tolist(),
+        "about": dict(about or {}),
+    }
+    with atomic_write(path) as aside:
+        aside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
+    """Write what OpenCV's samples read: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    first = calibration.cameras[0]
+    storage.write("image_width", first.width)
+    storage.write("image_height", first.height)
+    storage.write("fisheye_model", int(first.model == CameraModel.OPENCV_FISHEYE))
+    if len(calibration.cameras) == 1:
+        storage.write("camera_matrix", first.K)
+        storage.write("distortion_coefficients", coefficients_of_camera(first)[1].reshape(-1, 1))
+    else:
+        for k, camera in enumerate(calibration.cameras[:2], 1):
+            storage.write(f"M{k}", camera.K)
+            storage.write(f"D{k}", coefficients_of_camera(camera)[1].reshape(1, -1))
+        storage.write("R", calibration.cam_from_rig.rotation[1])
+        storage.write("T", calibration.cam_from_rig.translation[1].reshape(3, 1))
+    with atomic_write(path) as aside:
+        aside.write_text(storage.releaseAndGetString(), encoding="utf-8")
+
+
+def write_ros_yaml(
+    path: str | Path,
+    camera: Camera,
+    name: str,
+    rectification: Float64[np.ndarray, "3 3"] | None = None,
+    projection: Float64[np.ndarray, "3 4"] | None = None,
+) -> None:
+    """Write ROS' camera_info YAML of one camera; of a pair with its rectifying rotation and its rectified projection.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    model, coefficients = coefficients_of_camera(camera)
+    p = np.column_stack([camera.K, np.zeros(3)]) if projection is None else projection
+    content = {
+        "image_width": camera.width,
+        "image_height": camera.height,
+        "camera_name": name,
+        "camera_matrix": _ros_matrix(camera.K),
+        "distortion_model": "equidistant" if model == "fisheye" else "plumb_bob",
+        "distortion_coefficients": _ros_matrix(coefficients.reshape(1, -1)),
+        "rectification_matrix": _ros_matrix(np.eye(3) if rectification is None else rectification),
+        "projection_matrix": _ros_matrix(p),
+    }
+    with atomic_write(path) as aside:
+        aside.write_text(yaml.safe_dump(content, sort_keys=False, default_flow_style=None), encoding="utf-8")
+
+
+def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
+    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": [float(v) for v in matrix.ravel()]}
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    data = file_bytes(path)
+    head = data.lstrip()[:200]
+    if head.startswith(b"%YAML:1.0") or head.startswith(b"<?xml") or b"opencv-matrix" in data:
+        return _opencv_storage(path)
+    try:
+        text = data.decode("utf-8")
+        content = json.loads(text) if head.startswith(b"{") else yaml.safe_load(text)
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).splitlines()[0]}") from error
+    if not isinstance(content, dict):
+        raise FileFormatError(path, "it holds no named values")
+    return content
+
+
+def _opencv_storage(path: Path) -> dict[str, Any]:
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        root = storage.root()
+        out: dict[str, Any] = {}
+        for key in root.keys() or ():
+            node = root.getNode(key)
+            if node.isMap():
+                matrix = node.mat()
+                if matrix is not None:
+                    out[key] = matrix
+            elif node.isString():
+                out[key] = node.string()
+            elif node.isReal() or node.isInt():
+                out[key] = node.real()
+        storage.release()
+    except (cv2.error, SystemError) as error:
+        raise FileFormatError(path, "OpenCV cannot read it") from error
+    if not out:
+        raise FileFormatError(path, "OpenCV finds nothing in it")
+    return out
+
+
+def _numbers(path: Path, content: Mapping[str, Any], key: str, *shape: int) -> np.ndarray:
+    """A matrix under a key, however it is written."""
+    if key not in content:
+        raise FileFormatError(path, f"the key {key} is missing")
+    value = content[key]
+    if isinstance(value, Mapping):
+        value = value.get("data", value)
+    try:
+        array = np.asarray(value, np.float64)
+        array = array.reshape(shape) if shape else array.ravel()
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(
+            path, f"{key} is no matrix {'x'.join(map(str, shape)) or 'of numbers'}"
+        ) from error
+    if not np.isfinite(array).all():
+        raise FileFormatError(path, f"{key} has values that are not finite")
+    return array
+
+
+def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None) -> tuple[int, int]:
+    for width, height in _SIZES:
+        if width in content and height in content:
+            return int(content[width]), int(content[height])
+    if given is None:
+        raise FileFormatError(path, "the keys image_width and image_height are missing")
+    return given
+
+
+def _is_single(content: Mapping[str, Any]) -> bool:
+    return "camera_matrix" in content or "Camera_Matrix" in content
+
+
+def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None) -> Camera:
+    prefix = "Camera_Matrix" if "Camera_Matrix" in content else "camera_matrix"
+    coefficients = "Distortion_Coefficients" if prefix[0] == "C" else "distortion_coefficients"
+    words = str(content.get("distortion_model", ""))
+    is_fisheye = words in ("equidistant", "fisheye") or bool(content.get("fisheye_model", 0))
+    K, d = _numbers(path, content, prefix, 3, 3), _numbers(path, content, coefficients)
+    return camera_of_coefficients(path, _size(path, content, size), K, d, is_fisheye=is_fisheye)
+
+
+def _left_and_right(
+    files: list[Path], contents: list[dict[str, Any]], size: tuple[int, int] | None
+) -> CalibrationFile:
+    """ROS: x_rectified = R x and P of the right camera has -f B in its corner."""
+    cameras = tuple(_single(path, content, size) for path, content in zip(files, contents))
+    rotations = [_numbers(p, c, "rectification_matrix", 3, 3) for p, c in zip(files, contents)]
+    projections = [_numbers(p, c, "projection_matrix", 3, 4) for p, c in zip(files, contents)]
+    offsets = [p[:, 3] / p[0, 0] for p in projections]
+    if not np.abs(offsets[1] - offsets[0]).max() > 0:
+        raise FileFormatError(files[1], "its projection_matrix has no baseline (entry 1, 4 is zero)")
+    rotation = rotations[1].T @ rotations[0]
+    translation = rotations[1].T @ (offsets[1] - offsets[0])
+    return CalibrationFile(
+        cameras, Rigid3(np.stack([np.eye(3), rotation]), np.stack([np.zeros(3), translation]))
+    )
+
+
+def _opencv_pair(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None) -> CalibrationFile:
+    keys = next(
+        (names for names in _PAIR_KEYS if any(n in content for n in (names[0], names[2]))), _PAIR_KEYS[0]
+    )
+    missing = [key for key in (*keys, "R", "T") if key not in content]
+    if missing:
+        raise FileFormatError(
+            path, f"{'the key' if len(missing) == 1 else 'the keys'} {', '.join(missing)} missing"
+        )
+    is_fisheye = bool(content.get("fisheye_model", 0))
+    shape = _size(path, content, size)
+    cameras = tuple(
+        camera_of_coefficients(
+            path, shape, _numbers(path, content, k, 3, 3), _numbers(path, content, d), is_fisheye=is_fisheye
+        )
+        for k, d in (keys[:2], keys[2:])
+    )
+    rotation, translation = _numbers(path, content, "R", 3, 3), _numbers(path, content, "T", 3)
+    return CalibrationFile(
+        cameras, Rigid3(np.stack([np.eye(3), rotation]), np.stack([np.zeros(3), translation]))
+    )
+
+
+def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    cameras, places = [], [np.eye(4)]
+    for k in range(sum(key.startswith("cam") and key[3:].isdigit() for key in content)):
+        own = content.get(f"cam{k}")
+        if not isinstance(own, Mapping):
+            raise FileFormatError(path, f"the key cam{k} is missing")
+        if own.get("camera_model", "pinhole") != "pinhole":
+            raise FileFormatError(path, f"cam{k}: the model {own.get('camera_model')} is not known")
+        fx, fy, cx, cy = _numbers(path, own, "intrinsics", 4)
+        width, height = (int(v) for v in _numbers(path, own, "resolution", 2))
+        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        words = own.get("distortion_model", "none")
+        if words not in ("radtan", "equidistant", "none"):
+            raise FileFormatError(path, f"cam{k}: the distortion {words} is not known")
+        d = np.zeros(4) if words == "none" else _numbers(path, own, "distortion_coeffs")
+        cameras.append(camera_of_coefficients(path, (width, height), K, d, is_fisheye=words == "equidistant"))
+        if k:
+            places.append(_numbers(path, own, "T_cn_cnm1", 4, 4) @ places[-1])
+    return CalibrationFile(tuple(cameras), Rigid3.from_matrix(np.stack(places)))
+
+
+def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    try:
+        cameras, rotations, translations = [], [], []
+        for own in content["cameras"]:
+            model = camera_model_named(str(own["model"]))
+            params = np.array([float(own["params"][name]) for name in model.param_names])
+            cameras.append(Camera(model, int(own["width"]), int(own["height"]), params))
+            place = own["cam_from_rig"]
+            rotations.append(Rotation3.from_quat_wxyz(np.asarray(place["quat_wxyz"], np.float64)).matrix)
+            translations.append(np.asarray(place["translation"], np.float64).reshape(3))
+        if not cameras:
+            raise FileFormatError(path, "it holds no camera")
+        covariance = content.get("covariance")
+        matrix = None if covariance is None else np.asarray(covariance, np.float64)
+    except KeyError as error:
+        raise FileFormatError(path, f"the key {error.args[0]} is missing") from error
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(path, f"its values do not fit: {error}") from error
+    return CalibrationFile(tuple(cameras), Rigid3(np.stack(rotations), np.stack(translations)), matrix)

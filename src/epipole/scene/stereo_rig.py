@@ -1,0 +1,68 @@
+"""Two calibrated cameras that are held in place to each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.cameras import MAX_PARAMS, Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3
+
+RIG_UNKNOWNS = 2 * MAX_PARAMS + 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoRig:
+    """A left and a right camera; they may be of any model, differ, and stand in any way to each other."""
+
+    left: Camera
+    right: Camera
+    right_from_left: Rigid3
+    """A single motion; its length unit is that of all depths."""
+    covariance: Float64[np.ndarray, "22 22"] | None = None
+    """Of (left parameters, right parameters, both padded to 8; xi in exp(xi) @ right_from_left); None: not known."""
+
+    def __post_init__(self) -> None:
+        """Check shapes and that there is a baseline.
+
+        Raises:
+            ShapeError: the motion is not a single one, or the covariance has another shape.
+            ConfigError: the motion is not finite, no rotation, or its baseline is zero.
+        """
+        if self.right_from_left.translation.shape != (3,):
+            raise ShapeError("right_from_left must be a single motion")
+        if self.covariance is not None and self.covariance.shape != (RIG_UNKNOWNS, RIG_UNKNOWNS):
+            raise ShapeError(f"covariance must be ({RIG_UNKNOWNS}, {RIG_UNKNOWNS})")
+        rotation, translation = self.right_from_left.rotation, self.right_from_left.translation
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            raise ConfigError("right_from_left has values that are not finite")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+            raise ConfigError("the rotation of right_from_left is none: R R^T is not 1")
+        if not self.baseline > 0:
+            raise ConfigError("the baseline is zero: both cameras stand at the same place")
+
+    @property
+    def baseline(self) -> float:
+        """Distance between both centres."""
+        return float(np.linalg.norm(self.right_from_left.translation))
+
+    def perturbed(self, change: Float64[np.ndarray, " 22"]) -> StereoRig:
+        """The rig after a change of its unknowns, in the order of `covariance`."""
+        n, m = len(self.left.params), len(self.right.params)
+        left = Camera(self.left.model, self.left.width, self.left.height, self.left.params + change[:n])
+        right = Camera(
+            self.right.model,
+            *(self.right.width, self.right.height),
+            self.right.params + change[MAX_PARAMS : MAX_PARAMS + m],
+        )
+        return StereoRig(left, right, Rigid3.exp(change[2 * MAX_PARAMS :]) @ self.right_from_left)
+
+    def swapped(self) -> StereoRig:
+        """The same rig with left and right exchanged; without covariance."""
+        return StereoRig(self.right, self.left, self.right_from_left.inverse())
+
+    def __repr__(self) -> str:
+        return f"StereoRig(baseline {self.baseline:.6g}, left {self.left!r}, right {self.right!r})"

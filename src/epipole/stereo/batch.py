@@ -1,0 +1,107 @@
+"""Many pairs one after the other: folders and stereo video."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from epipole.errors import EpipoleError, FileFormatError
+from epipole.io.photographs import list_photographs
+from epipole.io.stereo_video import extract_pairs
+from epipole.io.video import is_video
+from epipole.workflow import Progress, ProgressCallback, ignore_progress
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoBatch:
+    """What became of many pairs."""
+
+    out: Path
+    done: tuple[str, ...]
+    """Names of the pairs that were measured; each has a folder of its own."""
+    earlier: tuple[str, ...]
+    """Names of those that an earlier run with the same settings had measured."""
+    problems: dict[str, str]
+    """Why the others were not."""
+
+    def __repr__(self) -> str:
+        return f"StereoBatch({len(self.done)} done, {len(self.earlier)} done earlier, {len(self.problems)} failed, in {self.out})"
+
+
+def is_many(left: Path, right: Path) -> bool:
+    """Whether these are folders or videos, not two pictures."""
+    return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
+
+
+def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
+    """Pairs of two folders, by name where the names agree, else by order; or of stereo video.
+
+    Raises:
+        FileFormatError: there are none, or the folders do not fit.
+    """
+    if is_video(left) or is_video(right):
+        pairs = extract_pairs(left, right, out / "frames", max_frames)
+        return {a.stem: (a, b) for a, b in pairs}
+    for folder in (left, right):
+        if not folder.is_dir():
+            raise FileFormatError(
+                folder, "it is no folder, the other one is; give two pictures, folders or videos"
+            )
+    names = [list_photographs(folder, ignore=[out]).names for folder in (left, right)]
+    if not names[0] or not names[1]:
+        raise FileFormatError(left if not names[0] else right, "there is no picture in it")
+    common = [name for name in names[0] if name in set(names[1])]
+    if common:
+        return {_folder_name(name): (left / name, right / name) for name in common}
+    if len(names[0]) != len(names[1]):
+        raise FileFormatError(
+            right,
+            f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
+        )
+    return {_folder_name(a): (left / a, right / b) for a, b in zip(names[0], names[1])}
+
+
+def run_batch(
+    pairs: dict[str, tuple[Path, Path]],
+    out: Path,
+    settings: dict[str, Any],
+    measure: Callable[[Path, Path, Path], object],
+    progress: ProgressCallback = ignore_progress,
+) -> StereoBatch:
+    """Measure each pair into a folder of its name; one that cannot be read does not stop the others.
+
+    Args:
+        pairs: as of `list_pairs`.
+        out: the folder of the folders.
+        settings: what `measure` writes to `config.json`: a pair that has it is not measured again.
+        measure: called with (left, right, folder).
+        progress: called after each pair.
+    """
+    done, earlier, problems = [], [], {}
+    for number, (name, (left, right)) in enumerate(pairs.items(), 1):
+        folder = out / name
+        if _is_done(folder, settings):
+            earlier.append(name)
+        else:
+            try:
+                measure(left, right, folder)
+                done.append(name)
+            except EpipoleError as error:
+                problems[name] = str(error)
+        progress(Progress("pairs", number, len(pairs)))
+    return StereoBatch(out, tuple(done), tuple(earlier), problems)
+
+
+def _is_done(folder: Path, settings: dict[str, Any]) -> bool:
+    try:
+        written = json.loads((folder / "config.json").read_text())
+    except (OSError, ValueError):
+        return False
+    return (folder / "report.html").is_file() and written == json.loads(json.dumps(settings, default=str))
+
+
+def _folder_name(name: str) -> str:
+    return Path(name).with_suffix("").as_posix()

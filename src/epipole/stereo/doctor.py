@@ -1,0 +1,304 @@
+"""What is wrong with a stereo pair: swapped, not rectified and why, not synchronous, odd units; and the depth error to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.errors import EpipoleError, ShapeError
+from epipole.scene import StereoRig
+from epipole.stereo.calibration_error import calibration_sigma
+from epipole.stereo.depth import RectifiedRig
+from epipole.stereo.rectification import Rectification, rectify
+from epipole.stereo.rows import RowMatches, fit_trend, is_swapped, match_features
+
+TYPICAL_SIGMA_PX = 0.25
+"""Standard deviation of a good disparity, of which the table of depth errors is made."""
+GOOD_PX, BAD_PX = 0.5, 1.0
+"""95th percentile and median of the vertical offset up to which rows count as matching."""
+_LEAST_MATCHES = 50
+_KEPT_PX = 3.0  # robust deviations: matches farther from the trend are mistakes
+_EXPLAINS, _LESS = 0.7, 0.9
+_LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
+_UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
+_GRID = 3
+
+
+class Cause(StrEnum):
+    """What the trend of the vertical offsets points at."""
+
+    NONE = "rows match"
+    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or baseline's direction)"
+    DISTORTION = "lens distortion"
+    UNCLEAR = "neither rotation nor distortion explains the offsets: blur, rolling shutter, or moving things"
+    UNKNOWN = "too few features match to tell"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthExpectation:
+    """Error of depth to expect at one range."""
+
+    depth: float
+    disparity_px: float
+    from_matching: float
+    """Standard deviation from disparities alone."""
+    from_calibration: float
+    """From the calibration's covariance at the picture's middle; NaN where it has none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """What was found; `problems` is empty for a healthy pair."""
+
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    num_matches: int
+    vertical_median_px: float
+    """Of the absolute offset."""
+    vertical_p95_px: float
+    vertical_signed_px: float
+    """Median with its sign: positive where the right picture lies lower."""
+    vertical_map_px: Float64[np.ndarray, "3 3"]
+    """Median offset in each ninth of the picture; NaN where nothing matches."""
+    after_extrinsics_px: float
+    """Robust deviation left when the best rotation, scale and baseline's direction are taken off."""
+    after_distortion_px: float
+    """The same with radial distortion taken off too."""
+    cause: Cause
+    expectations: tuple[DepthExpectation, ...] = field(default=())
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+
+def examine(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]], rig: StereoRig | RectifiedRig | None = None
+) -> Diagnosis:
+    """Examine one pair, or several of the same rig.
+
+    Args:
+        pairs: pictures, (h, w) or (h, w, 3) of 8 bits; as taken for a `StereoRig`, else rectified.
+        rig: what is known of the cameras.
+
+    Raises:
+        ShapeError: there is no pair, or pictures do not fit.
+    """
+    if not pairs:
+        raise ShapeError("there is no pair to examine")
+    problems: list[str] = []
+    notes: list[str] = []
+    rectification: Rectification | None = None
+    flat = rig if isinstance(rig, RectifiedRig) else None
+    if isinstance(rig, StereoRig):
+        try:
+            rectification = rectify(rig)
+            flat = rectification.rig
+        except EpipoleError as error:
+            problems.append(f"the calibration cannot be used: {error}")
+            pairs = ()
+    matched = [_match(pair, rectification) for pair in pairs]
+    clean = [_without_mistakes(m, flat) for m in matched]
+    every = RowMatches(
+        np.concatenate([np.zeros((0, 2)), *(m.left_px for m in clean)]),
+        np.concatenate([np.zeros((0, 2)), *(m.right_px for m in clean)]),
+    )
+    size = pairs[0][0].shape[1::-1] if len(pairs) else (1, 1)
+    size = rectification.size if rectification is not None else size
+    fits = _fits(every, flat, size)
+    _say_order(matched, problems)
+    _say_rows(every, fits, problems, notes)
+    _say_steadiness(clean, flat, size, problems, notes)
+    if flat is not None:
+        _say_units(flat, every, problems, notes)
+    offset = every.vertical_px
+    enough = len(every) >= _LEAST_MATCHES
+    return Diagnosis(
+        tuple(problems),
+        tuple(notes),
+        len(every),
+        float(np.median(np.abs(offset))) if enough else np.nan,
+        float(np.percentile(np.abs(offset), 95)) if enough else np.nan,
+        float(np.median(offset)) if enough else np.nan,
+        _ninths(every, size),
+        fits[0],
+        fits[1],
+        _cause(every, fits),
+        () if flat is None else _expectations(flat, rig, rectification),
+    )
+
+
+def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | None) -> RowMatches:
+    grey = []
+    for picture in pair:
+        array = np.ascontiguousarray(picture)
+        grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
+    if rectification is not None:
+        grey = list(rectification.apply(grey[0], grey[1]))
+    elif grey[0].shape != grey[1].shape:
+        raise ShapeError(
+            f"left is {grey[0].shape[::-1]} pixels and right {grey[1].shape[::-1]}: a rectified pair has one size"
+        )
+    found = match_features(grey[0], grey[1])
+    if rectification is None or not len(found):
+        return found
+    inside = np.ones(len(found), bool)
+    for pixels, valid in (
+        (found.left_px, rectification.left_valid),
+        (found.right_px, rectification.right_valid),
+    ):
+        column, row = np.rint(pixels).astype(int).T
+        height, width = valid.shape
+        inside &= valid[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return RowMatches(found.left_px[inside], found.right_px[inside])
+
+
+def _basis(
+    matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a small error of the rig does to the rows, and what one of the lenses adds.
+
+    With x, y from the principal point over f: pitch 1 + y^2, yaw x y, roll x, scale y; a wrong direction of the baseline d and y d;
+    wrong radial distortion y r^2, y r^4 in one lens, x y d in both alike.
+    """
+    focal, cx, cy = (flat.focal_px, flat.cx, flat.cy) if flat else (size[0], size[0] / 2, size[1] / 2)
+    x, y = (matches.right_px[:, 0] - cx) / focal, (matches.right_px[:, 1] - cy) / focal
+    d = matches.disparity_px / focal
+    r2 = x * x + y * y
+    rig = np.stack([np.ones_like(x), x, y, x * y, y * y, d, y * d], axis=1)
+    return rig, np.concatenate([rig, np.stack([y * r2, y * r2 * r2, x * y * d], axis=1)], axis=1)
+
+
+def _without_mistakes(matches: RowMatches, flat: RectifiedRig | None) -> RowMatches:
+    if len(matches) < _LEAST_MATCHES:
+        return matches
+    extent = np.maximum(matches.left_px.max(axis=0), matches.right_px.max(axis=0))
+    basis = _basis(matches, flat, (int(extent[0]) + 1, int(extent[1]) + 1))[1]
+    middle = np.median(matches.vertical_px)
+    near = np.abs(matches.vertical_px - middle) < np.maximum(
+        10.0, 5.0 * np.median(np.abs(matches.vertical_px - middle))
+    )
+    if near.sum() < _LEAST_MATCHES:
+        return matches
+    trend = fit_trend(matches.vertical_px[near], basis[near])
+    good = np.abs(matches.vertical_px - basis @ trend.coefficients) < _KEPT_PX * max(trend.rms_px, 0.1)
+    return RowMatches(matches.left_px[good], matches.right_px[good])
+
+
+def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
+    if len(matches) < _LEAST_MATCHES:
+        return np.nan, np.nan
+    rig, lens = _basis(matches, flat, size)
+    return fit_trend(matches.vertical_px, rig).rms_px, fit_trend(matches.vertical_px, lens).rms_px
+
+
+def _rms(matches: RowMatches) -> float:
+    return 1.4826 * float(np.median(np.abs(matches.vertical_px)))
+
+
+def _cause(matches: RowMatches, fits: tuple[float, float]) -> Cause:
+    if len(matches) < _LEAST_MATCHES:
+        return Cause.UNKNOWN
+    offset = np.abs(matches.vertical_px)
+    if np.percentile(offset, 95) <= GOOD_PX or (
+        _rms(matches) <= GOOD_PX and fits[1] > _EXPLAINS * _rms(matches)
+    ):
+        return Cause.NONE
+    if fits[1] < _LESS * fits[0] and fits[0] - fits[1] > 0.5 * (_rms(matches) - fits[0]):
+        return Cause.DISTORTION
+    if fits[0] < _EXPLAINS * _rms(matches):
+        return Cause.EXTRINSICS
+    return Cause.UNCLEAR
+
+
+def _say_order(matched: Sequence[RowMatches], problems: list[str]) -> None:
+    if matched and all(is_swapped(m) for m in matched):
+        problems.append("left and right are swapped: features lie farther right in the right picture")
+
+
+def _say_rows(matches: RowMatches, fits: tuple[float, float], problems: list[str], notes: list[str]) -> None:
+    if len(matches) < _LEAST_MATCHES:
+        notes.append(f"only {len(matches)} features match: nothing can be said of the rows")
+        return
+    cause = _cause(matches, fits)
+    if cause is Cause.NONE:
+        return
+    offset = np.abs(matches.vertical_px)
+    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); this points at {cause}"
+    is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
+    (problems if is_bad else notes).append(words)
+
+
+def _say_steadiness(
+    clean: Sequence[RowMatches],
+    flat: RectifiedRig | None,
+    size: tuple[int, int],
+    problems: list[str],
+    notes: list[str],
+) -> None:
+    """A rigid rig has the same row trend in every pair; cameras that expose at different times do not."""
+    good = [m for m in clean if len(m) >= _LEAST_MATCHES]
+    if len(good) < 2:
+        notes.append(
+            "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
+        )
+        return
+    trends = [fit_trend(m.vertical_px, _basis(m, flat, size)[0][:, :3]) for m in good]
+    offset = np.array([t.coefficients[0] for t in trends])
+    sigma = np.array([t.sigma[0] for t in trends])
+    spread = float(np.std(offset, ddof=1))
+    if spread > max(_UNSTEADY_PX, _UNSTEADY_SIGMAS * float(np.median(sigma))):
+        problems.append(
+            f"the vertical offset differs from pair to pair by {spread:.2f} px: the cameras are not synchronous, or the rig bends"
+        )
+
+
+def _say_units(flat: RectifiedRig, matches: RowMatches, problems: list[str], notes: list[str]) -> None:
+    if flat.baseline > _LARGE_BASELINE:
+        notes.append(
+            f"the baseline is {flat.baseline:g}: if that is in millimetres, depths come in millimetres; if in metres, it is very long"
+        )
+    if flat.baseline < _SMALL_BASELINE:
+        problems.append(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?")
+    shifted = matches.disparity_px + flat.principal_offset_px
+    if len(matches) >= _LEAST_MATCHES and np.median(shifted) > 0.5:
+        depth = flat.focal_px * flat.baseline / np.median(shifted)
+        notes.append(
+            f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
+        )
+
+
+def _ninths(matches: RowMatches, size: tuple[int, int]) -> Float64[np.ndarray, "3 3"]:
+    out = np.full((_GRID, _GRID), np.nan)
+    if not len(matches):
+        return out
+    column = np.clip((matches.left_px[:, 0] / size[0] * _GRID).astype(int), 0, _GRID - 1)
+    row = np.clip((matches.left_px[:, 1] / size[1] * _GRID).astype(int), 0, _GRID - 1)
+    for r in range(_GRID):
+        for c in range(_GRID):
+            own = matches.vertical_px[(row == r) & (column == c)]
+            out[r, c] = np.median(own) if len(own) >= 3 else np.nan
+    return out
+
+
+def _expectations(
+    flat: RectifiedRig, rig: StereoRig | RectifiedRig | None, rectification: Rectification | None
+) -> tuple[DepthExpectation, ...]:
+    out = []
+    for depth in flat.round_ranges():
+        disparity = flat.focal_px * flat.baseline / depth - flat.principal_offset_px
+        scale = depth**2 / (flat.focal_px * flat.baseline)
+        wrong = np.nan
+        if isinstance(rig, StereoRig) and rig.covariance is not None and rectification is not None:
+            width, height = rectification.size
+            one = np.full((height, width), np.nan)
+            one[height // 2, width // 2] = disparity
+            wrong = float(calibration_sigma(rig, rectification, one)[height // 2, width // 2])
+        out.append(DepthExpectation(depth, disparity, scale * TYPICAL_SIGMA_PX, scale * wrong))
+    return tuple(out)
