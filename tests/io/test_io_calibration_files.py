@@ -1,0 +1,145 @@
+"""Calibration files: round trips, the formats of others, and files that are not what they claim."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3
+from epipole.io._lens_coefficients import _distorted, camera_of_coefficients
+from epipole.io.calibration_files import (
+    CalibrationFile,
+    read_calibration,
+    read_stereo_rig,
+    write_calibration,
+    write_opencv_yaml,
+    write_ros_yaml,
+)
+
+LENS = Camera(CameraModel.OPENCV, 640, 480, np.array([520.0, 524.0, 315.0, 236.0, -0.25, 0.08, 1e-3, -5e-4]))
+FISHEYE = Camera(
+    CameraModel.OPENCV_FISHEYE, 640, 480, np.array([230.0, 231.0, 318.0, 242.0, 0.02, -0.01, 0.003, -0.001])
+)
+MOTION = Rigid3.exp(np.array([-0.12, 0.002, 0.004, 0.01, -0.03, 0.005]))
+
+
+def pair_of(camera, covariance=None):
+    both = Rigid3(np.stack([np.eye(3), MOTION.rotation]), np.stack([np.zeros(3), MOTION.translation]))
+    return CalibrationFile((camera, camera), both, covariance)
+
+
+@pytest.mark.parametrize("camera", [LENS, FISHEYE], ids=["pinhole", "fisheye"])
+def test_round_trips(tmp_path, camera):
+    covariance = np.diag(np.arange(1.0, 23.0))
+    write_calibration(tmp_path / "own.json", pair_of(camera, covariance), {"note": "kept"})
+    write_opencv_yaml(tmp_path / "cv.yaml", pair_of(camera))
+    rectify = Rigid3.exp(np.array([0, 0, 0, 0.01, 0.02, 0.03])).rotation
+    for name, rotation, offset in (("l", rectify, 0.0), ("r", rectify @ MOTION.rotation.T, 1.0)):
+        projection = np.column_stack([LENS.K, [0.0, 0.0, 0.0]])
+        projection[:, 3] = offset * projection[0, 0] * (rotation @ MOTION.translation)
+        write_ros_yaml(tmp_path / f"{name}.yaml", camera, name, rotation, projection)
+    files = (["own.json"], ["cv.yaml"], ["l.yaml", "r.yaml"])
+    for names in files:
+        rig = read_stereo_rig(*[tmp_path / n for n in names])
+        assert rig.left.model is camera.model and rig.right.height == 480
+        np.testing.assert_allclose(rig.right.params, camera.params, rtol=1e-12)
+        np.testing.assert_allclose(rig.right_from_left.as_matrix(), MOTION.as_matrix(), atol=1e-9)
+    np.testing.assert_array_equal(read_stereo_rig(tmp_path / "own.json").covariance, covariance)
+    single = CalibrationFile((camera,), Rigid3.identity(1))
+    for path, write in ((tmp_path / "one.json", write_calibration), (tmp_path / "one.yaml", write_opencv_yaml)):
+        write(path, single)
+        np.testing.assert_allclose(read_calibration(path).cameras[0].params, camera.params, rtol=1e-12)
+        with pytest.raises(FileFormatError, match="one camera"):
+            read_stereo_rig(path)
+
+
+def test_opencv_reads_what_is_written(tmp_path):
+    write_opencv_yaml(tmp_path / "cv.yaml", pair_of(LENS))
+    storage = cv2.FileStorage(str(tmp_path / "cv.yaml"), cv2.FILE_STORAGE_READ)
+    np.testing.assert_allclose(storage.getNode("M1").mat(), LENS.K)
+    np.testing.assert_allclose(storage.getNode("D2").mat().ravel()[:4], LENS.params[4:])
+    points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (50, 3))
+    theirs = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), storage.getNode("M1").mat(), storage.getNode("D1").mat()
+    )[0]
+    np.testing.assert_allclose(LENS.project(points), theirs.reshape(-1, 2), atol=1e-9)
+
+
+def test_kalibrs_chain(tmp_path):
+    matrix = MOTION.as_matrix().tolist()
+    own = {
+        "camera_model": "pinhole",
+        "distortion_model": "radtan",
+        "intrinsics": LENS.params[:4].tolist(),
+        "distortion_coeffs": LENS.params[4:].tolist(),
+        "resolution": [640, 480],
+    }
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump({"cam0": own, "cam1": {**own, "T_cn_cnm1": matrix}}))
+    rig = read_stereo_rig(tmp_path / "chain.yaml")
+    np.testing.assert_allclose(rig.left.params, LENS.params)
+    np.testing.assert_allclose(rig.right_from_left.translation, MOTION.translation, atol=1e-12)
+    (tmp_path / "bad.yaml").write_text(yaml.safe_dump({"cam0": own, "cam1": own}))
+    with pytest.raises(FileFormatError, match="T_cn_cnm1 is missing"):
+        read_calibration(tmp_path / "bad.yaml")
+
+
+def test_missing_keys_are_named(tmp_path):
+    write_calibration(tmp_path / "own.json", pair_of(LENS))
+    content = json.loads((tmp_path / "own.json").read_text())
+    del content["cameras"][1]["params"]["k2"]
+    (tmp_path / "own.json").write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="k2 is missing"):
+        read_calibration(tmp_path / "own.json")
+    storage = cv2.FileStorage(str(tmp_path / "part.yml"), cv2.FILE_STORAGE_WRITE)
+    for key in ("M1", "M2"):
+        storage.write(key, LENS.K)
+    storage.release()
+    with pytest.raises(FileFormatError, match="D1, D2, R, T missing"):
+        read_calibration(tmp_path / "part.yml")
+    write_opencv_yaml(tmp_path / "cv.yaml", pair_of(LENS))
+    text = (tmp_path / "cv.yaml").read_text().replace("image_width", "image_wide")
+    (tmp_path / "cv.yaml").write_text(text)
+    with pytest.raises(FileFormatError, match="image_width and image_height"):
+        read_calibration(tmp_path / "cv.yaml")
+    assert read_calibration(tmp_path / "cv.yaml", size=(640, 480)).cameras[0].width == 640
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x00\xff\xfe", b"[1, 2, 3]", b"{", b"%YAML:1.0\n---\n", b"<?xml version='1.0'?><a>", b"a: [1, 2"],
+)
+def test_files_that_are_none(tmp_path, content):
+    (tmp_path / "x.yaml").write_bytes(content)
+    with pytest.raises(FileFormatError):
+        read_calibration(tmp_path / "x.yaml")
+
+
+def test_numbers_that_make_no_camera(tmp_path):
+    bad = LENS.K.copy()
+    bad[0, 0] = -3
+    with pytest.raises(FileFormatError, match="focal length"):
+        camera_of_coefficients(tmp_path, (640, 480), bad, np.zeros(5), is_fisheye=False)
+    bad[0, 0], bad[0, 1] = 500, 30
+    with pytest.raises(FileFormatError, match="skew"):
+        camera_of_coefficients(tmp_path, (640, 480), bad, np.zeros(5), is_fisheye=False)
+    write_calibration(tmp_path / "own.json", pair_of(LENS))
+    content = json.loads((tmp_path / "own.json").read_text())
+    content["cameras"][1]["cam_from_rig"]["translation"] = [0, 0, 0]
+    (tmp_path / "own.json").write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="baseline is zero"):
+        read_stereo_rig(tmp_path / "own.json")
+    with pytest.raises(FileFormatError, match="no such file"):
+        read_calibration(tmp_path / "nothing.yaml")
+
+
+def test_distortion_is_opencvs(rng):
+    plane = rng.uniform(-0.6, 0.6, (100, 2))
+    for count in (4, 5, 8, 12):
+        d = rng.normal(0, 0.05, count)
+        points = np.column_stack([plane, np.ones(100)])
+        theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), d)[0].reshape(-1, 2)
+        np.testing.assert_allclose(_distorted(plane, d), theirs, atol=1e-12)

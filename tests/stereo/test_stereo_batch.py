@@ -1,0 +1,134 @@
+"""Folders of pairs and stereo video; pairs of a model; what is wrong with one does not stop the others."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from epipole import api
+from epipole.cameras import Camera
+from epipole.config import StereoConfig
+from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.geometry import Rigid3
+from epipole.io.colmap import write_colmap_model
+from epipole.io.depth_maps import read_pfm
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from epipole.stereo import RectifiedRig, match_stereo
+from epipole.stereo.batch import list_pairs
+from epipole.synthetic.stereo_rooms import stereo_room
+
+CONFIG = StereoConfig(max_disparity_px=40, max_frames=3)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return stereo_room(8, (200, 150))
+
+
+def saved(folder, picture):
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(picture).save(folder)
+
+
+def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
+    for name in ("a.png", "b.png", "c.png"):
+        saved(tmp_path / "left" / name, pair.left)
+        saved(tmp_path / "right" / name, pair.right)
+    data = (tmp_path / "right" / "b.png").read_bytes()
+    (tmp_path / "right" / "b.png").write_bytes(data[: len(data) // 2])
+    rig = RectifiedRig(pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2], pair.baseline)
+    seen = []
+    out = tmp_path / "out"
+    batch = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig, seen.append)
+    assert batch.done == ("a", "c") and list(batch.problems) == ["b"] and "b.png" in batch.problems["b"]
+    assert [p.done for p in seen] == [1, 2, 3]
+    np.testing.assert_array_equal(read_pfm(out / "a" / "depth.pfm"), read_pfm(out / "c" / "depth.pfm"))
+    assert json.loads((out / "summary.json").read_text())["done"] == ["a", "c"]
+    # Again: nothing is measured twice, and the mended picture is.
+    (tmp_path / "right" / "b.png").write_bytes(data)
+    again = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
+    assert again.done == ("b",) and again.earlier == ("a", "c") and not again.problems
+    other = api.stereo_many(tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig)
+    assert len(other.done) == 3
+
+
+def test_pairs_by_name_and_by_order(tmp_path, pair):
+    for name in ("l1.png", "l2.png"):
+        saved(tmp_path / "left" / name, pair.left)
+    for name in ("r1.png", "r2.png"):
+        saved(tmp_path / "right" / name, pair.right)
+    pairs = list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)
+    assert [(a.name, b.name) for a, b in pairs.values()] == [("l1.png", "r1.png"), ("l2.png", "r2.png")]
+    saved(tmp_path / "right" / "r3.png", pair.right)
+    with pytest.raises(FileFormatError, match="which belong together"):
+        list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileFormatError, match="no picture"):
+        list_pairs(tmp_path / "empty", tmp_path / "right", tmp_path / "out", 5)
+    with pytest.raises(FileFormatError, match="it is no folder"):
+        list_pairs(tmp_path / "left" / "l1.png", tmp_path / "right", tmp_path / "out", 5)
+
+
+def written_video(path, frames):
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (width, height))
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    writer.release()
+
+
+def test_stereo_video_in_two_files_and_in_one(tmp_path, pair):
+    written_video(tmp_path / "l.avi", [pair.left] * 7)
+    written_video(tmp_path / "r.avi", [pair.right] * 7)
+    written_video(tmp_path / "both.avi", [np.hstack([pair.left, pair.right])] * 7)
+    two = api.stereo_many(tmp_path / "l.avi", tmp_path / "r.avi", tmp_path / "two", CONFIG)
+    one = api.stereo_many(tmp_path / "both.avi", tmp_path / "both.avi", tmp_path / "one", CONFIG)
+    assert two.done == one.done == ("frame_000000", "frame_000003", "frame_000006")
+    found = read_pfm(tmp_path / "one" / "frame_000003" / "disparity.pfm")
+    assert found.shape == pair.left.shape
+    known = np.isfinite(found) & np.isfinite(pair.disparity_px)
+    assert known.mean() > 0.5 and np.median(np.abs(found - pair.disparity_px)[known]) < 0.5
+    (tmp_path / "broken.avi").write_bytes(b"nothing")
+    with pytest.raises(FileFormatError, match=r"broken\.avi"):
+        api.stereo_many(tmp_path / "broken.avi", tmp_path / "r.avi", tmp_path / "x", CONFIG)
+
+
+def written_model(folder, pair, camera: Camera):
+    """A workspace with the pair's two pictures, the right one first."""
+    saved(folder / "images" / "a.png", pair.right)
+    saved(folder / "images" / "b.png", pair.left)
+    saved(folder / "images" / "c.png", pair.left)
+    ids = np.arange(3, dtype=np.int32)
+    nan = np.full((3, 3), np.nan)
+    places = Rigid3(
+        np.stack([np.eye(3), np.eye(3), nan]),
+        np.stack([[-2.0, 0.0, 0.0], [0.0, 0.0, 0.0], nan[0]]),
+    )
+    model = Reconstruction(
+        Cameras.from_list([camera]),
+        Rigs.of_single_cameras(1),
+        Frames(np.zeros(3, np.int32), places, np.full(3, np.nan)),
+        Images(("a.png", "b.png", "c.png"), ids, np.zeros(3, np.int32), np.zeros(4, np.int64), np.zeros((0, 2))),
+        Points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0)),
+        Tracks(np.zeros(1, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32)),
+    )
+    write_colmap_model(model, folder / "sparse" / "0")
+
+
+def test_two_pictures_of_a_model(tmp_path, pair):
+    written_model(tmp_path / "w", pair, pair.camera)
+    found = api.stereo_of_model(tmp_path / "w", "a.png", "b.png", tmp_path / "out", CONFIG)
+    direct = match_stereo(pair.left, pair.right, CONFIG)
+    np.testing.assert_allclose(found.disparities.disparity_px, direct.disparity_px, atol=1e-3)
+    # The model's baseline is 2 where the room's is some other number: depth comes in the model's unit.
+    expected = 2.0 * pair.camera.K[0, 0] / found.disparities.disparity_px
+    known = np.isfinite(found.depths.depth)
+    assert known.mean() > 0.5
+    np.testing.assert_allclose(found.depths.depth[known], expected[known], rtol=1e-4)
+    for first, second, words in (("a.png", "zzz.png", "zzz.png"), ("c.png", "b.png", "c.png has no place")):
+        with pytest.raises(FileFormatError, match=words):
+            api.stereo_of_model(tmp_path / "w", first, second, tmp_path / "out", CONFIG)
+    with pytest.raises(DegenerateGeometryError, match="itself"):
+        api.stereo_of_model(tmp_path / "w", "a.png", "a.png", tmp_path / "out", CONFIG)

@@ -1,0 +1,125 @@
+"""The doctor finds what was done to a healthy pair."""
+
+import cv2
+import numpy as np
+import pytest
+
+from epipole import api
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3
+from epipole.io.photographs import read_rgb
+from epipole.scene import StereoRig
+from epipole.stereo import RectifiedRig
+from epipole.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
+from epipole.synthetic.stereo_rooms import stereo_room
+
+
+@pytest.fixture(scope="module")
+def cones(data_dir):
+    folder = data_dir / "stereo" / "middlebury_2003" / "cones"
+    return read_rgb(folder / "im2.png"), read_rgb(folder / "im6.png")
+
+
+def turned(picture, matrix):
+    height, width = picture.shape[:2]
+    return cv2.warpPerspective(picture, matrix, (width, height), borderMode=cv2.BORDER_REFLECT)
+
+
+def about_center(picture, inner):
+    height, width = picture.shape[:2]
+    center = np.array([[1, 0, -width / 2], [0, 1, -height / 2], [0, 0, 1.0]])
+    return np.linalg.inv(center) @ inner @ center
+
+
+def test_a_healthy_pair_is_healthy(cones):
+    found = examine([cones])
+    assert found.is_healthy and found.cause is Cause.NONE
+    assert found.vertical_median_px < 0.2 and found.num_matches > 300
+    assert found.expectations == ()
+
+
+def test_swapped_pictures(cones):
+    assert any("swapped" in p for p in examine([cones[::-1]]).problems)
+
+
+def test_a_pair_of_far_things_swapped():
+    pair = stereo_room(4, (480, 360))
+    near = pair.disparity_px[np.isfinite(pair.disparity_px)]
+    assert np.median(near) > 2.0
+    found = examine([(pair.right, pair.left)])
+    assert any("swapped" in p for p in found.problems)
+    assert not any("swapped" in p for p in examine([(pair.left, pair.right)]).problems)
+
+
+@pytest.mark.parametrize(
+    "inner",
+    [
+        np.array([[1, 0, 0], [0, 1, 3.0], [0, 0, 1]]),
+        np.array([[np.cos(0.02), -np.sin(0.02), 0], [np.sin(0.02), np.cos(0.02), 0], [0, 0, 1]]),
+        np.array([[1.02, 0, 0], [0, 1.02, 0], [0, 0, 1.0]]),
+        np.array([[1, 0, 0], [0, 1, 0], [1.5e-4, 0, 1.0]]),
+    ],
+    ids=["pitch", "roll", "focal length", "yaw"],
+)
+def test_a_camera_that_stands_wrong(cones, inner):
+    left, right = cones
+    found = examine([(left, turned(right, about_center(right, inner)))])
+    assert found.cause is Cause.EXTRINSICS and not found.is_healthy
+    assert found.after_extrinsics_px < 0.3
+    if inner[1, 2]:
+        assert found.vertical_signed_px == pytest.approx(3.0, abs=0.2)
+        assert np.nanmedian(found.vertical_map_px) == pytest.approx(3.0, abs=0.3)
+
+
+def test_a_lens_that_was_not_undone(cones):
+    left, right = cones
+    height, width = right.shape[:2]
+    matrix = np.array([[400.0, 0, width / 2], [0, 400.0, height / 2], [0, 0, 1]])
+    bent = cv2.undistort(right, matrix, np.array([-0.12, 0.0, 0, 0]))
+    found = examine([(left, bent)])
+    assert found.cause is Cause.DISTORTION
+    assert found.after_distortion_px < 0.8 * found.after_extrinsics_px
+
+
+def test_cameras_that_do_not_expose_together(data_dir):
+    folder = data_dir / "slam" / "kitti06_stereo"
+    names = [sorted((folder / side).iterdir())[:12:2] for side in ("image_l", "image_r")]
+    left, right = ([read_rgb(p) for p in own] for own in names)
+    rig = RectifiedRig(707.0912, 601.8873, 183.1104, 379.8145 / 707.0912)
+    together = examine(list(zip(left, right)), rig)
+    assert together.is_healthy
+    apart = examine(list(zip(left[:-1], right[1:])), rig)
+    assert any("not synchronous" in p or "rows are off" in p for p in apart.problems)
+    steps = [examine([(a, b)], rig).vertical_median_px for a, b in zip(left[:2], right[:2])]
+    assert max(steps) < 0.6
+
+
+def test_the_table_is_the_lessons_formula():
+    rig = RectifiedRig(800.0, 319.5, 239.5, 0.12)
+    blank = np.zeros((480, 640), np.uint8)
+    found = examine([(blank, blank)], rig)
+    assert found.cause is Cause.UNKNOWN and np.isnan(found.vertical_median_px)
+    by_depth = {e.depth: e for e in found.expectations}
+    assert by_depth[10.0].from_matching == pytest.approx(100 / 96 * TYPICAL_SIGMA_PX)
+    assert np.isnan(by_depth[10.0].from_calibration)
+    camera = Camera(CameraModel.PINHOLE, 640, 480, np.array([800.0, 800.0, 319.5, 239.5]))
+    covariance = np.zeros((22, 22))
+    covariance[16, 16] = 0.0012**2  # of the translation along x: one part in a hundred of the baseline
+    calibrated = StereoRig(camera, camera, Rigid3(np.eye(3), np.array([-0.12, 0, 0])), covariance)
+    table = {e.depth: e for e in examine([(blank, blank)], calibrated).expectations}
+    assert table[10.0].from_calibration == pytest.approx(0.1, rel=0.01)
+
+
+def test_odd_units_and_unusable_input(cones):
+    assert any("millimetres" in n for n in examine([cones], RectifiedRig(400.0, 225, 187, 160.0)).notes)
+    assert any("too short" in p for p in examine([cones], RectifiedRig(400.0, 225, 187, 1e-4)).problems)
+    with pytest.raises(ShapeError, match="no pair"):
+        examine([])
+    with pytest.raises(ShapeError, match="one size"):
+        examine([(cones[0], cones[1][:100])])
+
+
+def test_the_call_on_files(data_dir):
+    folder = data_dir / "stereo" / "middlebury_2003" / "cones"
+    assert api.examine_stereo(folder / "im2.png", folder / "im6.png").is_healthy
