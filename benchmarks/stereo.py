@@ -59,8 +59,11 @@ def match_with_opencv(mode: str, block: int, pairs: Pairs, threads: int) -> list
     return out
 
 
-def match_with_pandora(pairs: Pairs, threads: int) -> list[np.ndarray]:
-    """Pandora with libSGM: census 5 x 5, eight paths, V-fit, median, accurate cross-check."""
+def match_with_pandora(pairs: Pairs, threads: int, with_confidence: bool = False) -> list[np.ndarray]:
+    """Pandora with libSGM: census 5 x 5, eight paths, V-fit, median, accurate cross-check.
+
+    With its confidence from ambiguity, (2, h, w), where asked for.
+    """
     import pandora
     import xarray as xr
     from pandora.img_tools import add_disparity
@@ -71,6 +74,7 @@ def match_with_pandora(pairs: Pairs, threads: int) -> list[np.ndarray]:
     penalties = {"P1": 8, "P2": 32, "p2_method": "constant", "penalty_method": "sgm_penalty"}
     steps = {
         "matching_cost": {"matching_cost_method": "census", "window_size": 5, "subpix": 1},
+        **({"cost_volume_confidence": {"confidence_method": "ambiguity"}} if with_confidence else {}),
         "optimization": {"optimization_method": "sgm", "overcounting": False, "penalty": penalties},
         "disparity": {"disparity_method": "wta", "invalid_disparity": "NaN"},
         "refinement": {"refinement_method": "vfit"},
@@ -99,7 +103,12 @@ def match_with_pandora(pairs: Pairs, threads: int) -> list[np.ndarray]:
         bits = found["validity_mask"].data.astype(int)
         # Bits 0, 1, 6 to 11: no data, no disparity, occluded, mismatched and the like; 2 to 5 are warnings.
         invalid = (bits & 0b111111000011) != 0
-        out.append(np.where(invalid, np.nan, -found["disparity_map"].data))
+        disparity = np.where(invalid, np.nan, -found["disparity_map"].data)
+        if with_confidence:
+            names = [str(n) for n in found["confidence_measure"].indicator.data]
+            ambiguity = next(k for k, name in enumerate(names) if "ambiguity" in name)
+            disparity = np.stack([disparity, found["confidence_measure"].data[:, :, ambiguity]])
+        out.append(disparity)
     return out
 
 

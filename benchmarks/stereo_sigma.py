@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -73,10 +74,28 @@ def fit() -> None:
         print(f"{name} = np.array({np.round(values, 4).tolist()})")
 
 
+def pandora_areas(connection: Any, data: Path) -> None:
+    """Areas under the sparsification curve of pandora's disparities, sorted by its own confidence (ambiguity)."""
+    from benchmarks.stereo import match_with_pandora
+
+    rows = {}
+    for name, task in stereo_tasks(data).items():
+        pair = (task.left, task.right, task.num_disparities)
+        disparity, confidence = match_with_pandora([pair], 2, with_confidence=True)[0]
+        error = np.abs(disparity - task.truth)
+        known = np.isfinite(error) & np.isfinite(confidence)
+        # Whichever order serves it better: its ambiguity is given as confidence in some versions, as doubt in others.
+        both = [coverage(error[known], sign * confidence[known], 0.0) for sign in (-1.0, 1.0)]
+        found = min(both, key=lambda figures: figures["AUSE px"])
+        rows[name] = {key: found[key] for key in ("AUSE px", "average px")}
+    connection.send(rows)
+
+
 def main() -> None:
     """Print how many errors lie within their bars."""
     parser = argparse.ArgumentParser(description="Error bars of disparities.")
     parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--pandora", action="store_true", help="areas of pandora's confidence beside ours")
     parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
     arguments = parser.parse_args()
@@ -103,6 +122,13 @@ def main() -> None:
             rows[f"{name}, its truth {offset:+.2f}"] = coverage(
                 np.abs(error[known] - offset), found.sigma_px[known], QUANTUM_PX[name]
             )
+    if arguments.pandora:
+        ours, theirs = get_context("spawn").Pipe()
+        process = get_context("spawn").Process(target=pandora_areas, args=(theirs, data))
+        process.start()
+        for name, row in ours.recv().items():
+            rows[f"{name}, pandora"] = row
+        process.join()
     Console(width=150).print(table_of("errors within one sigma", rows))
     arguments.results.mkdir(parents=True, exist_ok=True)
     report = {"machine": describe_machine(2), **rows}

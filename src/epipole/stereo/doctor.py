@@ -73,6 +73,15 @@ class Diagnosis:
     expectations: tuple[DepthExpectation, ...] = field(default=())
 
     @property
+    def calibration_error_px(self) -> float:
+        """Deviation of the rows that the rig's own errors explain: columns are likely off by as much.
+
+        What `RectifiedRig.principal_offset_sigma_px` should be where a calibration comes without its errors.
+        """
+        total = 1.4826 * self.vertical_median_px
+        return float(np.sqrt(max(total**2 - self.after_extrinsics_px**2, 0.0)))
+
+    @property
     def is_healthy(self) -> bool:
         """Whether nothing is wrong."""
         return not self.problems

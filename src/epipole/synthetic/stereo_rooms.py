@@ -45,9 +45,61 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     width, height = size
     focal = width * rng.uniform(0.8, 1.2)
     baseline = rng.uniform(0.08, 0.3)
+    left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.3, 0.3), 5, 0.1))
+    return _photographed(scene, size, focal, baseline, left_from_world, rng)
+
+
+def stereo_street(
+    seed: int, size: tuple[int, int] = (640, 480), focal_px: float = 800.0, baseline: float = 0.12
+) -> StereoPair:
+    """A street between walls with things from 2 to 30 m, before the rig of the lesson's example; photographed as the rooms are.
+
+    Args:
+        seed: another street for another number.
+        size: width and height.
+        focal_px: of both cameras.
+        baseline: in metres.
+    """
+    rng = np.random.default_rng(seed)
+    ground = HeightField(
+        center=(0, 20, -1.2), half_size=(8, 22), amplitude=0.02, wavelength=1.5, color=_color(rng), seed=_seed(rng)
+    )
+    end = Plane(
+        center=(0, rng.uniform(34, 40), 0), direction_u=(1, 0, 0), direction_v=(0, 0, 1), half_size=(30, 20),
+        color=_color(rng), seed=_seed(rng),
+    )  # fmt: skip
+    things: list[Primitive] = [ground, end]
+    for side in (-1.0, 1.0):
+        things.append(
+            Plane(
+                center=(side * rng.uniform(4, 6), 20, 1), direction_u=(0, 1, 0), direction_v=(0, 0, 1),
+                half_size=(18, 3), color=_color(rng), seed=_seed(rng),
+            )  # fmt: skip
+        )
+    for depth in np.geomspace(2.0, 30.0, 16):
+        aside = rng.uniform(-0.35, 0.35) * depth
+        things.append(
+            Box(
+                center=(aside, depth, rng.uniform(-1.0, 0.5) * min(1.0, depth / 4)),
+                half_size=(0.07 * depth, 0.05, 0.07 * depth),
+                angle_rad=rng.uniform(-0.5, 0.5), color=_color(rng), seed=_seed(rng),
+            )  # fmt: skip
+        )
+    left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.1, 0.1), 5, 0.0))
+    return _photographed(SyntheticScene.of(things), size, focal_px, baseline, left_from_world, rng)
+
+
+def _photographed(
+    scene: SyntheticScene,
+    size: tuple[int, int],
+    focal: float,
+    baseline: float,
+    left_from_world: Rigid3,
+    rng: np.random.Generator,
+) -> StereoPair:
+    width, height = size
     params = np.array([focal, focal, (width - 1) / 2, (height - 1) / 2])
     camera = Camera(CameraModel.PINHOLE, width, height, params)
-    left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.3, 0.3), 5, 0.1))
     pitch, roll = rng.normal(0.0, _ROW_ERROR_PX / focal), rng.normal(0.0, 2.0 * _ROW_ERROR_PX / width)
     right_from_left = Rigid3.exp(np.array([0, 0, 0, pitch, 0, roll])) @ Rigid3(
         np.eye(3), np.array([-baseline, 0.0, 0.0])
