@@ -256,10 +256,18 @@ class StereoConfig:
     """Smallest disparity looked for; negative where the principal points or the axes differ."""
     max_disparity_px: int | None = None
     """Largest disparity looked for; None: found from the pictures."""
+    search: Literal["full", "coarse_to_fine"] = "full"
+    """Try every disparity everywhere; or, in each tile of the picture, those about what a picture of half the size shows there."""
+    method: Literal["sgm", "block"] = "sgm"
+    """Semi-global matching along paths; or sums over blocks: faster, with more mistakes where there is little texture."""
+    block_px: int = 9
+    """Side of the blocks, odd, at most 15."""
     paths: Literal[4, 8] = 8
     """Along how many directions costs are summed; four take a fifth less time."""
     window: tuple[int, int] = (5, 5)
     """Width and height of the census window, odd."""
+    brightness_cost: int = 0
+    """Up to so many bits are added for a difference of brightness, one for every two grey levels: for pairs of equal exposure."""
     small_penalty: int = 20
     """P1: for a change of disparity by one between neighbours, in bits of the census."""
     edge_penalty: float = 6.0
@@ -275,6 +283,8 @@ class StereoConfig:
     """Smaller regions of one smooth disparity are speckles."""
     median_px: Literal[0, 3, 5] = 5
     """Side of the median filter; 0: none."""
+    fill: bool = False
+    """Guess what is not known, in files of their own: filled.pfm, and filled_mask.png where it was guessed."""
     max_frames: int = 20
     """Pairs taken from stereo video."""
 
@@ -293,12 +303,18 @@ class StereoConfig:
             or not 2 < self.window[0] * self.window[1] <= 121
         ):
             raise ConfigError(f"window must have odd sides and at most 121 pixels, is {self.window}")
-        bits = self.window[0] * self.window[1] - 1
+        if self.block_px < 1 or self.block_px % 2 == 0 or self.block_px > 15:
+            raise ConfigError(f"block_px must be odd and at most 15, is {self.block_px}")
+        if self.brightness_cost < 0:
+            raise ConfigError("brightness_cost must not be negative")
+        bits = self.window[0] * self.window[1] - 1 + self.brightness_cost
         largest = self.small_penalty * (1.0 + self.edge_penalty)
         if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
             raise ConfigError(
-                f"the window's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
+                f"the cost's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
             )
+        if self.search == "coarse_to_fine" and self.left_right == "fast":
+            raise ConfigError("coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side")
         if not self.max_left_right_px > 0 or self.min_margin < 0 or self.min_region_px < 0:
             raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")
 

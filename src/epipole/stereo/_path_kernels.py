@@ -20,12 +20,14 @@ NOBODY = 65535
 
 
 @kernel
-def cost_row(left, right, y, size, search, out):
-    """Costs (width, depth) of row y: the bits in which two windows differ.
+def cost_row(pictures, y, size, search, out):
+    """Costs (width, depth) of row y: the bits in which two windows differ, and half the difference of brightness up to `most`.
 
-    left (h, width, planes) and right (h, planes, padded width) hold the census, flat; right's rows run from right to left,
-    so that disparities ascend. size = (height, width, planes, padding), search = (first, count, depth).
+    pictures = (left, right, left's brightness, right's, most). left (h, width, planes) and right (h, planes, padded width) hold the
+    census, flat; the rows of right and of its brightness (h, padded width) run from right to left, so that disparities ascend.
+    size = (height, width, planes, padding), search = (first, count, depth). most = 0: the bits alone.
     """
+    left, right, bright, other_bright, most = pictures
     _, width, planes, padding = size
     first, count, depth = search
     stride = width + 2 * padding
@@ -33,6 +35,11 @@ def cost_row(left, right, y, size, search, out):
         at = x * depth
         at_right = y * planes * stride + padding + width - 1 - x + first
         count_bits(left, (y * width + x) * planes, right, at_right, stride, planes, out, at, depth // LANES)
+        if most > 0:
+            here, there = np.int16(bright[y * width + x]), y * stride + padding + width - 1 - x + first
+            for k in range(depth):
+                apart = abs(np.int16(other_bright[there + k]) - here) >> 1
+                out[at + k] += min(apart, most)
         # x - first - k lies in the other picture for lowest <= k < highest.
         lowest, highest = max(x - first - width + 1, 0), min(x - first + 1, count)
         for k in range(min(lowest, depth)):
@@ -134,7 +141,7 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
 
 
 @kernel(allocates=True)
-def match_strip(left, right, grey, size, search, penalties, start, stop, margin, sums, out):
+def match_strip(pictures, grey, size, search, penalties, start, stop, margin, sums, out):
     """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them. sums: room for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
@@ -148,7 +155,7 @@ def match_strip(left, right, grey, size, search, penalties, start, stop, margin,
     )
     begin_paths(paths, state[1], width, depth)
     for y in range(max(start - margin, 0), stop):
-        cost_row(left, right, y, size, search, costs)
+        cost_row(pictures, y, size, search, costs)
         above = max(y - 1, 0)
         if y < start:
             sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, row, 0)
@@ -156,7 +163,7 @@ def match_strip(left, right, grey, size, search, penalties, start, stop, margin,
             sweep_row(costs, grey, y, above, 1, size, depth, penalties, state, sums, (y - start) * room)
     begin_paths(paths, state[1], width, depth)
     for y in range(min(stop + margin, height) - 1, start - 1, -1):
-        cost_row(left, right, y, size, search, costs)
+        cost_row(pictures, y, size, search, costs)
         sweep_row(costs, grey, y, min(y + 1, height - 1), -1, size, depth, penalties, state, row, 0)
         if y < stop:
             at = (y - start) * room

@@ -15,8 +15,10 @@ from epipole import _parallel
 from epipole.config import StereoConfig
 from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
+from epipole.stereo import _block_kernels as block_kernels
 from epipole.stereo import _path_kernels as kernels
 from epipole.stereo._lane_kernels import LANES
+from epipole.stereo.coarse_to_fine import MARGIN_PX, TILE_PX, tiles_of
 from epipole.stereo.uncertainty import MatchEvidence, disparity_sigma, roughness
 
 _MARGIN = 32  # rows beyond a strip in which its paths begin: later ones do not change the result (measured)
@@ -25,6 +27,7 @@ _LEAST_ROWS, _MOST_ROWS = 16, 192
 _MOST_DISPARITIES = 4096
 _COARSE = 4  # times smaller are the pictures from which the range is found
 _LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
+_FEW_DISPARITIES = 48  # are searched in full
 _SMOOTH_PX = 1.0  # neighbours of one region differ by no more
 
 DEFAULTS = StereoConfig()
@@ -108,11 +111,11 @@ def match_with_evidence(
     """`match_stereo`, and what its standard deviations were read from."""
     one, two = _grey_pair(left, right)
     low, high = _search_range(one, two, config)
-    mine = _winners(one, two, low, high, config)
     if config.left_right == "accurate":
-        mirrored = _winners(two[:, ::-1], one[:, ::-1], low, high, config)
+        mine, mirrored = _both_winners(one, two, low, high, config)
         theirs = mirrored.disparity[:, ::-1]
     else:
+        mine = _winners(one, two, low, high, config)
         theirs = mine.other
     apart = _left_right_difference(mine.disparity, theirs)
     reason = _judge(mine, apart, low, config)
@@ -188,9 +191,6 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
     bits = census(left, config.window)
     reversed_bits = np.zeros((height, bits.shape[2], width + 2 * padding), np.uint8)
     reversed_bits[:, :, padding : padding + width] = census(right, config.window)[:, ::-1].transpose(0, 2, 1)
-    steps = np.arange(256)
-    jumps = np.rint(config.small_penalty * (1.0 + config.edge_penalty * np.exp(-steps / config.edge_fade)))
-    penalties = (config.paths, config.small_penalty, jumps.astype(np.int64))
     out = (
         np.empty((height, width), np.uint16),
         np.empty((height, width), np.uint16),
@@ -200,23 +200,117 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
         np.empty((height, width), np.uint16),
     )
     size, search = (height, width, bits.shape[2], padding), (low, count, depth)
+    brightness = _brightness(left)
+    pictures = (
+        *(bits.reshape(-1), reversed_bits.reshape(-1)),
+        *_blended(brightness, _brightness(right), padding, config.brightness_cost),
+    )
     rows = int(np.clip(_MOST_STRIP_BYTES // (2 * width * depth), _LEAST_ROWS, _MOST_ROWS))
-    flat, other_flat, grey = bits.reshape(-1), reversed_bits.reshape(-1), _brightness(left)
     num_strips = -(-height // rows)
+    if config.method == "block":
+        _parallel.map_chunks(
+            lambda start, stop, _: block_kernels.match_blocks(
+                pictures, size, search, config.block_px // 2, start, stop, out
+            ),
+            height,
+            num_strips,
+        )
+    else:
+        _match_paths(pictures, brightness, size, search, config, num_strips, out)
+    winner, lowest, second, beside, spread, other = out
+    others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
+    offset, steepness = _bottom_of_v(lowest, beside)
+    return _Winners(winner + offset + np.float32(low), lowest, second, steepness, spread, others)
+
+
+def _both_winners(
+    left: np.ndarray, right: np.ndarray, low: int, high: int, config: StereoConfig
+) -> tuple[_Winners, _Winners]:
+    """Of the left picture, and of the mirrored right one whose left is the mirrored left one.
+
+    Coarse to fine, what agrees in pictures of half the size tells each tile where to search.
+    """
+    mirrored = right[:, ::-1], left[:, ::-1]
+    height, width = left.shape
+    is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
+    if config.search == "full" or is_small:
+        return _winners(left, right, low, high, config), _winners(*mirrored, low, high, config)
+    size = (width // 2, height // 2)
+    half = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
+    coarse = _both_winners(half[0], half[1], low // 2, -(-high // 2), config)
+    out = []
+    for pair, mine, theirs in (((left, right), *coarse), (mirrored, *coarse[::-1])):
+        apart = _left_right_difference(mine.disparity, theirs.disparity[:, ::-1])
+        reason = _judge(mine, apart, low // 2, config)
+        reason[_speckles(mine.disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
+        trusted = np.where(reason == StereoReason.OK, mine.disparity, np.float32(np.nan))
+        out.append(_winners_by_tiles(*pair, trusted, (low, high), config))
+    return out[0], out[1]
+
+
+def _winners_by_tiles(
+    left: np.ndarray, right: np.ndarray, coarse: np.ndarray, search: tuple[int, int], config: StereoConfig
+) -> _Winners:
+    """`_winners` of every tile in its own range.
+
+    A tile is cut out with a margin and, to the left, as many columns as its range is long, so that its matches are inside.
+    """
+    height, width = left.shape
+    out = _Winners(
+        np.empty(left.shape, np.float32),
+        *(np.empty(left.shape, np.uint16) for _ in range(2)),
+        np.empty(left.shape, np.float32),
+        np.empty(left.shape, np.uint16),
+        np.full(left.shape, np.nan, np.float32),
+    )
+    for tile in tiles_of(coarse, (height, width), search):
+        (top, bottom), (begin, end), (first, last) = tile.rows, tile.columns, tile.disparities
+        y0, y1 = max(top - MARGIN_PX, 0), min(bottom + MARGIN_PX, height)
+        x0, x1 = max(begin - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
+        # x - first of the right picture beside x of the left one: the range begins at zero.
+        shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
+        found = _winners(left[y0:y1, x0:x1], right[y0:y1][:, shifted], 0, last - first, config)
+        inside = np.s_[top - y0 : bottom - y0, begin - x0 : end - x0]
+        whole = np.s_[top:bottom, begin:end]
+        out.disparity[whole] = found.disparity[inside] + np.float32(first)
+        for name in ("lowest", "second", "steepness", "spread"):
+            getattr(out, name)[whole] = getattr(found, name)[inside]
+    return out
+
+
+def _match_paths(
+    pictures: tuple[Any, ...],
+    brightness: np.ndarray,
+    size: tuple[int, int, int, int],
+    search: tuple[int, int, int],
+    config: StereoConfig,
+    num_strips: int,
+    out: tuple[np.ndarray, ...],
+) -> None:
+    height, width, depth = size[0], size[1], search[2]
+    steps = np.arange(256)
+    jumps = np.rint(config.small_penalty * (1.0 + config.edge_penalty * np.exp(-steps / config.edge_fade)))
+    penalties = (config.paths, config.small_penalty, jumps.astype(np.int64))
     mine = threading.local()  # fresh memory for every strip would cost a fifth of the time
 
     def match(start: int, stop: int, _: int) -> None:
         if not hasattr(mine, "sums"):
             mine.sums = np.empty(-(-height // num_strips) * width * depth, np.uint16)
         kernels.match_strip(
-            flat, other_flat, grey, size, search, penalties, start, stop, _MARGIN, mine.sums, out
+            pictures, brightness, size, search, penalties, start, stop, _MARGIN, mine.sums, out
         )
 
     _parallel.map_chunks(match, height, num_strips)
-    winner, lowest, second, beside, spread, other = out
-    others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
-    offset, steepness = _bottom_of_v(lowest, beside)
-    return _Winners(winner + offset + np.float32(low), lowest, second, steepness, spread, others)
+
+
+def _blended(left: np.ndarray, right: np.ndarray, padding: int, most: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Brightness as bytes, that of the right picture from right to left; nothing where it is not asked for."""
+    if not most:
+        return np.zeros(1, np.uint8), np.zeros(1, np.uint8), 0
+    height, width = right.shape
+    mirrored = np.zeros((height, width + 2 * padding), np.uint8)
+    mirrored[:, padding : padding + width] = right[:, ::-1]
+    return left.astype(np.uint8).reshape(-1), mirrored.reshape(-1), most
 
 
 def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:

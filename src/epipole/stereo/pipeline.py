@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +20,7 @@ from epipole.io.ply import write_points_ply
 from epipole.scene import StereoRig
 from epipole.stereo.calibration_error import calibration_sigma
 from epipole.stereo.depth import DepthMap, RectifiedRig, depth_of
+from epipole.stereo.filling import FilledDisparities, fill_disparities
 from epipole.stereo.matching import DisparityMap, match_stereo
 from epipole.stereo.rectification import Rectification, rectify, within_both
 from epipole.stereo.rows import quick_warnings
@@ -31,9 +32,9 @@ REASON_COLORS = np.array(
 
 OPTIONAL_FILES = (
     *("depth.pfm", "sigma_depth.pfm", "cloud.ply"),
-    *("left.png", "right.png", "rectification.json"),
+    *("left.png", "right.png", "rectification.json", "filled.pfm", "filled_mask.png"),
 )
-"""Those of an earlier run with a rig do not stay beside the disparities of one without."""
+"""Those of an earlier run with more do not stay beside the disparities of one with less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +52,8 @@ class StereoResult:
     """None for a pair that came rectified."""
     warnings: tuple[str, ...]
     num_points: int
+    filled: FilledDisparities | None = None
+    """Guesses for the rest, where they were asked for."""
     out: Path | None = None
     """Where it was written."""
 
@@ -100,7 +103,8 @@ def measure_pair(
         depths = depth_of(disparities, flat, wrong_px)
         num_points = int(np.isfinite(depths.depth).sum())
     return StereoResult(
-        left_rgb, right_rgb, disparities, flat, depths, rectification, tuple(warnings), num_points
+        *(left_rgb, right_rgb, disparities, flat, depths, rectification, tuple(warnings), num_points),
+        fill_disparities(disparities, left_rgb) if config.fill else None,
     )
 
 
@@ -133,6 +137,10 @@ def write_stereo(result: StereoResult, out: Path) -> StereoResult:
         write_png16(aside / "disparity.png", found.disparity_px)
         write_pfm(aside / "sigma_disparity.pfm", found.sigma_px)
         write_picture(aside / "reasons.png", REASON_COLORS[found.reason])
+        if result.filled is not None:
+            write_pfm(aside / "filled.pfm", result.filled.disparity_px)
+            mask = 255 * result.filled.filled_mask.astype(np.uint8)
+            write_picture(aside / "filled_mask.png", np.repeat(mask[..., None], 3, axis=2))
         if depths is not None and rig is not None:
             write_pfm(aside / "depth.pfm", depths.depth)
             write_pfm(aside / "sigma_depth.pfm", depths.sigma)
@@ -143,10 +151,7 @@ def write_stereo(result: StereoResult, out: Path) -> StereoResult:
             write_picture(aside / "right.png", result.right_rgb)
             text = json.dumps(_described(result.rectification), indent=1)
             (aside / "rectification.json").write_text(text + "\n", encoding="utf-8")
-    return StereoResult(
-        *(result.left_rgb, result.right_rgb, found, rig, depths, result.rectification),
-        *(result.warnings, result.num_points, out),
-    )
+    return replace(result, out=out)
 
 
 def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -1,0 +1,39 @@
+"""Weighted least squares along rows and columns in turn (Min et al., Fast global image smoothing, TIP 2014).
+
+Along one line: minimise sum_i w_i (u_i - f_i)^2 + lambda sum_i e_i (u_i - u_i+1)^2, a tridiagonal system solved by elimination
+(Thomas). w is zero where nothing is known, e small across edges of the picture.
+"""
+
+import numpy as np
+
+from epipole._jit import kernel
+
+
+@kernel
+def solve_line(weights, values, links, strength, upper, out):
+    """One line: u with the values f of weights w, neighbours tied by strength * links."""
+    n = len(values)
+    before, ahead, right = 0.0, 0.0, 0.0
+    for i in range(n):
+        tie_back = strength * links[i - 1] if i > 0 else 0.0
+        tie = strength * links[i] if i < n - 1 else 0.0
+        diagonal = weights[i] + tie_back + tie - tie_back * before
+        right = weights[i] * values[i] + tie_back * ahead
+        inverse = 1.0 / max(diagonal, 1e-12)
+        before, ahead = tie * inverse, right * inverse
+        upper[i], out[i] = before, ahead
+    for i in range(n - 2, -1, -1):
+        out[i] += upper[i] * out[i + 1]
+
+
+@kernel(allocates=True)
+def smooth_rows(weights, values, links, strength, start, stop):
+    """Rows start..stop of values (h, w) replaced by their solutions, in place; weights likewise smoothed."""
+    width = values.shape[1]
+    upper, sums, shares, ones = np.empty(width), np.empty(width), np.empty(width), np.ones(width)
+    for y in range(start, stop):
+        # Numerator and denominator are smoothed alike, so that a line without any known value keeps none.
+        solve_line(ones, values[y], links[y], strength, upper, sums)
+        solve_line(ones, weights[y], links[y], strength, upper, shares)
+        for x in range(width):
+            values[y, x], weights[y, x] = sums[x], shares[x]
