@@ -61,7 +61,7 @@ def fit() -> None:
         error = np.abs(found.disparity_px - pair.disparity_px)
         known = np.isfinite(error)
         some = np.random.default_rng(seed).permutation(int(known.sum()))[:PER_ROOM]
-        rows.append(uncertainty.cues(evidence)[known][some])
+        rows.append(uncertainty.cues(evidence)[:, known].T[some].astype(np.float64))
         errors.append(error[known][some])
     cues, error = np.concatenate(rows), np.concatenate(errors)
     design = np.concatenate([np.ones((len(cues), 1)), cues, cues * cues], axis=1)

@@ -17,7 +17,7 @@ from epipole._jit import compile_seconds
 from epipole.calibration.pipeline import CalibrationRun, run_calibration
 from epipole.config import CalibrationConfig, ReconstructConfig, StereoConfig
 from epipole.errors import DegenerateGeometryError, EpipoleError, FileFormatError, NoModelError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, depth_map_to_point_cloud
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
 from epipole.io.calibration_files import write_ros_yaml
@@ -27,6 +27,7 @@ from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 from epipole.report import ImageRow, ReportContent, render_report
 from epipole.report.calibration_page import CalibrationPage, render_calibration_page
+from epipole.report.plain_page import color_map
 from epipole.report.stereo_page import StereoPage, render_stereo_page
 from epipole.scene import Cameras, Reconstruction, StereoRig
 from epipole.sfm.pipeline import PipelineResult, run_pipeline
@@ -34,9 +35,9 @@ from epipole.sfm.workspace import write_json
 from epipole.stereo import RectifiedRig, rectify
 from epipole.stereo.batch import StereoBatch, is_many, list_pairs, run_batch
 from epipole.stereo.doctor import Diagnosis, examine
-from epipole.stereo.pipeline import REASON_COLORS, StereoResult, run_stereo
+from epipole.stereo.pipeline import REASON_COLORS, StereoFiles, StereoResult, read_stereo, run_stereo
 from epipole.stereo.rectification import is_right_of_left
-from epipole.viewer import ViewerHandle
+from epipole.viewer import DepthView, ViewerHandle, view_depth
 from epipole.viewer import view as open_viewer
 from epipole.workflow import Progress, ProgressCallback, ignore_progress, load, timed
 
@@ -499,14 +500,31 @@ def _write_ros_pair(out: Path, rig: StereoRig) -> None:
 
 
 def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
-    """Show a workspace's model in the browser: points, cameras with their pictures.
+    """Show what a folder holds in the browser: a model with its cameras and pictures, or a pair's depth.
 
     Raises:
-        FileFormatError: there is no model.
+        FileFormatError: there is neither.
     """
     out = Path(out)
+    if (out / "disparity.pfm").is_file():
+        return view_depth(_depth_view(read_stereo(out)), port=port, host=host, block=block)
     model = read_colmap_model(find_model(out))
     return open_viewer(model, _picture_loader(out / "images"), port=port, host=host, block=block)
+
+
+def _depth_view(files: StereoFiles) -> DepthView:
+    cloud = depth_map_to_point_cloud(files.depths, files.K)
+    depth = files.depths[cloud.mask].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        logarithm = np.log(np.where(files.depths > 0, files.depths, np.nan))
+    return DepthView(
+        cloud.points_in_cam,
+        files.left_rgb[cloud.mask],
+        np.nan_to_num(files.sigma_depth[cloud.mask] / depth, nan=np.inf).astype(np.float64),
+        files.left_rgb,
+        color_map(logarithm),
+        float(files.K[0, 0]),
+    )
 
 
 def _picture_loader(folder: Path) -> Callable[[str], np.ndarray | None]:

@@ -314,7 +314,9 @@ class StereoConfig:
                 f"the cost's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
-            raise ConfigError("coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side")
+            raise ConfigError(
+                "coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side"
+            )
         if not self.max_left_right_px > 0 or self.min_margin < 0 or self.min_region_px < 0:
             raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")
 

@@ -50,7 +50,10 @@ def test_round_trips(tmp_path, camera):
         np.testing.assert_allclose(rig.right_from_left.as_matrix(), MOTION.as_matrix(), atol=1e-9)
     np.testing.assert_array_equal(read_stereo_rig(tmp_path / "own.json").covariance, covariance)
     single = CalibrationFile((camera,), Rigid3.identity(1))
-    for path, write in ((tmp_path / "one.json", write_calibration), (tmp_path / "one.yaml", write_opencv_yaml)):
+    for path, write in (
+        (tmp_path / "one.json", write_calibration),
+        (tmp_path / "one.yaml", write_opencv_yaml),
+    ):
         write(path, single)
         np.testing.assert_allclose(read_calibration(path).cameras[0].params, camera.params, rtol=1e-12)
         with pytest.raises(FileFormatError, match="one camera"):

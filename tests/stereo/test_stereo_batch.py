@@ -50,7 +50,9 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     (tmp_path / "right" / "b.png").write_bytes(data)
     again = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert again.done == ("b",) and again.earlier == ("a", "c") and not again.problems
-    other = api.stereo_many(tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig)
+    other = api.stereo_many(
+        tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig
+    )
     assert len(other.done) == 3
 
 
@@ -110,7 +112,9 @@ def written_model(folder, pair, camera: Camera):
         Cameras.from_list([camera]),
         Rigs.of_single_cameras(1),
         Frames(np.zeros(3, np.int32), places, np.full(3, np.nan)),
-        Images(("a.png", "b.png", "c.png"), ids, np.zeros(3, np.int32), np.zeros(4, np.int64), np.zeros((0, 2))),
+        Images(
+            ("a.png", "b.png", "c.png"), ids, np.zeros(3, np.int32), np.zeros(4, np.int64), np.zeros((0, 2))
+        ),
         Points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0)),
         Tracks(np.zeros(1, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32)),
     )

@@ -65,7 +65,8 @@ def test_sums_are_those_of_the_paper(rng, paths, low):
     left, right = texture(rng, 9, 40), texture(rng, 9, 40)
     config = StereoConfig(paths=paths, min_disparity_px=low, max_disparity_px=low + 8)
     sums = reference_sums(left, right, low, 9, config)
-    found = stereo_matching._winners(left.astype(np.uint16), right.astype(np.uint16), low, low + 8, config)
+    pictures = (stereo_matching._look(p.astype(np.uint16), config) for p in (left, right))
+    found = stereo_matching._winners(*pictures, low, low + 8, config)
     np.testing.assert_array_equal(found.lowest, sums.min(axis=2))
     assert np.abs(np.rint(found.disparity) - low - sums.argmin(axis=2)).max() <= 1
     for y, x in np.ndindex(left.shape):

@@ -88,7 +88,9 @@ def test_depth_of_a_rendered_pair_is_the_scenes(name):
     rectification, flat = found.rectification, found.rig
     row, column = np.nonzero(np.isfinite(found.depths.depth))
     depth = found.depths.depth[row, column]
-    rays = np.stack([(column - flat.cx) / flat.focal_px, (row - flat.cy) / flat.focal_px, np.ones(len(row))], 1)
+    rays = np.stack(
+        [(column - flat.cx) / flat.focal_px, (row - flat.cy) / flat.focal_px, np.ones(len(row))], 1
+    )
     in_left = (depth[:, None] * rays) @ rectification.rectified_from_left
     at = np.rint(rig.left.project(in_left)).astype(int)
     inside = (at >= 0).all(axis=1) & (at < [W, H]).all(axis=1)
@@ -113,7 +115,7 @@ def test_what_cannot_be_rectified():
         rectify(rig((-0.2, 0, 0), (0, np.pi, 0)))
     with pytest.raises(ConfigError, match="baseline is zero"):
         rig((0, 0, 0))
-    with pytest.raises(ConfigError, match="no|none"):
+    with pytest.raises(ConfigError, match="is none"):
         StereoRig(camera, camera, Rigid3(np.diag([1.0, 1.0, -1.0]), np.array([-0.2, 0.0, 0.0])))
     with pytest.raises(ShapeError, match="single motion"):
         StereoRig(camera, camera, Rigid3.identity(2))
@@ -169,7 +171,9 @@ def test_calibrations_part_of_the_error_is_what_simulation_gives(rng):
 
 def test_pictures_of_unknown_cameras(data_dir):
     folder = data_dir / "calibration" / "opencv_stereo"
-    left, right = (cv2.imread(str(folder / f"{side}01.jpg"), cv2.IMREAD_GRAYSCALE) for side in ("left", "right"))
+    left, right = (
+        cv2.imread(str(folder / f"{side}01.jpg"), cv2.IMREAD_GRAYSCALE) for side in ("left", "right")
+    )
     found = rectify_uncalibrated(left, right)
     assert np.median(np.abs(found.vertical_px)) < 0.5 and len(found.vertical_px) > 100
     a, b = found.apply(left, right)

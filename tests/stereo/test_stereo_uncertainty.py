@@ -53,7 +53,7 @@ def test_other_ways_of_matching_keep_the_bars(options):
 def test_sigma_grows_with_the_score():
     assert (np.diff(uncertainty.SCORES) > 0).all() and (np.diff(uncertainty.LOG_SIGMAS) >= 0).all()
     assert len(uncertainty.SCORES) == len(uncertainty.LOG_SIGMAS)
-    assert uncertainty.score(np.zeros((2, uncertainty.NUM_CUES))).shape == (2,)
+    assert uncertainty.score(np.zeros((uncertainty.NUM_CUES, 2, 3), np.float32)).shape == (2, 3)
 
 
 def test_rooms_are_the_same_each_time():

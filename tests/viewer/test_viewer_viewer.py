@@ -7,11 +7,19 @@ import urllib.request
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from epipole import api
 from epipole.cameras import Camera, CameraModel
+from epipole.config import StereoConfig
+from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
-from epipole.viewer import view
+from epipole.stereo import RectifiedRig
+from epipole.synthetic.stereo_rooms import stereo_room
+from epipole.viewer import DepthView, view
+from epipole.viewer.depth_room import DepthRoom
+from epipole.viewer.room import open_server
 from epipole.viewer.selection import extent_of
 
 OPEN = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
@@ -114,3 +122,63 @@ def test_extent_of_the_scene() -> None:
     # Both cameras are sqrt(0.25 + 16) away, every point nearer; they are 1 apart.
     assert extent.radius == pytest.approx(np.sqrt(16.25))
     assert extent.frustum_size == pytest.approx(0.08 * np.sqrt(16.25))
+
+
+def depth_view() -> DepthView:
+    z = np.linspace(2.0, 4.0, 40)
+    points = np.stack([z - 3.0, 0.1 * z, z], axis=1)
+    picture = np.full((30, 40, 3), 120, np.uint8)
+    return DepthView(
+        points, np.full((40, 3), 90, np.uint8), np.linspace(0.001, 0.4, 40), picture, picture, 50.0
+    )
+
+
+def test_depth_of_a_pair_is_served_and_points_can_be_chosen():
+    server = open_server("127.0.0.1", free_port())
+    room = DepthRoom(server, depth_view())
+    try:
+        everything = len(room.cloud.points)
+        room.most_error.value = 10.0
+        assert wait_until(lambda: len(room.cloud.points) < everything)
+        assert "of 40 points" in room.counts.content
+        before = room.cloud.colors.copy()
+        room.color.value = "depth"
+        assert wait_until(lambda: (room.cloud.colors != before).any())
+        size = room.cloud.point_size
+        room.size.value = 2.0
+        assert wait_until(lambda: room.cloud.point_size == pytest.approx(2 * size))
+    finally:
+        room.stop()
+        room.stop()
+
+
+def test_the_view_command_shows_depth_or_says_that_there_is_none(tmp_path):
+    pair = stereo_room(8, (160, 120))
+    for side in ("left", "right"):
+        Image.fromarray(getattr(pair, side)).save(tmp_path / f"{side}.png")
+    files = (tmp_path / "left.png", tmp_path / "right.png")
+    api.stereo(*files, tmp_path / "flat", StereoConfig(max_disparity_px=40))
+    with pytest.raises(FileFormatError, match="no depth"):
+        api.view(tmp_path / "flat", port=free_port(), block=False)
+    rig = RectifiedRig(pair.camera.K[0, 0], 79.5, 59.5, pair.baseline)
+    found = api.stereo(*files, tmp_path / "deep", StereoConfig(max_disparity_px=40), rig)
+    assert (tmp_path / "deep" / "rig.json").is_file() and found.num_points > 1000
+    handle = api.view(tmp_path / "deep", port=free_port(), block=False)
+    try:
+        assert OPEN(handle.url).status == 200
+    finally:
+        handle.stop()
+    (tmp_path / "deep" / "rig.json").write_text("{}")
+    with pytest.raises(FileFormatError, match=r"rig\.json"):
+        api.view(tmp_path / "deep", port=free_port(), block=False)
+
+
+def test_nothing_to_show():
+    with pytest.raises(ShapeError, match="no point"):
+        DepthView(
+            np.zeros((0, 3)),
+            np.zeros((0, 3), np.uint8),
+            np.zeros(0),
+            *[np.zeros((2, 2, 3), np.uint8)] * 2,
+            1.0,
+        )

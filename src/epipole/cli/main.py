@@ -141,10 +141,10 @@ def demo(out: Out = Path("demo"), num_views: int = 24) -> None:
 
 
 def view(out: Out, port: int = 8080, host: str = "127.0.0.1") -> None:
-    """Show a model in the browser.
+    """Show a model, or the depth of a pair, in the browser.
 
     Args:
-        out: Output folder of a reconstruction, or a COLMAP model.
+        out: Output folder of a reconstruction or of `stereo`, or a COLMAP model.
         port: Where the viewer listens.
         host: On which address.
     """

@@ -26,7 +26,7 @@ def take_row(columns, row):
 
 @kernel
 def sum_across(columns, half, width, depth, sums):
-    """sums (width, depth): the columns x - half ... x + half of each pixel, those inside the picture."""
+    """Sums (width, depth) of the columns x - half ... x + half of each pixel, those inside the picture."""
     running = sums[:depth]
     running[:] = 0
     for c in range(min(half, width - 1) + 1):

@@ -51,7 +51,9 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
         raise ConfigError(f"strength must be positive, got {strength}")
     picture = np.ascontiguousarray(left)
     if picture.dtype != np.uint8 or picture.shape[:2] != found.reason.shape:
-        raise ShapeError(f"left must be of 8 bits and {found.reason.shape}, is {picture.shape} of {picture.dtype}")
+        raise ShapeError(
+            f"left must be of 8 bits and {found.reason.shape}, is {picture.shape} of {picture.dtype}"
+        )
     known = np.isfinite(found.disparity_px)
     if not known.any():
         return FilledDisparities(found.disparity_px.copy(), np.zeros(known.shape, bool))
@@ -78,14 +80,15 @@ def _smoothed(
     for round_ in range(_ROUNDS):
         share = 1.5 * 4.0 ** (_ROUNDS - round_ - 1) / (4.0**_ROUNDS - 1.0)
         for links in along:
-            _parallel.map_chunks(
-                lambda a, b, _, w=weight, v=weighted, e=links: kernels.smooth_rows(
-                    w, v, e, share * strength, a, b
-                ),
-                len(weight),
-            )
+            _smooth_rows(weight, weighted, links, share * strength)
             weight, weighted = np.ascontiguousarray(weight.T), np.ascontiguousarray(weighted.T)
     return (weighted / np.maximum(weight, _LEAST)).astype(np.float32)
+
+
+def _smooth_rows(weight: np.ndarray, weighted: np.ndarray, links: np.ndarray, strength: float) -> None:
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.smooth_rows(weight, weighted, links, strength, a, b), len(weight)
+    )
 
 
 def _farther_neighbour(disparity: np.ndarray) -> Float32[np.ndarray, "h w"]:

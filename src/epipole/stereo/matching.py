@@ -9,7 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8, UInt16
+from jaxtyping import Float32, Int16, UInt8, UInt16
 
 from epipole import _parallel
 from epipole.config import StereoConfig
@@ -71,6 +71,22 @@ class DisparityMap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """What matching compares."""
+
+    bits: UInt8[np.ndarray, "h w planes"]
+    """Census. Windows differ in as many bits whatever the bits' order: that of a mirrored picture is the mirrored one."""
+    brightness: Int16[np.ndarray, "h w"]
+    """0 to 255."""
+
+    def mirrored(self) -> _Picture:
+        """With left and right exchanged."""
+        return _Picture(
+            np.ascontiguousarray(self.bits[:, ::-1]), np.ascontiguousarray(self.brightness[:, ::-1])
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Winners:
     """What the sums of one picture say."""
 
@@ -115,7 +131,7 @@ def match_with_evidence(
         mine, mirrored = _both_winners(one, two, low, high, config)
         theirs = mirrored.disparity[:, ::-1]
     else:
-        mine = _winners(one, two, low, high, config)
+        mine = _winners(_look(one, config), _look(two, config), low, high, config)
         theirs = mine.other
     apart = _left_right_difference(mine.disparity, theirs)
     reason = _judge(mine, apart, low, config)
@@ -173,7 +189,7 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
-    found = _winners(small[0], small[1], low, high, config)
+    found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
     apart = _left_right_difference(found.disparity, found.other)
     seen = _judge(found, apart, low, config) == StereoReason.OK
     if not seen.any():
@@ -182,15 +198,20 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
     return int(np.ceil(scale * (float(np.quantile(found.disparity[seen], 0.998)) + 2.0)))
 
 
-def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: StereoConfig) -> _Winners:
-    """Disparities of the left picture, from sums along the paths."""
-    height, width = left.shape
+def _look(grey: UInt16[np.ndarray, "h w"], config: StereoConfig) -> _Picture:
+    grey = np.ascontiguousarray(grey)
+    return _Picture(census(grey, config.window), _brightness(grey))
+
+
+def _winners(left: _Picture, right: _Picture, low: int, high: int, config: StereoConfig) -> _Winners:
+    """Disparities of the left picture, from sums along the paths or over blocks."""
+    height, width = left.brightness.shape
     count = high - low + 1
     depth = -(-count // LANES) * LANES
     padding = depth + abs(low)
-    bits = census(left, config.window)
-    reversed_bits = np.zeros((height, bits.shape[2], width + 2 * padding), np.uint8)
-    reversed_bits[:, :, padding : padding + width] = census(right, config.window)[:, ::-1].transpose(0, 2, 1)
+    planes = left.bits.shape[2]
+    reversed_bits = np.zeros((height, planes, width + 2 * padding), np.uint8)
+    reversed_bits[:, :, padding : padding + width] = right.bits[:, ::-1].transpose(0, 2, 1)
     out = (
         np.empty((height, width), np.uint16),
         np.empty((height, width), np.uint16),
@@ -199,11 +220,10 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
         np.empty((height, width), np.uint16),
         np.empty((height, width), np.uint16),
     )
-    size, search = (height, width, bits.shape[2], padding), (low, count, depth)
-    brightness = _brightness(left)
+    size, search = (height, width, planes, padding), (low, count, depth)
     pictures = (
-        *(bits.reshape(-1), reversed_bits.reshape(-1)),
-        *_blended(brightness, _brightness(right), padding, config.brightness_cost),
+        *(left.bits.reshape(-1), reversed_bits.reshape(-1)),
+        *_blended(left.brightness, right.brightness, padding, config.brightness_cost),
     )
     rows = int(np.clip(_MOST_STRIP_BYTES // (2 * width * depth), _LEAST_ROWS, _MOST_ROWS))
     num_strips = -(-height // rows)
@@ -216,7 +236,7 @@ def _winners(left: np.ndarray, right: np.ndarray, low: int, high: int, config: S
             num_strips,
         )
     else:
-        _match_paths(pictures, brightness, size, search, config, num_strips, out)
+        _match_paths(pictures, left.brightness, size, search, config, num_strips, out)
     winner, lowest, second, beside, spread, other = out
     others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
     offset, steepness = _bottom_of_v(lowest, beside)
@@ -230,14 +250,16 @@ def _both_winners(
 
     Coarse to fine, what agrees in pictures of half the size tells each tile where to search.
     """
-    mirrored = right[:, ::-1], left[:, ::-1]
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
     if config.search == "full" or is_small:
-        return _winners(left, right, low, high, config), _winners(*mirrored, low, high, config)
+        one, two = _look(left, config), _look(right, config)
+        mine = _winners(one, two, low, high, config)
+        return mine, _winners(two.mirrored(), one.mirrored(), low, high, config)
     size = (width // 2, height // 2)
     half = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     coarse = _both_winners(half[0], half[1], low // 2, -(-high // 2), config)
+    mirrored = right[:, ::-1], left[:, ::-1]
     out = []
     for pair, mine, theirs in (((left, right), *coarse), (mirrored, *coarse[::-1])):
         apart = _left_right_difference(mine.disparity, theirs.disparity[:, ::-1])
@@ -258,7 +280,8 @@ def _winners_by_tiles(
     height, width = left.shape
     out = _Winners(
         np.empty(left.shape, np.float32),
-        *(np.empty(left.shape, np.uint16) for _ in range(2)),
+        np.empty(left.shape, np.uint16),
+        np.empty(left.shape, np.uint16),
         np.empty(left.shape, np.float32),
         np.empty(left.shape, np.uint16),
         np.full(left.shape, np.nan, np.float32),
@@ -269,7 +292,8 @@ def _winners_by_tiles(
         x0, x1 = max(begin - MARGIN_PX - (last - first), 0), min(end + MARGIN_PX, width)
         # x - first of the right picture beside x of the left one: the range begins at zero.
         shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
-        found = _winners(left[y0:y1, x0:x1], right[y0:y1][:, shifted], 0, last - first, config)
+        here, there = _look(left[y0:y1, x0:x1], config), _look(right[y0:y1][:, shifted], config)
+        found = _winners(here, there, 0, last - first, config)
         inside = np.s_[top - y0 : bottom - y0, begin - x0 : end - x0]
         whole = np.s_[top:bottom, begin:end]
         out.disparity[whole] = found.disparity[inside] + np.float32(first)
@@ -303,7 +327,9 @@ def _match_paths(
     _parallel.map_chunks(match, height, num_strips)
 
 
-def _blended(left: np.ndarray, right: np.ndarray, padding: int, most: int) -> tuple[np.ndarray, np.ndarray, int]:
+def _blended(
+    left: np.ndarray, right: np.ndarray, padding: int, most: int
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Brightness as bytes, that of the right picture from right to left; nothing where it is not asked for."""
     if not most:
         return np.zeros(1, np.uint8), np.zeros(1, np.uint8), 0

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from epipole.config import StereoConfig
-from epipole.errors import ShapeError
+from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import depth_map_to_point_cloud
 from epipole.io.atomic import atomic_folder, atomic_write
-from epipole.io.depth_maps import write_pfm, write_png16
+from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
 from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
 from epipole.scene import StereoRig
@@ -32,7 +32,7 @@ REASON_COLORS = np.array(
 
 OPTIONAL_FILES = (
     *("depth.pfm", "sigma_depth.pfm", "cloud.ply"),
-    *("left.png", "right.png", "rectification.json", "filled.pfm", "filled_mask.png"),
+    *("left.png", "right.png", "rig.json", "filled.pfm", "filled_mask.png"),
 )
 """Those of an earlier run with more do not stay beside the disparities of one with less."""
 
@@ -125,8 +125,7 @@ def run_stereo(
 def write_stereo(result: StereoResult, out: Path) -> StereoResult:
     """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`; and more where there is more.
 
-    With a rig `depth.pfm`, `sigma_depth.pfm` and `cloud.ply`; of a pair that was rectified here `left.png`, `right.png` and
-    `rectification.json`.
+    With a rig `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and `right.png`.
 
     Raises:
         WorkspaceError: the output folder cannot be used.
@@ -146,11 +145,10 @@ def write_stereo(result: StereoResult, out: Path) -> StereoResult:
             write_pfm(aside / "sigma_depth.pfm", depths.sigma)
             cloud = depth_map_to_point_cloud(depths.depth, rig.K)
             write_points_ply(aside / "cloud.ply", cloud.points_in_cam, result.left_rgb[cloud.mask])
-        if result.rectification is not None:
             write_picture(aside / "left.png", result.left_rgb)
             write_picture(aside / "right.png", result.right_rgb)
-            text = json.dumps(_described(result.rectification), indent=1)
-            (aside / "rectification.json").write_text(text + "\n", encoding="utf-8")
+            text = json.dumps(_described(rig, result.rectification), indent=1)
+            (aside / "rig.json").write_text(text + "\n", encoding="utf-8")
     return replace(result, out=out)
 
 
@@ -165,13 +163,51 @@ def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
         aside.write_bytes(data.tobytes())
 
 
-def _described(rectification: Rectification) -> dict[str, object]:
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoFiles:
+    """What `write_stereo` wrote of a pair with a rig."""
+
+    left_rgb: UInt8[np.ndarray, "h w 3"]
+    depths: Float32[np.ndarray, "h w"]
+    sigma_depth: Float32[np.ndarray, "h w"]
+    K: Float64[np.ndarray, "3 3"]
+
+
+def read_stereo(out: Path) -> StereoFiles:
+    """Read depth back.
+
+    Raises:
+        FileFormatError: there is none, because the pair had no rig, or a file is damaged.
+    """
+    if not (out / "depth.pfm").is_file():
+        raise FileFormatError(
+            out, "it holds disparities but no depth: give focal length and baseline, or a calibration"
+        )
+    try:
+        K = np.array(json.loads((out / "rig.json").read_text())["K"], np.float64).reshape(3, 3)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileFormatError(out / "rig.json", "it is missing or damaged") from error
+    files = StereoFiles(
+        read_rgb(out / "left.png"), read_pfm(out / "depth.pfm"), read_pfm(out / "sigma_depth.pfm"), K
+    )
+    if not files.left_rgb.shape[:2] == files.depths.shape == files.sigma_depth.shape:
+        raise FileFormatError(out, "its pictures and maps are not of one size")
+    return files
+
+
+def _described(rig: RectifiedRig, rectification: Rectification | None) -> dict[str, object]:
+    about: dict[str, object] = {
+        "K": rig.K.tolist(),
+        "baseline": rig.baseline,
+        "principal_offset_px": rig.principal_offset_px,
+    }
+    if rectification is None:
+        return about
     width, height = rectification.size
     return {
+        **about,
         "width": width,
         "height": height,
-        "K": rectification.rig.K.tolist(),
-        "baseline": rectification.rig.baseline,
         "rectified_from_left": rectification.rectified_from_left.tolist(),
         "rectified_from_right": rectification.rectified_from_right.tolist(),
         "Q": rectification.Q.tolist(),

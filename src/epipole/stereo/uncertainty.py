@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, UInt16
+from jaxtyping import Float32, UInt16
 
 from epipole import _parallel
 
 NUM_CUES = 6
-_ROWS = 64  # at a time: the cues take 48 bytes a pixel
+_ROWS = 64  # at a time: the cues take 24 bytes a pixel
+_TABLE = 4096  # entries, evenly spaced in the score
 WEIGHTS = np.array(
     [-0.2448, 0.0088, 0.201, 0.0679, 0.096, -0.0324, 0.0281, -0.0087, -0.0445, 0.0119, 0.0412, 0.0435, -0.162]
 )
@@ -83,20 +84,21 @@ class MatchEvidence:
     """How far its neighbours' disparities differ from each other."""
 
 
-def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Float64[np.ndarray, "h w cues"]:
+def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Float32[np.ndarray, "cues h w"]:
     """Of rows start..stop: logarithms of what is seen, the small constants being where it no longer says anything."""
     rows = slice(start, stop)
-    return np.stack(
-        [
-            np.log(evidence.steepness[rows] + 4.0),
-            np.log(evidence.margin[rows] + 8.0),
-            np.log(evidence.left_right_px[rows] + 0.1),
-            np.log(evidence.smoothing_px[rows] + 0.1),
-            np.log1p(evidence.spread[rows].astype(np.float32)),
-            np.log(evidence.roughness_px[rows] + 0.05),
-        ],
-        axis=-1,
-    ).astype(np.float64)
+    parts = (
+        evidence.steepness[rows] + np.float32(4.0),
+        evidence.margin[rows] + np.float32(8.0),
+        evidence.left_right_px[rows] + np.float32(0.1),
+        evidence.smoothing_px[rows] + np.float32(0.1),
+        evidence.spread[rows].astype(np.float32) + np.float32(1.0),
+        evidence.roughness_px[rows] + np.float32(0.05),
+    )
+    out = np.empty((NUM_CUES, *parts[0].shape), np.float32)
+    for cue, part in zip(out, parts):
+        np.log(part, out=cue)
+    return out
 
 
 def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
@@ -104,18 +106,27 @@ def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "
     return np.asarray(cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)))
 
 
-def score(of: Float64[np.ndarray, "... cues"]) -> Float64[np.ndarray, ...]:
+def score(of: Float32[np.ndarray, "cues h w"]) -> Float32[np.ndarray, "h w"]:
     """The cues' weighted sum with their squares; larger is worse."""
-    return WEIGHTS[0] + of @ WEIGHTS[1 : 1 + NUM_CUES] + (of * of) @ WEIGHTS[1 + NUM_CUES :]
+    weights = WEIGHTS.astype(np.float32)
+    out = np.full(of.shape[1:], weights[0])
+    for cue, first, second in zip(of, weights[1 : 1 + NUM_CUES], weights[1 + NUM_CUES :]):
+        out += cue * (first + second * cue)
+    return out
 
 
 def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
     """Standard deviation of each disparity, in pixels."""
     out = np.empty(evidence.steepness.shape, np.float32)
+    low, high = np.float32(SCORES[0]), np.float32(SCORES[-1])
+    table = np.exp(np.interp(np.linspace(low, high, _TABLE), SCORES, LOG_SIGMAS)).astype(np.float32)
+    scale = np.float32((_TABLE - 1) / (high - low))
 
     def fill(start: int, stop: int, _: int) -> None:
-        scores = score(cues(evidence, start, stop))
-        out[start:stop] = np.exp(np.interp(scores, SCORES, LOG_SIGMAS))
+        place = (score(cues(evidence, start, stop)) - low) * scale
+        # What no other picture confirms has an infinite difference, and some score that is not finite: the worst.
+        place = np.where(np.isfinite(place), place, np.float32(_TABLE - 1))
+        out[start:stop] = table[np.clip(place, 0, _TABLE - 1).astype(np.intp)]
 
     _parallel.map_chunks(fill, len(out), -(-len(out) // _ROWS))
     return out

@@ -42,8 +42,7 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     """
     rng = np.random.default_rng(seed)
     scene = _room(rng)
-    width, height = size
-    focal = width * rng.uniform(0.8, 1.2)
+    focal = size[0] * rng.uniform(0.8, 1.2)
     baseline = rng.uniform(0.08, 0.3)
     left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.3, 0.3), 5, 0.1))
     return _photographed(scene, size, focal, baseline, left_from_world, rng)
@@ -62,7 +61,12 @@ def stereo_street(
     """
     rng = np.random.default_rng(seed)
     ground = HeightField(
-        center=(0, 20, -1.2), half_size=(8, 22), amplitude=0.02, wavelength=1.5, color=_color(rng), seed=_seed(rng)
+        center=(0, 20, -1.2),
+        half_size=(8, 22),
+        amplitude=0.02,
+        wavelength=1.5,
+        color=_color(rng),
+        seed=_seed(rng),
     )
     end = Plane(
         center=(0, rng.uniform(34, 40), 0), direction_u=(1, 0, 0), direction_v=(0, 0, 1), half_size=(30, 20),
@@ -70,21 +74,18 @@ def stereo_street(
     )  # fmt: skip
     things: list[Primitive] = [ground, end]
     for side in (-1.0, 1.0):
-        things.append(
-            Plane(
-                center=(side * rng.uniform(4, 6), 20, 1), direction_u=(0, 1, 0), direction_v=(0, 0, 1),
-                half_size=(18, 3), color=_color(rng), seed=_seed(rng),
-            )  # fmt: skip
-        )
+        wall = Plane(
+            center=(side * rng.uniform(4, 6), 20, 1), direction_u=(0, 1, 0), direction_v=(0, 0, 1),
+            half_size=(18, 3), color=_color(rng), seed=_seed(rng),
+        )  # fmt: skip
+        things.append(wall)
     for depth in np.geomspace(2.0, 30.0, 16):
-        aside = rng.uniform(-0.35, 0.35) * depth
-        things.append(
-            Box(
-                center=(aside, depth, rng.uniform(-1.0, 0.5) * min(1.0, depth / 4)),
-                half_size=(0.07 * depth, 0.05, 0.07 * depth),
-                angle_rad=rng.uniform(-0.5, 0.5), color=_color(rng), seed=_seed(rng),
-            )  # fmt: skip
-        )
+        aside, height = rng.uniform(-0.35, 0.35) * depth, rng.uniform(-1.0, 0.5) * min(1.0, depth / 4)
+        box = Box(
+            center=(aside, depth, height), half_size=(0.07 * depth, 0.05, 0.07 * depth),
+            angle_rad=rng.uniform(-0.5, 0.5), color=_color(rng), seed=_seed(rng),
+        )  # fmt: skip
+        things.append(box)
     left_from_world = look_at((0, 0, 0.1), (rng.uniform(-0.1, 0.1), 5, 0.0))
     return _photographed(SyntheticScene.of(things), size, focal_px, baseline, left_from_world, rng)
 

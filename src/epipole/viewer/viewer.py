@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -48,8 +50,23 @@ def view(
     server = open_server(host, port)
     room = Room(server, reconstruction)
     room.start_loading(load_image)
+    return serve(room, server.get_port(), host, block=block)
+
+
+@runtime_checkable
+class Stoppable(Protocol):
+    """What is being served."""
+
+    stopped: threading.Event
+
+    def stop(self) -> None:
+        """Close the server."""
+
+
+def serve(room: Stoppable, port: int, host: str, *, block: bool) -> ViewerHandle:
+    """The handle of a room that is open; with `block` only after Ctrl-C."""
     shown_host = "127.0.0.1" if host in ("", "0.0.0.0") else host
-    handle = ViewerHandle(f"http://{shown_host}:{server.get_port()}", room.stop)
+    handle = ViewerHandle(f"http://{shown_host}:{port}", room.stop)
     if block:
         try:
             room.stopped.wait()
