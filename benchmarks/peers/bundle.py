@@ -136,13 +136,13 @@ class Epipole(BundlePeer):
         )
 
     def _problem(self, task: BundleTask) -> Any:
-        from epipole.cameras import CameraModel
+        from epipole.cameras import MAX_PARAMS, CameraModel
         from epipole.geometry import Rigid3
         from epipole.optim import BundleProblem, free_params_mask
 
         model = CameraModel.RADIAL if task.num_distortion == 2 else CameraModel.SIMPLE_RADIAL
         models = np.full(len(task.params), int(model), np.int32)
-        params = np.zeros((len(task.params), 8))
+        params = np.zeros((len(task.params), MAX_PARAMS))
         params[:, : 3 + task.num_distortion] = task.params[:, : 3 + task.num_distortion]
         num_frames, num_points = len(task.rotation), len(task.points)
         return BundleProblem(

@@ -397,8 +397,8 @@ class CalibrationConfig:
     """Options of `epipole calibrate`."""
 
     board: BoardConfig = field(default_factory=BoardConfig)
-    model: Literal["PINHOLE", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
-    """OPENCV: two focal lengths, k1, k2, p1, p2; OPENCV_FISHEYE: k1 to k4 of the angle."""
+    model: Literal["PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
+    """OPENCV: two focal lengths, k1, k2, p1, p2; FULL_OPENCV: k3 too (k4 to k6 stay zero); OPENCV_FISHEYE: k1 to k4 of the angle."""
     refine_warp: bool = False
     """Estimate how the board bends, two numbers; needs views from many sides."""
     outlier_factor: float = 5.0

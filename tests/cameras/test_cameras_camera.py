@@ -21,7 +21,7 @@ def test_known_pixels() -> None:
     np.testing.assert_allclose(pixels, [[320.0, 240.0], [570.0, 340.0]])
     np.testing.assert_allclose(PINHOLE.K, [[500, 0, 320], [0, 400, 240], [0, 0, 1]])
     assert PINHOLE.focal_px == 450.0
-    np.testing.assert_allclose(PINHOLE.padded_params(), [500, 400, 320, 240, 0, 0, 0, 0])
+    np.testing.assert_allclose(PINHOLE.padded_params(), [500, 400, 320, 240, *[0] * 8])
 
 
 def test_brown_radial_by_hand() -> None:
@@ -171,7 +171,7 @@ def test_parameters_are_accounted_for(model: CameraModel) -> None:
 
 def test_model_numbers_are_those_of_colmap() -> None:
     numbers = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4}
-    numbers["OPENCV_FISHEYE"] = 5
+    numbers |= {"OPENCV_FISHEYE": 5, "FULL_OPENCV": 6}
     assert {m.name: int(m) for m in CameraModel} == numbers
 
 

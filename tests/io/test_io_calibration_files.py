@@ -10,7 +10,7 @@ import yaml
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io._lens_coefficients import _distorted, camera_of_coefficients
+from epipole.io._lens_coefficients import camera_of_coefficients
 from epipole.io.calibration_files import (
     CalibrationFile,
     read_calibration,
@@ -34,7 +34,7 @@ def pair_of(camera, covariance=None):
 
 @pytest.mark.parametrize("camera", [LENS, FISHEYE], ids=["pinhole", "fisheye"])
 def test_round_trips(tmp_path, camera):
-    covariance = np.diag(np.arange(1.0, 23.0))
+    covariance = np.diag(np.arange(1.0, 31.0))
     write_calibration(tmp_path / "own.json", pair_of(camera, covariance), {"note": "kept"})
     write_opencv_yaml(tmp_path / "cv.yaml", pair_of(camera))
     rectify = Rigid3.exp(np.array([0, 0, 0, 0.01, 0.02, 0.03])).rotation
@@ -139,10 +139,22 @@ def test_numbers_that_make_no_camera(tmp_path):
         read_calibration(tmp_path / "nothing.yaml")
 
 
-def test_distortion_is_opencvs(rng):
-    plane = rng.uniform(-0.6, 0.6, (100, 2))
-    for count in (4, 5, 8, 12):
-        d = rng.normal(0, 0.05, count)
-        points = np.column_stack([plane, np.ones(100)])
-        theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), d)[0].reshape(-1, 2)
-        np.testing.assert_allclose(_distorted(plane, d), theirs, atol=1e-12)
+def test_opencvs_longer_lenses(tmp_path, rng, data_dir):
+    """Five and eight coefficients project as OpenCV's do, survive the files, and real files with k3 are read."""
+    points = rng.uniform([-0.6, -0.6, 1], [0.6, 0.6, 1.0], (100, 3))
+    for d in (
+        np.array([-0.27, -0.04, 1e-3, -3e-4, 0.24]),
+        np.array([0.3, 0.1, 1e-3, -2e-3, 0.02, 0.5, 0.1, 0.01]),
+    ):
+        camera = camera_of_coefficients(tmp_path, (640, 480), LENS.K, d, is_fisheye=False)
+        theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), LENS.K, d)[0].reshape(-1, 2)
+        np.testing.assert_allclose(camera.project(points), theirs, atol=1e-9)
+        write_opencv_yaml(tmp_path / "cv.yaml", pair_of(camera))
+        np.testing.assert_allclose(
+            read_stereo_rig(tmp_path / "cv.yaml").left.params, camera.params, rtol=1e-12
+        )
+    real = read_calibration(data_dir / "calibration" / "opencv_stereo" / "left_intrinsics.yml").cameras[0]
+    assert real.model is CameraModel.FULL_OPENCV
+    assert real.params[8] == pytest.approx(0.23839153080878486)
+    with pytest.raises(FileFormatError, match="thin prism"):
+        camera_of_coefficients(tmp_path, (640, 480), LENS.K, np.full(12, 0.01), is_fisheye=False)

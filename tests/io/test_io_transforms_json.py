@@ -122,7 +122,7 @@ def valid() -> dict:
         ({"fl_x": float("nan")}, "not a finite number"),
         ({"w": 0}, "impossible picture size"),
         ({"w": None}, "frame 0"),
-        ({"k3": 0.1}, "k3 and k4"),
+        ({"k4": 0.1}, "k4 of"),
     ],
 )
 def test_broken_files_are_refused(tmp_path: Path, change: dict, message: str) -> None:

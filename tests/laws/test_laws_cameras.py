@@ -17,6 +17,10 @@ PARAMS = {
     CameraModel.SIMPLE_RADIAL: [520.0, 321.5, 236.25, -0.12],
     CameraModel.RADIAL: [520.0, 321.5, 236.25, 0.08, -0.03],
     CameraModel.OPENCV: [520.0, 498.0, 321.5, 236.25, -0.2, 0.05, 1.5e-3, -2e-3],
+    CameraModel.FULL_OPENCV: [
+        *(520.0, 498.0, 321.5, 236.25, 0.35, 0.12, 1.5e-3, -2e-3),
+        *(0.02, 0.5, 0.15, 0.01),
+    ],
     CameraModel.OPENCV_FISHEYE: [260.0, 255.0, 321.5, 236.25, 0.03, -0.01, 4e-3, -1e-3],
 }
 MODELS = [pytest.param(m, id=m.name) for m in CameraModel]
@@ -72,7 +76,7 @@ def test_projection_equals_opencv(camera: Camera, rng: np.random.Generator) -> N
     if camera.model is CameraModel.OPENCV_FISHEYE:
         expected, _ = cv2.fisheye.projectPoints(points[:, None], zero, zero, camera.K, camera.params[4:])
     else:
-        distortion = np.zeros(4)
+        distortion = np.zeros(8)
         values = camera.params[list(camera.model.distortion_indices)]
         distortion[: len(values)] = values
         expected, _ = cv2.projectPoints(points, zero, zero, camera.K, distortion)
@@ -195,13 +199,13 @@ def test_helper_kernels_do_what_their_source_says() -> None:
             distort = kernels.distort_with_jacobian
             np.testing.assert_allclose(distort(*arguments), distort.py_func(*arguments), rtol=1e-13)
     for model in CameraModel:
-        params = np.arange(1.0, 9.0)
+        params = np.arange(1.0, 13.0)
         assert kernels.expand_params(int(model), params) == kernels.expand_params.py_func(int(model), params)
 
 
 def test_rows_do_what_one_does(camera: Camera, rng: np.random.Generator) -> None:
     points, params = points_in_view(camera, rng)[:5], camera.padded_params()
-    as_read, jac_points, jac_params = np.empty((5, 2)), np.empty((5, 2, 3)), np.empty((5, 2, 8))
+    as_read, jac_points, jac_params = np.empty((5, 2)), np.empty((5, 2, 3)), np.empty((5, 2, MAX_PARAMS))
     kernels.project_all.py_func(int(camera.model), params, points, as_read)
     np.testing.assert_allclose(as_read, camera.project(points), rtol=1e-14)
     kernels.project_with_jacobian_all.py_func(

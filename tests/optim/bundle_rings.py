@@ -51,7 +51,7 @@ def ring(rng, num_frames=8, num_points=150, num_sensors=1):
     start = replace(
         truth,
         rig_from_world=Rigid3.exp(0.01 * rng.normal(size=(num_frames, 6))) @ rig_from_world,
-        camera_params=truth.camera_params * [[1.03, 1, 1, 0, 0, 1, 1, 1]],
+        camera_params=truth.camera_params * [[1.03, 1, 1, 0, 0, *[1] * 7]],
         points_in_world=points + 0.02 * rng.normal(size=points.shape),
     )
     return truth, start

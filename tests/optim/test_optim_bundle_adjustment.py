@@ -65,7 +65,7 @@ def test_the_step_solves_the_full_normal_equations(rng):
         columns.append((residuals(d, params, points) - residuals(-d, params, points)) / 2e-6)
         names.append(("frame", f, c))
     for c in np.flatnonzero(fixed.params_free[0]):
-        d = np.zeros(8)
+        d = np.zeros(12)
         d[c] = 1e-6 * max(1.0, abs(params[c]))
         columns.append(
             (residuals(zero, params + d, points) - residuals(zero, params - d, points)) / (2 * d[c])
@@ -92,7 +92,7 @@ def test_what_is_held_stays(rng):
     held = replace(
         start,
         frame_free=np.concatenate([np.zeros((2, 6)), np.ones((6, 6))]),
-        params_free=np.zeros((1, 8)),
+        params_free=np.zeros((1, 12)),
         point_free=np.concatenate([np.zeros(20), np.ones(130)]),
     )
     result = adjust_bundle(held)

@@ -79,7 +79,7 @@ def test_they_hold_in_simulation():
         free = truth.frame_free.copy()
         free[:2] = 0.0  # two held frames give the place and the scale
         held = replace(
-            start, frame_free=free, params_free=np.zeros((1, 8)), camera_params=truth.camera_params
+            start, frame_free=free, params_free=np.zeros((1, 12)), camera_params=truth.camera_params
         )
         places = (truth.rig_from_world, start.rig_from_world)
         rotation = np.concatenate([places[0].rotation[:2], places[1].rotation[2:]])

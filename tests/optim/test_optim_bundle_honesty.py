@@ -164,7 +164,7 @@ def test_huge_coordinates_and_a_huge_focal_length(rng):
         here.final_cost, rel=1e-6
     )
     zoomed = replace(
-        start, pixels=1e6 * start.pixels, camera_params=start.camera_params * [[1e6, 1e6, 1e6, 1, 1, 1, 1, 1]]
+        start, pixels=1e6 * start.pixels, camera_params=start.camera_params * [[1e6, 1e6, 1e6, *[1] * 9]]
     )
     found = adjust_bundle(zoomed, BundleConfig(function_tolerance=1e-9))
     assert found.final_cost == pytest.approx(1e12 * here.final_cost, rel=1e-5)
@@ -272,7 +272,7 @@ def bar(first, second, sigma):
         ({"down_sigma_rad": -1.0}, ConfigError, "down_sigma_rad"),
         ({"rig_information": -np.tile(np.eye(6), (8, 1, 1))}, ConfigError, "positive definite"),
         ({"rig_from_world": Rigid3.identity(2)}, ShapeError, "rig_from_world"),
-        ({"params_sigma": np.zeros((1, 8))}, ConfigError, "params_sigma"),
+        ({"params_sigma": np.zeros((1, 12))}, ConfigError, "params_sigma"),
         ({"distances": bar(0, 150, 1.0)}, ShapeError, "a point that is not there"),
         ({"distances": bar(-1, 3, 1.0)}, ShapeError, "a point that is not there"),
         ({"distances": bar(3, 3, 1.0)}, ShapeError, "to itself"),

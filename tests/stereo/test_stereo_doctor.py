@@ -104,8 +104,8 @@ def test_the_table_is_the_lessons_formula():
     assert by_depth[10.0].from_matching == pytest.approx(100 / 96 * TYPICAL_SIGMA_PX)
     assert np.isnan(by_depth[10.0].from_calibration)
     camera = Camera(CameraModel.PINHOLE, 640, 480, np.array([800.0, 800.0, 319.5, 239.5]))
-    covariance = np.zeros((22, 22))
-    covariance[16, 16] = 0.0012**2  # of the translation along x: one part in a hundred of the baseline
+    covariance = np.zeros((30, 30))
+    covariance[24, 24] = 0.0012**2  # of the translation along x: one part in a hundred of the baseline
     calibrated = StereoRig(camera, camera, Rigid3(np.eye(3), np.array([-0.12, 0, 0])), covariance)
     table = {e.depth: e for e in examine([(blank, blank)], calibrated).expectations}
     assert table[10.0].from_calibration == pytest.approx(0.1, rel=0.01)

@@ -13,7 +13,7 @@ from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, Loss, adjust_bundle
-from epipole.optim.bundle_problem import free_params_mask
+from epipole.optim.bundle_problem import NUM_PARAMS, free_params_mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +109,13 @@ def bent(board: Float64[np.ndarray, "n 3"], warp: Float64[np.ndarray, " 2"]) -> 
     return out
 
 
+def free_params(cameras: Sequence[Camera]) -> Float64[np.ndarray, "c 12"]:
+    """Mask of the parameters that calibration estimates: all but the rational part of a lens, which views of boards rarely tell."""
+    free = free_params_mask(np.array([int(c.model) for c in cameras], np.int32), principal_point=True)
+    free[:, NUM_PARAMS - 3 :] = 0.0
+    return free
+
+
 def adjust(
     state: RigState,
     corners: Corners,
@@ -136,7 +143,7 @@ def adjust(
     )
     turning = np.ones((count, 6)) if refine_cameras else np.zeros((count, 6))
     turning[0] = 0.0
-    free = free_params_mask(models, principal_point=True)
+    free = free_params(state.cameras)
     problem = BundleProblem(
         rig_from_world=start,
         cam_from_rig=state.cam_from_rig,

@@ -1,6 +1,6 @@
 """How well a calibration is known: covariances at the minimum, and what they mean in pixels at a range.
 
-Unknowns are theta = (parameters of every camera, 8 each; xi of every camera but the first in exp(xi) @ cam_from_rig;
+Unknowns are theta = (parameters of every camera, padded to 12; xi of every camera but the first in exp(xi) @ cam_from_rig;
 two of the board's bend) and the views' places, xi in exp(xi) @ rig_from_board. The places are eliminated view by view, as in bundle
 adjustment (Triggs et al. 2000); their mean is kept, for a camera that turns while all boards turn with it has changed nothing: the
 uncertainty of a projection is that of a point fixed to the boards (mrcal's cross-reprojection, Kogan 2021).
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole.calibration.observations import Corners, RigState, bent, warp_shapes
+from epipole.calibration.observations import Corners, RigState, bent, free_params, warp_shapes
 from epipole.cameras import MAX_PARAMS
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry.rotation3 import skew
@@ -127,8 +127,7 @@ def projection_sigma(
 def _free_columns(state: RigState, with_warp: bool) -> np.ndarray:
     count = len(state.cameras)
     free = np.zeros(MAX_PARAMS * count + 6 * (count - 1) + 2, bool)
-    for c, camera in enumerate(state.cameras):
-        free[MAX_PARAMS * c : MAX_PARAMS * c + len(camera.params)] = True
+    free[: MAX_PARAMS * count] = free_params(state.cameras).ravel() > 0
     free[MAX_PARAMS * count : -2] = True
     free[-2:] = with_warp
     return free

@@ -2,6 +2,7 @@
 
 Perspective family (Brown 1971; OpenCV's order of coefficients): a = x/z, b = y/z, r2 = a^2 + b^2,
     u = fx (a (1 + k1 r2 + k2 r2^2) + 2 p1 a b + p2 (r2 + 2 a^2)) + cx        v likewise.
+FULL_OPENCV has (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3) for the bracket.
 Fisheye (Kannala and Brandt 2006): theta = angle from the axis, rho = |(x, y)|,
     u = fx theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) x / rho + cx.
 Assumption: the point is in front of the camera (perspective); anything but the centre (fisheye).
@@ -13,20 +14,99 @@ import numpy as np
 
 from epipole._jit import kernel
 
-SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, OPENCV_FISHEYE = 0, 1, 2, 3, 4, 5
+SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, OPENCV_FISHEYE, FULL_OPENCV = 0, 1, 2, 3, 4, 5, 6
+NUM_PARAMS = 12
 MIN_DEPTH = 1e-12
 
 
 @kernel
 def expand_params(model, params):
-    """Any model's parameters as (fx, fy, cx, cy, d0, d1, d2, d3) of the OPENCV or OPENCV_FISHEYE form."""
-    if model == PINHOLE or model == OPENCV or model == OPENCV_FISHEYE:
+    """Any model's parameters as (fx, fy, cx, cy, d0, d1, d2, d3) of the OPENCV or OPENCV_FISHEYE form.
+
+    FULL_OPENCV has more than these, and branches of its own.
+    """
+    if model == PINHOLE or model >= OPENCV:
         if model == PINHOLE:
             return params[0], params[1], params[2], params[3], 0.0, 0.0, 0.0, 0.0
         return params[0], params[1], params[2], params[3], params[4], params[5], params[6], params[7]
     k1 = params[3] if model != SIMPLE_PINHOLE else 0.0
     k2 = params[4] if model == RADIAL else 0.0
     return params[0], params[0], params[1], params[2], k1, k2, 0.0, 0.0
+
+
+@kernel
+def rational_factor(params, r2):
+    """FULL_OPENCV's radial factor s(r2), ds/d(r2), and its denominator."""
+    above = 1.0 + r2 * (params[4] + r2 * (params[5] + r2 * params[8]))
+    below = 1.0 + r2 * (params[9] + r2 * (params[10] + r2 * params[11]))
+    above_slope = params[4] + r2 * (2.0 * params[5] + r2 * 3.0 * params[8])
+    below_slope = params[9] + r2 * (2.0 * params[10] + r2 * 3.0 * params[11])
+    s = above / below
+    return s, (above_slope - s * below_slope) / below, below
+
+
+@kernel
+def distort_full_with_jacobian(params, a, b):
+    """(u, v, du/da, du/db = dv/da, dv/db) of FULL_OPENCV's distortion on the plane z = 1."""
+    r2 = a * a + b * b
+    s, slope, _ = rational_factor(params, r2)
+    p1, p2 = params[6], params[7]
+    u = a * s + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)
+    v = b * s + 2.0 * p2 * a * b + p1 * (r2 + 2.0 * b * b)
+    ua = s + 2.0 * a * a * slope + 2.0 * p1 * b + 6.0 * p2 * a
+    ub = 2.0 * a * b * slope + 2.0 * p1 * a + 2.0 * p2 * b
+    vb = s + 2.0 * b * b * slope + 2.0 * p2 * a + 6.0 * p1 * b
+    return u, v, ua, ub, vb
+
+
+@kernel
+def full_params_jacobian(params, a, b, jac_params):
+    """d(u, v)/d(params) of FULL_OPENCV at (a, b) on the plane z = 1, into jac_params (2, 12)."""
+    fx, fy = params[0], params[1]
+    r2 = a * a + b * b
+    s, _, below = rational_factor(params, r2)
+    u, v, _, _, _ = distort_full_with_jacobian(params, a, b)
+    jac_params[0, 0], jac_params[1, 1] = u, v
+    jac_params[0, 2] = jac_params[1, 3] = 1.0
+    power = r2 / below
+    for c in range(3):
+        own, other = 8 if c == 2 else 4 + c, 9 + c
+        jac_params[0, own], jac_params[1, own] = fx * a * power, fy * b * power
+        jac_params[0, other], jac_params[1, other] = -fx * a * s * power, -fy * b * s * power
+        power *= r2
+    jac_params[0, 6], jac_params[1, 6] = fx * 2.0 * a * b, fy * (r2 + 2.0 * b * b)
+    jac_params[0, 7], jac_params[1, 7] = fx * (r2 + 2.0 * a * a), fy * 2.0 * a * b
+
+
+@kernel
+def undistort_full(params, p, q):
+    """(a, b) whose distortion by FULL_OPENCV is (p, q), before the picture folds; NaN where there is none.
+
+    Along the radius in steps until the image passes the target, then Newton's method in two dimensions.
+    """
+    target, r, reached = math.sqrt(p * p + q * q), 0.0, 0.0
+    while reached < target:
+        r += 0.02
+        s, slope, _ = rational_factor(params, r * r)
+        if not s + 2.0 * r * r * slope > 0.0 or r > 50.0:
+            return math.nan, math.nan
+        reached = r * s
+    scale = r / target if target > 0.0 else 0.0
+    a, b = scale * p, scale * q
+    for _ in range(30):
+        u, v, ua, ub, vb = distort_full_with_jacobian(params, a, b)
+        eu, ev = u - p, v - q
+        det = ua * vb - ub * ub
+        if det < 1e-6:
+            return math.nan, math.nan
+        a -= (vb * eu - ub * ev) / det
+        b -= (ua * ev - ub * eu) / det
+        if abs(eu) + abs(ev) < 1e-14:
+            break
+    u, v, _, _, _ = distort_full_with_jacobian(params, a, b)
+    if not abs(u - p) + abs(v - q) < 1e-9:
+        return math.nan, math.nan
+    return a, b
 
 
 @kernel
@@ -46,6 +126,9 @@ def project_one(model, params, x, y, z):
     if z < MIN_DEPTH:
         return math.nan, math.nan
     a, b = x / z, y / z
+    if model == FULL_OPENCV:
+        u, v, _, _, _ = distort_full_with_jacobian(params, a, b)
+        return fx * u + cx, fy * v + cy
     r2 = a * a + b * b
     radial = 1.0 + r2 * (d0 + r2 * d1)
     u = a * radial + 2.0 * d2 * a * b + d3 * (r2 + 2.0 * a * a)
@@ -69,9 +152,9 @@ def distort_with_jacobian(d0, d1, d2, d3, a, b):
 
 @kernel
 def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
-    """Pixel (u, v), d(u, v)/d(x, y, z) into jac_point (2, 3) and d(u, v)/d(params) into jac_params (2, 8)."""
+    """Pixel (u, v), d(u, v)/d(x, y, z) into jac_point (2, 3) and d(u, v)/d(params) into jac_params (2, 12)."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
-    for c in range(8):  # a slice is set by slower code
+    for c in range(NUM_PARAMS):  # a slice is set by slower code
         jac_params[0, c] = jac_params[1, c] = 0.0
     if model == OPENCV_FISHEYE:
         rho2 = x * x + y * y
@@ -108,7 +191,11 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
         return math.nan, math.nan
     iz = 1.0 / z
     a, b = x * iz, y * iz
-    u, v, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
+    if model == FULL_OPENCV:
+        u, v, ua, ub, vb = distort_full_with_jacobian(params, a, b)
+        full_params_jacobian(params, a, b, jac_params)
+    else:
+        u, v, ua, ub, vb = distort_with_jacobian(d0, d1, d2, d3, a, b)
     jac_point[0, 0] = fx * ua * iz
     jac_point[0, 1] = fx * ub * iz
     jac_point[0, 2] = -fx * (ua * a + ub * b) * iz
@@ -124,7 +211,7 @@ def project_with_jacobian_one(model, params, x, y, z, jac_point, jac_params):
             jac_params[0, 5], jac_params[1, 5] = fx * a * r2 * r2, fy * b * r2 * r2
             jac_params[0, 6], jac_params[1, 6] = fx * 2.0 * a * b, fy * (r2 + 2.0 * b * b)
             jac_params[0, 7], jac_params[1, 7] = fx * (r2 + 2.0 * a * a), fy * 2.0 * a * b
-    else:
+    elif model != FULL_OPENCV:
         jac_params[0, 0], jac_params[1, 0] = u, v
         jac_params[0, 1] = jac_params[1, 2] = 1.0
         if model != SIMPLE_PINHOLE:
@@ -198,7 +285,9 @@ def unproject_one(model, params, u, v):
         s = math.sin(theta) / target
         return p * s, q * s, math.cos(theta)
     a, b = p, q
-    if d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0:
+    if model == FULL_OPENCV:
+        a, b = undistort_full(params, p, q)
+    elif d0 != 0.0 or d1 != 0.0 or d2 != 0.0 or d3 != 0.0:
         # Beyond the fold lie other roots, which are not the ray's: start before it, and stay there.
         fold = fold_radius(d0, d1)
         target = math.sqrt(p * p + q * q)
@@ -232,7 +321,7 @@ def project_all(model, params, points, out):
 
 @kernel
 def project_with_jacobian_all(model, params, points, out, jac_points, jac_params):
-    """As project_all, with jac_points (n, 2, 3) and jac_params (n, 2, 8)."""
+    """As project_all, with jac_points (n, 2, 3) and jac_params (n, 2, 12)."""
     for k in range(len(points)):
         out[k, 0], out[k, 1] = project_with_jacobian_one(
             model, params, points[k, 0], points[k, 1], points[k, 2], jac_points[k], jac_params[k]

@@ -55,7 +55,7 @@ class Camera:
         cx, cy = (self.params[i] for i in self.model.principal_point_indices)
         return np.array([[focal[0], 0.0, cx], [0.0, focal[-1], cy], [0.0, 0.0, 1.0]])
 
-    def padded_params(self) -> Float64[np.ndarray, 8]:
+    def padded_params(self) -> Float64[np.ndarray, 12]:
         """Parameters padded with zeros to the longest model, as camera columns hold them."""
         return np.concatenate([self.params, np.zeros(MAX_PARAMS - len(self.params))])
 

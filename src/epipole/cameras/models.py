@@ -12,7 +12,7 @@ import numpy as np
 
 from epipole.errors import ConfigError
 
-MAX_PARAMS = 8
+MAX_PARAMS = 12
 """The longest parameter vector of any model; camera columns are padded to it with zeros."""
 
 
@@ -25,6 +25,7 @@ class CameraModel(IntEnum):
     RADIAL = 3
     OPENCV = 4
     OPENCV_FISHEYE = 5
+    FULL_OPENCV = 6
 
     @property
     def param_names(self) -> tuple[str, ...]:
@@ -72,6 +73,9 @@ _SPECS = {
     CameraModel.RADIAL: _Spec(("f", "cx", "cy", "k1", "k2"), (0,)),
     CameraModel.OPENCV: _Spec(("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"), (0, 1)),
     CameraModel.OPENCV_FISHEYE: _Spec(("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"), (0, 1)),
+    CameraModel.FULL_OPENCV: _Spec(
+        ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), (0, 1)
+    ),
 }
 
 

@@ -15,13 +15,12 @@ HALF_PIXEL = 0.5
 
 # Models that epipole does not have but that are, or may be, special cases of one that it has; the number is
 # how many parameters a file holds.
-_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE, _FISHEYE, _FULL_OPENCV = 8, 9, 14, 15, 6
+_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE, _FISHEYE = 8, 9, 14, 15
 _OTHER_MODELS = {
     _SIMPLE_RADIAL_FISHEYE: ("SIMPLE_RADIAL_FISHEYE", 4),
     _RADIAL_FISHEYE: ("RADIAL_FISHEYE", 5),
     _SIMPLE_FISHEYE: ("SIMPLE_FISHEYE", 3),
     _FISHEYE: ("FISHEYE", 4),
-    _FULL_OPENCV: ("FULL_OPENCV", 12),
 }
 _MAX_SIZE = 2**31 - 1
 
@@ -73,16 +72,12 @@ def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarra
         raise ConfigError(f"camera model {model_id} has {expected} parameters, got {len(params)}")
     if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):
         raise ConfigError(f"impossible picture size {width}x{height}")
-    if model_id == _FULL_OPENCV and np.any(params[8:] != 0):
-        raise ConfigError("FULL_OPENCV with k3 to k6 is not supported, only k1, k2, p1, p2")
     model, own_params = _as_own_model(model_id, np.asarray(params, np.float64))
     return Camera(model, width, height, params_from_colmap(model, own_params))
 
 
 def _as_own_model(model_id: int, p: np.ndarray) -> tuple[CameraModel, np.ndarray]:
     """The same camera in a model that epipole has."""
-    if model_id == _FULL_OPENCV:
-        return CameraModel.OPENCV, p[:8]
     if model_id == _FISHEYE:
         return CameraModel.OPENCV_FISHEYE, np.concatenate([p, np.zeros(4)])
     if model_id in (_SIMPLE_RADIAL_FISHEYE, _RADIAL_FISHEYE, _SIMPLE_FISHEYE):

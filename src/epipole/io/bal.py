@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from epipole.cameras import CameraModel
+from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write
@@ -53,7 +53,7 @@ def read_bal(path: str | Path) -> BundleProblem:
         raise FileFormatError(path, "an observation names a camera or a point that is not there")
     seen = seen[np.argsort(seen[:, 1], kind="stable")]
     counts = np.bincount(seen[:, 1].astype(np.int64), minlength=num_points)
-    params = np.zeros((num_cameras, 8))
+    params = np.zeros((num_cameras, MAX_PARAMS))
     params[:, [0, 3, 4]] = cameras[:, 6:9]
     model = np.full(num_cameras, int(CameraModel.RADIAL), np.int32)
     frame = seen[:, 0].astype(np.int32)

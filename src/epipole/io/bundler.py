@@ -56,7 +56,7 @@ def _bundler_intrinsics(camera: Camera) -> np.ndarray:
     fx, fy = camera.K[0, 0], camera.K[1, 1]
     if abs(fx - fy) > MAX_ASPECT_DIFFERENCE * fx:
         raise ConfigError(f"Bundler has one focal length; this camera has {fx:g} and {fy:g}")
-    distortion = np.zeros(4)
+    distortion = np.zeros(8)
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
     if camera.model == CameraModel.OPENCV_FISHEYE or distortion[2:].any():

@@ -38,7 +38,7 @@ class CalibrationFile:
     cameras: tuple[Camera, ...]
     cam_from_rig: Rigid3
     """One row per camera; the first is the identity."""
-    covariance: Float64[np.ndarray, "22 22"] | None = None
+    covariance: Float64[np.ndarray, "30 30"] | None = None
     """Of a pair, as in `StereoRig`."""
 
 
@@ -163,7 +163,7 @@ def write_ros_yaml(
         "image_height": camera.height,
         "camera_name": name,
         "camera_matrix": _ros_matrix(camera.K),
-        "distortion_model": "equidistant" if model == "fisheye" else "plumb_bob",
+        "distortion_model": "equidistant" if model == "fisheye" else model,
         "distortion_coefficients": _ros_matrix(coefficients.reshape(1, -1)),
         "rectification_matrix": _ros_matrix(np.eye(3) if rectification is None else rectification),
         "projection_matrix": _ros_matrix(p),

@@ -71,9 +71,11 @@ def write_transforms(reconstruction: Reconstruction, path: str | Path, image_fol
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
     K, is_fisheye = camera.K, camera.model == CameraModel.OPENCV_FISHEYE
-    distortion = np.zeros(4)
+    distortion = np.zeros(8)
     values = camera.params[list(camera.model.distortion_indices)]
     distortion[: len(values)] = values
+    if distortion[5:].any():
+        raise ConfigError("transforms.json cannot hold a rational lens: undistort the pictures first")
     return {
         "camera_model": "OPENCV_FISHEYE" if is_fisheye else "OPENCV",
         "w": camera.width,
@@ -83,6 +85,7 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
         "cx": float(K[0, 2] + HALF_PIXEL),
         "cy": float(K[1, 2] + HALF_PIXEL),
         **dict(zip(_FISHEYE_KEYS if is_fisheye else _PERSPECTIVE_KEYS, distortion.tolist())),
+        **({"k3": float(distortion[4])} if distortion[4] else {}),
     }
 
 
@@ -159,11 +162,13 @@ def _camera(path: Path, values: dict[str, Any], name: str) -> Camera:
     is_fisheye = values.get("camera_model") in _FISHEYE_NAMES or bool(values.get("is_fisheye", False))
     keys = _FISHEYE_KEYS if is_fisheye else _PERSPECTIVE_KEYS
     distortion = [float(values.get(key, 0.0)) for key in keys]
-    unknown = () if is_fisheye else ("k3", "k4")
-    if any(float(values.get(key, 0.0)) != 0.0 for key in unknown):
-        raise ConfigError("k3 and k4 of a perspective camera are not supported")
+    k3, k4 = (0.0 if is_fisheye else float(values.get(key, 0.0)) for key in ("k3", "k4"))
+    if k4 != 0.0:
+        raise ConfigError("k4 of a perspective camera is not supported")
     model = CameraModel.OPENCV_FISHEYE if is_fisheye else CameraModel.OPENCV
-    if not is_fisheye and not any(distortion):
+    if k3 != 0.0:
+        model, distortion = CameraModel.FULL_OPENCV, [*distortion, k3, 0.0, 0.0, 0.0]
+    elif not is_fisheye and not any(distortion):
         model, distortion = CameraModel.PINHOLE, []
     params = np.array([fx, fy, cx - HALF_PIXEL, cy - HALF_PIXEL, *distortion])
     if not (0 < width < 2**31 and 0 < height < 2**31):

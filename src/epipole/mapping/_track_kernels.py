@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
+from epipole.cameras._camera_kernels import NUM_PARAMS
 from epipole.robust._triangulation_kernels import (
     best_hypothesis,
     collect_inliers,
@@ -84,7 +85,7 @@ def triangulate_components(
     """
     free, chosen, best_x = np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(3)
     work = (np.empty(3), np.empty(3), np.empty(3), np.empty(longest, np.int64))
-    jac, jac_params = np.empty((2, 3)), np.empty((2, 8))
+    jac, jac_params = np.empty((2, 3)), np.empty((2, NUM_PARAMS))
     made = 0
     for n in range(start, stop):
         t = components[n]

@@ -44,7 +44,7 @@ class _Cams(NamedTuple):
     registered: np.ndarray  # (n,) bool
     camera: np.ndarray  # (n,) int32
     model: np.ndarray  # (c,) int32
-    params: np.ndarray  # (c, 8)
+    params: np.ndarray  # (c, 12)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

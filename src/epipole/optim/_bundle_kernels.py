@@ -27,7 +27,7 @@ from epipole._lane_kernels import (
     set_rows,
     set_two_rows,
 )
-from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
+from epipole.cameras._camera_kernels import NUM_PARAMS, project_one, project_with_jacobian_one
 from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
 HELD, ELIMINATED, KEPT = 0, 1, 2
@@ -56,7 +56,7 @@ class Scene(NamedTuple):
     model: np.ndarray
     """(images,)"""
     params: np.ndarray
-    """(images, 8)"""
+    """(images, 12)"""
     points: np.ndarray
     """In world coordinates, (points, 3)."""
 
@@ -69,7 +69,7 @@ class Unknowns(NamedTuple):
     num_free: np.ndarray
     """(images,), camera parameters that may change."""
     free_params: np.ndarray
-    """(images, 8), which."""
+    """(images, 12), which."""
     sensor_free: np.ndarray
     """(images, 6) of 0 and 1."""
     has_rig: np.ndarray
@@ -133,7 +133,13 @@ def rows_of_zeros(shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarra
 def make_scratch(wide: int) -> Scratch:
     """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
     return Scratch(
-        *(np.empty((2, 3)), np.empty((2, 8)), rows_of_zeros((2, wide)), np.empty((2, 3)), np.empty(6)),
+        *(
+            np.empty((2, 3)),
+            np.empty((2, NUM_PARAMS)),
+            rows_of_zeros((2, wide)),
+            np.empty((2, 3)),
+            np.empty(6),
+        ),
         rows_of_zeros((wide,)),
     )
 

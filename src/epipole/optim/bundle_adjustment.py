@@ -83,7 +83,7 @@ class BundleResult:
 
     rig_from_world: Rigid3
     cam_from_rig: Rigid3
-    camera_params: Float64[np.ndarray, "c 8"]
+    camera_params: Float64[np.ndarray, "c 12"]
     points_in_world: Float64[np.ndarray, "p 3"]
     initial_cost: float
     final_cost: float

@@ -12,7 +12,7 @@ from epipole.errors import DegenerateGeometryError
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
 from epipole.optim.bundle_layout import BundleLayout, initial_state
-from epipole.optim.bundle_problem import BundleProblem
+from epipole.optim.bundle_problem import NUM_PARAMS, BundleProblem
 from epipole.optim.bundle_system import BundleSystem, LinearSolver
 
 _NO_DAMPING = 1e-12
@@ -31,7 +31,7 @@ class BundleCovariance:
     rig_from_world: Float64[np.ndarray, "f 6 6"]
     """Of xi in exp(xi) @ rig_from_world, (translation, rotation)."""
     cam_from_rig: Float64[np.ndarray, "s 6 6"]
-    camera_params: Float64[np.ndarray, "c 8 8"]
+    camera_params: Float64[np.ndarray, "c 12 12"]
     points_in_world: Float64[np.ndarray, "p 3 3"]
     noise_px: float
     """Standard deviation of a pixel coordinate that they are for."""
@@ -142,7 +142,7 @@ def _of_nodes(inverse: np.ndarray, node: np.ndarray) -> np.ndarray:
 
 
 def _of_params(inverse: np.ndarray, layout: BundleLayout) -> np.ndarray:
-    out = np.zeros((len(layout.num_free), 8, 8))
+    out = np.zeros((len(layout.num_free), NUM_PARAMS, NUM_PARAMS))
     for c in np.flatnonzero(layout.num_free):
         own = layout.free_params[c, : layout.num_free[c]]
         at = layout.nodes.camera_column[c] + np.arange(len(own))

@@ -16,7 +16,7 @@ from epipole.optim import _bundle_layout_kernels as layout_kernels
 from epipole.optim.block_cholesky import BlockPattern
 from epipole.optim.bundle_problem import BundleProblem
 
-_LANES = (8, 12, 16, 20)
+_LANES = (8, 12, 16, 20, 24)
 _CHUNK_OBSERVATIONS = 3000
 _MAX_SUMS_BYTES = 256 << 20
 _FEW_NODES = 1000

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
-from epipole.cameras import CameraModel
+from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
-NUM_PARAMS = 8
+NUM_PARAMS = MAX_PARAMS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +44,9 @@ class BundlePriors:
     """Measured unit direction of gravity (an accelerometer at rest); NaN rows for none."""
     down_in_world: tuple[float, float, float] = (0.0, 0.0, -1.0)
     down_sigma_rad: float = 0.02
-    params_expected: Float64[np.ndarray, "c 8"] | None = None
+    params_expected: Float64[np.ndarray, "c 12"] | None = None
     """Expected camera parameters."""
-    params_sigma: Float64[np.ndarray, "c 8"] | None = None
+    params_sigma: Float64[np.ndarray, "c 12"] | None = None
     """Standard deviations of the camera parameters about these; infinite for no expectation."""
     distances: PointDistances | None = None
 
@@ -108,7 +108,7 @@ class BundleProblem:
     cam_from_rig: Rigid3
     """One row per sensor; identity for a single camera."""
     camera_model: Int32[np.ndarray, " c"]
-    camera_params: Float64[np.ndarray, "c 8"]
+    camera_params: Float64[np.ndarray, "c 12"]
     points_in_world: Float64[np.ndarray, "p 3"]
     offsets: Int64[np.ndarray, " p1"]
     frame: Int32[np.ndarray, " k"]
@@ -117,7 +117,7 @@ class BundleProblem:
     pixels: Float64[np.ndarray, "k 2"]
     frame_free: Float64[np.ndarray, "f 6"]
     """1 where a tangent component (translation, rotation) of a frame may change, else 0."""
-    params_free: Float64[np.ndarray, "c 8"]
+    params_free: Float64[np.ndarray, "c 12"]
     """1 where a camera parameter may change, else 0."""
     point_free: Float64[np.ndarray, " p"]
     """1 where a point may move, else 0."""
@@ -166,7 +166,7 @@ def free_params_mask(
     focal: bool = True,
     principal_point: bool = False,
     distortion: bool = True,
-) -> Float64[np.ndarray, "c 8"]:
+) -> Float64[np.ndarray, "c 12"]:
     """Mask of intrinsics that may change, by their meaning."""
     mask = np.zeros((len(models), NUM_PARAMS))
     for row, model in enumerate(models):

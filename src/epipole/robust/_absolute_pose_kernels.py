@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject_one
+from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_one, unproject_one
 from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows, rotate_left
 from epipole.robust._contract_kernels import implement
 from epipole.solvers._absolute_pose_kernels import p3p, p3p_workspace
@@ -35,7 +35,7 @@ def pack_rays(model, params, cam_from_rig, points, pixels, order, items):
 
     A pixel that has no ray gives NaN.
     """
-    jac, jac_params, r = np.empty((2, 3)), np.empty((2, 8)), cam_from_rig
+    jac, jac_params, r = np.empty((2, 3)), np.empty((2, NUM_PARAMS)), cam_from_rig
     for column in range(len(order)):
         k = order[column]
         x, y, z = unproject_one(model, params, pixels[k, 0], pixels[k, 1])

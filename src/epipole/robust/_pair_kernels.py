@@ -39,7 +39,7 @@ class Pairs(NamedTuple):
     camera2: np.ndarray
     models: np.ndarray
     params: np.ndarray
-    """(cameras, 8)."""
+    """(cameras, 12)."""
     focal_px: np.ndarray
     """(cameras,), mean focal lengths."""
     wide: np.ndarray

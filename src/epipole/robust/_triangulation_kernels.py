@@ -11,6 +11,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import (
+    NUM_PARAMS,
     OPENCV_FISHEYE,
     expand_params,
     project_one,
@@ -214,7 +215,7 @@ def best_hypothesis(rows, cams, free, count, max_error_sq, max_cosine, work, bes
 def plain_lens(model, params, f):
     """Whether the lens does not distort, its principal point, and what takes its pixels to a focal length f."""
     fx, fy, cx, cy, d0, d1, d2, d3 = expand_params(model, params)
-    is_plain = model != OPENCV_FISHEYE and d0 == 0.0 and d1 == 0.0 and d2 == 0.0 and d3 == 0.0
+    is_plain = model < OPENCV_FISHEYE and d0 == 0.0 and d1 == 0.0 and d2 == 0.0 and d3 == 0.0
     return is_plain, cx, cy, f / fx, f / fy
 
 
@@ -300,7 +301,7 @@ def triangulate_many_views(rows, cams, offsets, start, stop, max_error_sq, max_c
     points, errors, cosines, reasons = out
     free, chosen, x = np.empty(longest, np.int64), np.empty(longest, np.int64), np.empty(3)
     work = (np.empty(3), np.empty(3), np.empty(3), np.empty(longest, np.int64))
-    jac, jac_params = np.empty((2, 3)), np.empty((2, 8))
+    jac, jac_params = np.empty((2, 3)), np.empty((2, NUM_PARAMS))
     for j in range(start, stop):
         points[j, 0] = points[j, 1] = points[j, 2] = math.nan
         errors[j], cosines[j] = math.inf, 1.0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.cameras._camera_kernels import project_with_jacobian_one, unproject_one
+from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_one, unproject_one
 from epipole.robust._pair_kernels import choose, longest, search_pair, shuffle
 from epipole.robust._wide_motion_kernels import WideMotionProblem
 
@@ -36,7 +36,7 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
     """Relative poses of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((18, most))
-    by_point, by_params = np.empty((2, 3)), np.empty((2, 8))
+    by_point, by_params = np.empty((2, 3)), np.empty((2, NUM_PARAMS))
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from epipole import _parallel
 from epipole._checks import as_float_array
-from epipole.cameras import Camera
+from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
 from epipole.robust import _triangulation_kernels as kernels
@@ -191,7 +191,7 @@ def _many_views(
         cams_from_world.centers(),
         np.arange(num_views, dtype=np.int32),
         np.array([int(c.model) for c in cameras], np.int32),
-        np.stack([c.padded_params() for c in cameras]) if cameras else np.zeros((0, 8)),
+        np.stack([c.padded_params() for c in cameras]) if cameras else np.zeros((0, MAX_PARAMS)),
     )
     out = (np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.int64))
     keep = np.zeros(len(point), bool)

@@ -18,7 +18,7 @@ class Cameras:
     model: Int32[np.ndarray, " n"]
     width: Int32[np.ndarray, " n"]
     height: Int32[np.ndarray, " n"]
-    params: Float64[np.ndarray, "n 8"]
+    params: Float64[np.ndarray, "n 12"]
     """Padded with zeros to the longest model."""
     is_focal_trusted: Bool[np.ndarray, " n"]
     """The focal length was given or read from EXIF, not guessed."""

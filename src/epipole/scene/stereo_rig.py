@@ -22,8 +22,8 @@ class StereoRig:
     right: Camera
     right_from_left: Rigid3
     """A single motion; its length unit is that of all depths."""
-    covariance: Float64[np.ndarray, "22 22"] | None = None
-    """Of (left parameters, right parameters, both padded to 8; xi in exp(xi) @ right_from_left); None: not known."""
+    covariance: Float64[np.ndarray, "30 30"] | None = None
+    """Of (left parameters, right parameters, both padded to 12; xi in exp(xi) @ right_from_left); None: not known."""
 
     def __post_init__(self) -> None:
         """Check shapes and that there is a baseline.
@@ -49,7 +49,7 @@ class StereoRig:
         """Distance between both centres."""
         return float(np.linalg.norm(self.right_from_left.translation))
 
-    def perturbed(self, change: Float64[np.ndarray, " 22"]) -> StereoRig:
+    def perturbed(self, change: Float64[np.ndarray, " 30"]) -> StereoRig:
         """The rig after a change of its unknowns, in the order of `covariance`."""
         n, m = len(self.left.params), len(self.right.params)
         left = Camera(self.left.model, self.left.width, self.left.height, self.left.params + change[:n])
