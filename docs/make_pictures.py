@@ -14,7 +14,7 @@ from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
 from epipole.mapping import bundle_problem_of
 from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
-from epipole.report.stereo_page import color_map
+from epipole.report.plain_page import color_map
 from epipole.robust import (
     RansacConfig,
     estimate_absolute_pose,
@@ -250,9 +250,22 @@ def stereo() -> None:
     cv2.imwrite(str(PICTURES / "stereo.jpg"), np.vstack(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
 
 
+def stereo_range() -> None:
+    """Error of depth against range, as `python -m benchmarks.stereo_depth` left it."""
+    streets = json.loads((PICTURES.parents[1] / "benchmarks/results/stereo_depth.json").read_text())[
+        "streets"
+    ]
+    middles = np.array([np.sqrt(np.prod([float(w) for w in name.split()[:3:2]])) for name in streets])
+    measured, predicted = (
+        np.array([row[key] for row in streets.values()]) for key in ("measured m", "predicted m")
+    )
+    series = [("measured, 68 % are smaller", measured, BLUE), ("Z^2 / (f B) sigma_d", predicted, RED)]
+    curve("stereo_range", middles, series, ("depth, m", "error of depth, m"))
+
+
 if __name__ == "__main__":
     for draw in (
         *(homography, fundamental, relative_pose, triangulation, absolute_pose),
-        *(bundle_adjustment, bundle_growth, stereo),
+        *(bundle_adjustment, bundle_growth, stereo, stereo_range),
     ):
         draw()

@@ -17,6 +17,7 @@ from epipole.api import _write_picture
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
+from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.depth_maps import read_pfm
 from epipole.metrics import camera_errors
 from epipole.synthetic.stereo_rooms import stereo_room
@@ -159,3 +160,46 @@ def test_undistort_says_what_it_cannot_write(tmp_path):
         _write_picture(tmp_path / "a.heic", rgb, tmp_path / "a.heic")
     _write_picture(tmp_path / "a.png", rgb, tmp_path / "a.png")
     assert (tmp_path / "a.png").is_file()
+
+
+def saved_pair(folder, size=(200, 150)):
+    pair = stereo_room(8, size)
+    for side in ("left", "right"):
+        Image.fromarray(getattr(pair, side)).save(folder / f"{side}.png")
+    return pair, str(folder / "left.png"), str(folder / "right.png")
+
+
+def test_stereo_by_a_calibration_and_the_doctor(tmp_path):
+    pair, left, right = saved_pair(tmp_path)
+    motion = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [-pair.baseline, 0, 0]]))
+    known = tmp_path / "rig.json"
+    write_calibration(known, CalibrationFile((pair.camera, pair.camera), motion, np.diag(np.full(30, 1e-8))))
+    printed = run("stereo", left, right, tmp_path / "out", "--calibration", known)
+    assert "points" in printed
+    assert {"depth.pfm", "rig.json", "left.png", "cloud.ply"} <= {
+        p.name for p in (tmp_path / "out").iterdir()
+    }
+    printed = run("stereo", "doctor", left, right, "--calibration", known, "--json")
+    told = json.loads(printed[printed.index("{") : printed.rindex("}") + 1])
+    assert told["problems"] == [] and told["expectations"][0]["from_calibration"] > 0
+    assert "swapped" in run("stereo-doctor", right, left)
+    both = ("--calibration", known, "--focal-px", "3")
+    assert "not both" in run("stereo", left, right, tmp_path / "x", *both, expect=1)
+
+
+def test_stereo_says_what_it_needs(tmp_path):
+    _, left, right = saved_pair(tmp_path, (120, 90))
+    for arguments, words in (
+        ((left, right), "expected LEFT RIGHT OUT"),
+        (("--workspace", tmp_path, tmp_path / "out"), "--pair A B"),
+        ((left, tmp_path, tmp_path / "out"), "no folder"),
+        ((left, right, tmp_path / "out", "--calibration", left), "neither JSON nor YAML"),
+    ):
+        printed = run("stereo", *arguments, expect=1)
+        assert words in printed and "Traceback" not in printed
+
+
+def test_calibrate_names_what_is_wrong(tmp_path):
+    saved_pair(tmp_path, (120, 90))
+    printed = run("calibrate", tmp_path, tmp_path / "out", "--columns", "9", "--rows", "6", expect=1)
+    assert "the board is in none of the" in printed and "Traceback" not in printed

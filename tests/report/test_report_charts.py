@@ -70,3 +70,13 @@ def test_timing_bars_are_as_long_as_their_stages() -> None:
     widths = [float(e.attrib["width"]) for e in root.iter() if e.attrib.get("class") == "bar"]
     assert widths[0] / widths[1] == pytest.approx(2.0, abs=0.01)
     assert root.find("text").text == "a<b"
+
+
+def test_curves_are_drawn_on_logarithmic_axes():
+    drawn = charts.draw_curves(
+        {"near": ([1, 10, 100], [0.1, 0.01, 0.1]), "far": ([1, 100], [1.0, 2.0])}, "range", "px"
+    )
+    assert drawn.count('<path class="sequence"') == 1 and drawn.count('<path class="mark"') == 1
+    assert ">near<" in drawn and ">far<" in drawn and ">100<" in drawn
+    assert charts.draw_curves({"nothing": ([], [])}, "x", "y") == ""
+    assert "nan" not in charts.draw_curves({"gap": ([1, 2, 3], [1.0, float("nan"), 2.0])}, "x", "y")

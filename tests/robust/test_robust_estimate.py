@@ -85,6 +85,7 @@ def test_absolute_pose_for_every_camera_model(rng, model):
     params |= {
         4: [800, 810, 499, 399, -0.1, 0.02, 1e-3, -1e-3],
         5: [500, 505, 499, 399, 0.02, -0.01, 0.002, -0.001],
+        6: [800, 810, 499, 399, -0.1, 0.02, 1e-3, -1e-3, 0.01, 0.05, 0.01, 0.0],
     }
     camera = Camera(model, 1000, 800, np.array(params[int(model)], float))
     motion = Rigid3.exp(np.array([0.5, -0.2, 0.3, 0.2, -0.3, 0.1]))

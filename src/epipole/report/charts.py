@@ -136,7 +136,7 @@ def svg(width: int, height: int, parts: Sequence[str], label: str) -> str:
 def draw_curves(
     curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, y_label: str
 ) -> str:
-    """Positive values against positive values, both axes logarithmic; each curve is named at its end."""
+    """Positive values against positive values, both axes logarithmic; at most two curves, named in their colours."""
     every_x = [x for xs, _ in curves.values() for x in xs if x > 0 and math.isfinite(x)]
     every_y = [y for _, ys in curves.values() for y in ys if y > 0 and math.isfinite(y)]
     if not every_x or not every_y:
@@ -165,8 +165,10 @@ def draw_curves(
         path = "L".join(f"{x:.1f} {y:.1f}" for x, y in known)
         style = ("sequence", "mark")[k % 2]
         parts.append(f'<path class="{style}" style="stroke-opacity:1;stroke-width:1.6" d="M{path}"/>')
+        color = ("var(--accent)", "var(--warn)")[k % 2]
         parts.append(
-            f'<text class="label" x="{known[-1][0] - 4:.1f}" y="{known[-1][1] - 6:.1f}" text-anchor="end">{escape(name)}</text>'
+            f'<text class="label" style="fill:{color}" x="{_WIDTH - _RIGHT - 4}" y="{_TOP + 2 + 16 * k}" text-anchor="end">'
+            f"{escape(name)}</text>"
         )
     parts.append(
         f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 8}" text-anchor="middle">'

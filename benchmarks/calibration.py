@@ -1,0 +1,153 @@
+"""Calibration of real cameras beside OpenCV's. `python -m benchmarks.calibration`.
+
+The corners are the same for both; OpenCV runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.side_by_side import table_of
+from epipole.calibration import (
+    BoardConfig,
+    BoardView,
+    CalibrationConfig,
+    calibrate,
+    corners_on_board,
+    find_board,
+    projection_difference,
+)
+from epipole.calibration.coverage import covered_pixels
+from epipole.cameras import Camera, CameraModel
+from epipole.io.photographs import read_grey
+
+PAIR = BoardConfig(columns=9, rows=6, square=0.025)
+DESK = BoardConfig(columns=9, rows=6, square=0.04)
+SIZE, DESK_SIZE = (640, 480), (752, 480)
+SPOILED = (2, 5, 8)
+
+
+def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
+    """cv2.calibrateCamera for each camera, then cv2.stereoCalibrate of all; k1, k2, p1, p2."""
+    import cv2
+
+    board = corners_on_board(PAIR).astype(np.float32)
+    boards = [board] * len(pixels[0])
+    begin = time.perf_counter()
+    flags = cv2.CALIB_FIX_K3
+    one, two = (cv2.calibrateCamera(boards, own, SIZE, None, None, flags=flags) for own in pixels)
+    found = cv2.stereoCalibrate(
+        *(boards, pixels[0], pixels[1], one[1], one[2], two[1], two[2], SIZE),
+        flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
+        criteria=(3, 200, 1e-9),
+    )
+    connection.send(
+        {
+            "rms px": found[0],
+            "left fx": found[1][0, 0],
+            "right fx": found[3][0, 0],
+            "baseline mm": 1000.0 * float(np.linalg.norm(found[6])),
+            "seconds": time.perf_counter() - begin,
+        }
+    )
+
+
+def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[str, float]:
+    """The same figures, with standard deviations."""
+    begin = time.perf_counter()
+    found = calibrate(views, [SIZE] * 2, config)
+    seconds = time.perf_counter() - begin
+    return {
+        "rms px": found.rms_px,
+        "corners used": float(found.used_mask.sum()),
+        "left fx": found.cameras[0].params[0],
+        "its sigma": found.params_sigma(0)[0],
+        "right fx": found.cameras[1].params[0],
+        "sigma": found.params_sigma(1)[0],
+        "baseline mm": 1000.0 * found.rig().baseline,
+        "sigma mm": 1000.0 * found.baseline_sigma(),
+        "seconds": seconds,
+    }
+
+
+def spoiled(views: list[list[BoardView]]) -> list[list[BoardView]]:
+    """Ten views; one counted from the other end, one taken later by the right camera, one blurred by 5 px."""
+    out = [list(own[:10]) for own in views]
+    first, second, third = SPOILED
+    out[0][first] = replace(out[0][first], pixels=out[0][first].pixels[::-1].copy())
+    out[1][second] = out[1][second + 1]
+    noise = np.random.default_rng(0).normal(0, 5, out[1][third].pixels.shape)
+    out[1][third] = replace(out[1][third], pixels=out[1][third].pixels + noise)
+    return out
+
+
+def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
+    """Difference of projections from a given lens, over the picture and where corners were seen."""
+    views = [find_board(read_grey(path), DESK) for path in sorted((folder / "images").iterdir())]
+    K, (k1, k2) = np.loadtxt(folder / "K.txt"), np.loadtxt(folder / "D.txt")
+    f = K[0, 0]
+    params = np.array([f, K[1, 1], K[0, 2], K[1, 2], k1 * f**2, k2 * f**4, 0.0, 0.0])
+    given = Camera(CameraModel.OPENCV, *DESK_SIZE, params)
+    rows = {}
+    for model in ("RADIAL", "OPENCV"):
+        found = calibrate([views], [DESK_SIZE], CalibrationConfig(board=DESK, model=model))
+        whole = projection_difference(given, found.cameras[0]).distance_px
+        seen = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
+        rows[model] = {
+            "rms px": found.rms_px,
+            "fx": found.cameras[0].K[0, 0],
+            "difference px, whole picture": float(np.nanmedian(whole)),
+            "where corners were seen": float(np.nanmedian(seen)),
+        }
+    return rows
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description="Calibration.")
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    folder = data / "calibration" / "opencv_stereo"
+    numbers = [f"{k:02d}.jpg" for k in range(1, 15) if k != 10]
+    views = [[find_board(read_grey(folder / f"{s}{n}"), PAIR) for n in numbers] for s in ("left", "right")]
+    every = CalibrationConfig(board=PAIR, outlier_factor=1e6, max_view_factor=1e6)
+    usual = CalibrationConfig(board=PAIR)
+    our_pair(views, usual)
+    ours, theirs = get_context("spawn").Pipe()
+    pixels = [[v.pixels.astype(np.float32) for v in own] for own in views]
+    process = get_context("spawn").Process(target=opencv_pair, args=(theirs, pixels))
+    process.start()
+    rows = {"OpenCV, 13 views": ours.recv()}
+    process.join()
+    rows |= {
+        "epipole, all corners": our_pair(views, every),
+        "epipole": our_pair(views, usual),
+        "epipole, 10 views, 3 spoiled": our_pair(spoiled(views), usual),
+        "epipole, those 7 alone": our_pair(
+            [[v for k, v in enumerate(own[:10]) if k not in SPOILED] for own in views], usual
+        ),
+    }
+    desk = desk_rows(data / "slam" / "ar_cube")
+    console = Console(width=160)
+    console.print(table_of("13 views of a board by a pair of cameras", rows))
+    console.print(table_of("37 views of a desk: against its given lens", desk))
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    report = {"machine": describe_machine(2), "pair": rows, "desk": desk}
+    (arguments.results / "calibration.json").write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
