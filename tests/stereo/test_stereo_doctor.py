@@ -6,12 +6,14 @@ import pytest
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
+from epipole.config import StereoConfig
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.io.photographs import read_rgb
 from epipole.scene import StereoRig
 from epipole.stereo import RectifiedRig
 from epipole.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
+from epipole.stereo.pipeline import measure_pair
 from epipole.synthetic.stereo_rooms import stereo_room
 
 
@@ -123,3 +125,33 @@ def test_odd_units_and_unusable_input(cones):
 def test_the_call_on_files(data_dir):
     folder = data_dir / "stereo" / "middlebury_2003" / "cones"
     assert api.examine_stereo(folder / "im2.png", folder / "im6.png").is_healthy
+
+
+def test_a_run_warns_of_what_spoils_it(cones, data_dir):
+    left, right = cones
+    teddy = read_rgb(data_dir / "stereo" / "middlebury_2003" / "teddy" / "im6.png")
+    blank = np.zeros_like(left)
+    config = StereoConfig(max_disparity_px=63)
+    for pair, words in (
+        ((left, right), None),
+        ((right, left), "swapped"),
+        ((left, np.roll(right, 5, axis=0)), "5.0 px lower"),
+        ((left, teddy), "the same thing"),
+        ((blank, blank), "blank, dark or blurred"),
+    ):
+        warnings = measure_pair(*pair, config).warnings
+        assert (warnings == ()) if words is None else (len(warnings) == 1 and words in warnings[0])
+
+
+def test_grey_beside_colour_and_sixteen_bits(cones, tmp_path):
+    left, right = cones
+    colour, grey, deep = (tmp_path / f"{name}.png" for name in ("colour", "grey", "deep"))
+    cv2.imwrite(str(colour), left[..., ::-1])
+    shade = cv2.cvtColor(right, cv2.COLOR_RGB2GRAY)
+    cv2.imwrite(str(grey), shade)
+    cv2.imwrite(str(deep), shade.astype(np.uint16) * 257)
+    config = StereoConfig(max_disparity_px=63)
+    whole = measure_pair(left, right, config).disparities
+    for other in (grey, deep):
+        found = api.stereo(colour, other, tmp_path / other.stem, config)
+        assert found.disparities.density == pytest.approx(whole.density, abs=0.01) and found.warnings == ()

@@ -89,7 +89,7 @@ def measure_pair(
     if rectification is not None:
         disparities = within_both(disparities, rectification)
     may_be_negative = config.min_disparity_px < 0 or (flat is not None and flat.principal_offset_px > 1.0)
-    warnings = list(quick_warnings(left_rgb, right_rgb, may_be_negative=may_be_negative))
+    warnings = list(quick_warnings(left_rgb, right_rgb, disparities.density, may_be_negative=may_be_negative))
     depths, num_points = None, 0
     if flat is not None:
         wrong_px = None

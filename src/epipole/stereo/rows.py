@@ -15,6 +15,7 @@ from epipole.features import detect_features, match_descriptors
 _MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are mistakes
 _ROUNDS = 20
 _LEAST_MATCHES = 30
+_SPARSE = 0.3
 _NEAR_PX = 1.0  # a disparity of less says nothing of the order of the pictures
 _SWAPPED_SHARE = 0.8
 _MOST_OFF_PX = 1.0
@@ -27,6 +28,8 @@ class RowMatches:
 
     left_px: Float64[np.ndarray, "n 2"]
     right_px: Float64[np.ndarray, "n 2"]
+    num_features: int = 0
+    """Features of the picture that has fewer."""
 
     @property
     def vertical_px(self) -> Float64[np.ndarray, " n"]:
@@ -71,24 +74,29 @@ def match_features(
     first, second = one.pixels[pairs[:, 0]].astype(np.float64), two.pixels[pairs[:, 1]].astype(np.float64)
     offset = second[:, 1] - first[:, 1]
     near = np.abs(offset) < _MOST_OFFSET * left.shape[0]
-    return RowMatches(first[near], second[near])
+    return RowMatches(first[near], second[near], min(len(one), len(two)))
 
 
 def quick_warnings(
-    left_rgb: np.ndarray, right_rgb: np.ndarray, *, may_be_negative: bool = False
+    left_rgb: np.ndarray, right_rgb: np.ndarray, density: float, *, may_be_negative: bool = False
 ) -> tuple[str, ...]:
-    """What is plainly wrong with a pair that counts as rectified: swapped pictures, rows that do not match.
+    """What is plainly wrong with a pair that counts as rectified: swapped, rows that do not match, nothing in common.
 
     Args:
         left_rgb: (h, w, 3).
         right_rgb: the same size.
+        density: share of the pixels for which a disparity was found.
         may_be_negative: disparities below zero are asked for, and say nothing of the order.
     """
     grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
     matches = match_features(grey[0], grey[1], "orb")
-    out = []
     if len(matches) < _LEAST_MATCHES:
-        return ()
+        if density > _SPARSE:
+            return ()
+        if matches.num_features < _LEAST_MATCHES:
+            return ("hardly anything in the pictures can be matched: blank, dark or blurred",)
+        return ("hardly any feature of one picture is found in the other: do they show the same thing?",)
+    out = []
     if not may_be_negative and is_swapped(matches):
         out.append(
             "left and right look swapped: nearly all features lie farther right in the right picture. "
