@@ -375,7 +375,13 @@ def stereo_many(
     )
     write_json(
         out / "summary.json",
-        {"version": __version__, "done": [*batch.earlier, *batch.done], "problems": batch.problems},
+        {
+            "version": __version__,
+            "done": [*batch.earlier, *batch.done],
+            "known": batch.known,
+            "warnings": batch.warnings,
+            "problems": batch.problems,
+        },
     )
     return batch
 
@@ -410,10 +416,13 @@ def stereo_of_model(
     rig = StereoRig(
         cameras[int(of_image[one])], cameras[int(of_image[two])], places[two] @ places[one].inverse()
     )
+    note: tuple[str, ...] = ()
     if is_right_of_left(rig):
         rig, first, second = rig.swapped(), second, first
+        note = (f"{first} stands left of {second}: its pixels have the depth",)
     pictures = workspace / "images"
-    return stereo(pictures / first, pictures / second, out, config, rig)
+    found = stereo(pictures / first, pictures / second, out, config, rig)
+    return replace(found, warnings=(*note, *found.warnings))
 
 
 def examine_stereo(
@@ -436,7 +445,16 @@ def examine_stereo(
     with tempfile.TemporaryDirectory() as scratch:
         pairs = list(list_pairs(left, right, Path(scratch), max_frames).values())
         chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), max_frames)).astype(int))
-        return examine([(read_rgb(pairs[k][0]), read_rgb(pairs[k][1])) for k in chosen], rig)
+        read, unread = [], []
+        for k in chosen:
+            try:
+                read.append((read_rgb(pairs[k][0]), read_rgb(pairs[k][1])))
+            except FileFormatError as error:
+                unread.append(str(error))
+        if not read:
+            raise FileFormatError(left, "no pair of it can be read")
+        found = examine(read, rig)
+        return replace(found, notes=(*found.notes, *unread))
 
 
 def _stereo_settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> dict[str, Any]:

@@ -294,6 +294,18 @@ class StereoConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        allowed = {
+            "search": ("full", "coarse_to_fine"),
+            "method": ("sgm", "block"),
+            "paths": (4, 8),
+            "left_right": ("accurate", "fast"),
+            "median_px": (0, 3, 5),
+        }
+        for name, values in allowed.items():
+            if getattr(self, name) not in values:
+                raise ConfigError(
+                    f"{name} must be one of {', '.join(map(str, values))}, got {getattr(self, name)}"
+                )
         if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
             raise ConfigError(
                 f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"
@@ -317,7 +329,7 @@ class StereoConfig:
             raise ConfigError(
                 "coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side"
             )
-        if not self.max_left_right_px > 0 or self.min_margin < 0 or self.min_region_px < 0:
+        if not self.max_left_right_px > 0 or not self.min_margin >= 0 or self.min_region_px < 0:
             raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")
 
 

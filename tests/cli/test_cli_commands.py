@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighbouring_views, render_to
 
 from epipole.api import _write_picture
+from epipole.cli.main import paths_first
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
@@ -203,3 +204,14 @@ def test_calibrate_names_what_is_wrong(tmp_path):
     saved_pair(tmp_path, (120, 90))
     printed = run("calibrate", tmp_path, tmp_path / "out", "--columns", "9", "--rows", "6", expect=1)
     assert "the board is in none of the" in printed and "Traceback" not in printed
+
+
+def test_paths_come_before_options_that_would_swallow_them():
+    given = ["stereo", "--calibration", "a", "b", "L", "R", "O", "--fill"]
+    assert paths_first(given) == ["stereo", "L", "R", "O", "--calibration", "a", "b", "--fill"]
+    given = ["stereo", "--workspace", "W", "--pair", "A", "B", "OUT"]
+    assert paths_first(given) == ["stereo", "OUT", "--workspace", "W", "--pair", "A", "B"]
+    given = ["stereo", "L", "R", "O", "--calibration", "F"]
+    assert paths_first(given) == given
+    given = ["stereo-doctor", "--calibration", "F", "L", "R"]
+    assert paths_first(given) == ["stereo-doctor", "L", "R", "--calibration", "F"]

@@ -158,3 +158,42 @@ def test_opencvs_longer_lenses(tmp_path, rng, data_dir):
     assert real.params[8] == pytest.approx(0.23839153080878486)
     with pytest.raises(FileFormatError, match="thin prism"):
         camera_of_coefficients(tmp_path, (640, 480), LENS.K, np.full(12, 0.01), is_fisheye=False)
+
+
+def test_what_would_give_wrong_depth_is_refused(tmp_path):
+    write_calibration(tmp_path / "own.json", pair_of(LENS, np.eye(30)))
+    good = json.loads((tmp_path / "own.json").read_text())
+
+    def changed(**values):
+        (tmp_path / "bad.json").write_text(json.dumps({**good, **values}))
+        return tmp_path / "bad.json"
+
+    negative = np.eye(30)
+    negative[3, 3] = -1.0
+    for matrix in (np.full((30, 30), np.nan), negative, np.triu(np.ones((30, 30)))):
+        with pytest.raises(FileFormatError, match="the covariance is none"):
+            read_stereo_rig(changed(covariance=matrix.tolist()))
+    with pytest.raises(FileFormatError, match="version 99"):
+        read_calibration(changed(version=99))
+    with pytest.raises(FileFormatError, match="3 cameras"):
+        read_stereo_rig(changed(cameras=[*good["cameras"], good["cameras"][1]]))
+    still = [
+        dict(c, cam_from_rig={"quat_wxyz": [0, 0, 0, 0], "translation": [1, 0, 0]}) for c in good["cameras"]
+    ]
+    with pytest.raises(FileFormatError, match="quaternion is zero"):
+        read_calibration(changed(cameras=still))
+    write_ros_yaml(tmp_path / "l.yaml", LENS, "left")
+    (tmp_path / "l.yaml").write_text((tmp_path / "l.yaml").read_text().replace("plumb_bob", "foo"))
+    with pytest.raises(FileFormatError, match="distortion_model foo"):
+        read_calibration(tmp_path / "l.yaml")
+
+
+def test_the_first_camera_need_not_be_the_rigs_origin(tmp_path):
+    moved = Rigid3.exp(np.array([0.3, -0.1, 0.2, 0.1, 0.0, -0.2]))
+    both = Rigid3(
+        np.stack([moved.rotation, (MOTION @ moved).rotation]),
+        np.stack([moved.translation, (MOTION @ moved).translation]),
+    )
+    write_calibration(tmp_path / "own.json", CalibrationFile((LENS, LENS), both))
+    rig = read_stereo_rig(tmp_path / "own.json")
+    np.testing.assert_allclose(rig.right_from_left.as_matrix(), MOTION.as_matrix(), atol=1e-12)

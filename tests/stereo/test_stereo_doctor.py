@@ -135,7 +135,7 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
     for pair, words in (
         ((left, right), None),
         ((right, left), "swapped"),
-        ((left, np.roll(right, 5, axis=0)), "5.0 px lower"),
+        ((left, np.roll(right, 5, axis=0)), "5.0 px off their rows"),
         ((left, teddy), "the same thing"),
         ((blank, blank), "blank, dark or blurred"),
     ):
@@ -155,3 +155,33 @@ def test_grey_beside_colour_and_sixteen_bits(cones, tmp_path):
     for other in (grey, deep):
         found = api.stereo(colour, other, tmp_path / other.stem, config)
         assert found.disparities.density == pytest.approx(whole.density, abs=0.01) and found.warnings == ()
+
+
+def test_what_tells_nothing_is_not_healthy(cones, data_dir):
+    left, _ = cones
+    teddy = read_rgb(data_dir / "stereo" / "middlebury_2003" / "teddy" / "im6.png")
+    for pair, words in (
+        ((left, teddy), "too few to say anything"),
+        ((np.zeros_like(left),) * 2, "too few to say anything"),
+        ((left, left), "the same picture"),
+    ):
+        found = examine([pair])
+        assert not found.is_healthy and any(words in p for p in found.problems)
+
+
+def test_a_turned_picture_and_a_range_too_small_are_noticed(cones):
+    left, right = cones
+    angle = np.deg2rad(2.0)
+    inner = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    tilted = measure_pair(left, turned(right, about_center(right, inner)), StereoConfig(max_disparity_px=63))
+    assert any("off their rows" in w for w in tilted.warnings)
+    for options in ({"max_disparity_px": 12}, {"min_disparity_px": 100, "max_disparity_px": 140}):
+        assert any(
+            "beyond the range" in w for w in measure_pair(left, right, StereoConfig(**options)).warnings
+        )
+
+
+def test_a_blank_right_picture_gives_nothing(cones):
+    left, _ = cones
+    found = measure_pair(left, np.zeros_like(left), StereoConfig(max_disparity_px=63))
+    assert found.disparities.density == 0 and found.warnings

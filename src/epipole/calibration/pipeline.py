@@ -13,8 +13,8 @@ from epipole.calibration.board import BoardView, find_board
 from epipole.calibration.calibrate import Calibration, calibrate
 from epipole.calibration.comparison import CrossCheck, cross_check
 from epipole.calibration.verdict import Verdict, judge
-from epipole.config import CalibrationConfig
-from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.config import BoardConfig, CalibrationConfig
+from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_folder
 from epipole.io.calibration_files import CalibrationFile, write_calibration, write_opencv_yaml
 from epipole.io.photographs import list_photographs, read_grey
@@ -62,6 +62,8 @@ def run_calibration(
         DegenerateGeometryError: the board is seen too seldom, or the views leave something open.
         WorkspaceError: the output folder cannot be used.
     """
+    if out.exists() and not out.is_dir():
+        raise WorkspaceError(f"{out} is a file; the output must be a folder")
     pictures = pictures_of_cameras(images, right)
     views: list[list[BoardView]] = []
     sizes: list[tuple[int, int]] = []
@@ -75,11 +77,11 @@ def run_calibration(
             shapes.append(shape)
             done += 1
             progress(Progress("board", done, total))
-        size = _common_size(found, shapes, own)
+        size = _common_size(found, shapes, own, config.board)
         for k, shape in enumerate(shapes):
             if shape is not None and shape != size:
                 problems[str(own[k])] = (
-                    f"it is {shape[0]} x {shape[1]} pixels, the others {size[0]} x {size[1]}"
+                    f"{own[k].name}: it is {shape[0]} x {shape[1]} pixels, the others {size[0]} x {size[1]}"
                 )
                 found[k] = BoardView(np.zeros(0, np.int64), np.zeros((0, 2)))
         views.append(found)
@@ -126,13 +128,15 @@ def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Pa
 
 
 def _named_pairs(pictures: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """left01.jpg with right01.jpg, scene_left.png with scene_right.png."""
+    """left01.jpg with right01.jpg, scene_cam0.png with scene_cam1.png."""
     by_name = {p.name.lower(): p for p in pictures}
     pairs = []
     for name, path in by_name.items():
-        other = re.sub("left", "right", name, count=1)
-        if other != name and other in by_name:
-            pairs.append((path, by_name[other]))
+        for first, second in (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2")):
+            other = re.sub(first, second, name, count=1)
+            if other != name and other in by_name and path.parent == by_name[other].parent:
+                pairs.append((path, by_name[other]))
+                break
     return sorted(pairs)
 
 
@@ -154,8 +158,19 @@ def _look(
     return find_board(grey, config.board), (grey.shape[1], grey.shape[0])
 
 
+def _asked_for(board: BoardConfig) -> str:
+    size = f"{board.columns} x {board.rows}"
+    if board.kind == "chessboard":
+        return f"a chessboard of {size} inner corners was asked for"
+    what = "a ChArUco board of squares" if board.kind == "charuco" else "a grid of AprilTags"
+    return f"{what}, {size}, dictionary {board.dictionary_name}, was asked for"
+
+
 def _common_size(
-    found: Sequence[BoardView], shapes: Sequence[tuple[int, int] | None], pictures: Sequence[Path]
+    found: Sequence[BoardView],
+    shapes: Sequence[tuple[int, int] | None],
+    pictures: Sequence[Path],
+    board: BoardConfig,
 ) -> tuple[int, int]:
     """The size of most pictures with a board (of most pictures where there is none)."""
     with_board = [s for s, view in zip(shapes, found) if s is not None and len(view)]
@@ -164,8 +179,7 @@ def _common_size(
         raise FileFormatError(pictures[0].parent, "none of its pictures can be read")
     if not with_board:
         raise DegenerateGeometryError(
-            f"the board is in none of the {len(pictures)} pictures of {pictures[0].parent}: are its columns and rows right? "
-            "(inner corners of a chessboard)"
+            f"the board is in none of the {len(pictures)} pictures of {pictures[0].parent}: {_asked_for(board)}"
         )
     return max(sorted(set(every)), key=every.count)
 

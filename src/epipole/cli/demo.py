@@ -65,7 +65,7 @@ def run_demo(out: Path, num_views: int) -> None:
         shutil.rmtree(ours, ignore_errors=True)
     photographs.mkdir(parents=True)
     write_json(mark, {"views": num_views})
-    with progress_on_screen() as progress:
+    with progress_on_screen(compiles_much=True) as progress:
         truth = render_photographs(photographs, num_views, progress)
         result = reconstruct(photographs, model, progress=progress)
     show_reconstruction(result)

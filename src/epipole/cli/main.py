@@ -44,7 +44,7 @@ def reconstruct(
     """
     from epipole.cli.screen import progress_on_screen, show_reconstruction
 
-    with progress_on_screen() as progress:
+    with progress_on_screen(compiles_much=True) as progress:
         from epipole.api import reconstruct as run
 
         result = run(images, out, config, progress)
@@ -229,11 +229,34 @@ COMMANDS: tuple[Callable[..., None], ...] = (
 )
 
 
+def paths_first(given: list[str]) -> list[str]:
+    """The same with the paths before the options that take several values, which would swallow them."""
+    out: list[str] = []
+    paths: list[str] = []
+    command, rest = given[0], given[1:]
+    wanted = 2 if command == "stereo-doctor" else 1 if "--workspace" in rest else 3
+    while rest:
+        word = rest.pop(0)
+        out.append(word)
+        if word not in ("--pair", "--calibration"):
+            continue
+        end = next((k for k, value in enumerate(rest) if value.startswith("--")), len(rest))
+        values, rest = rest[:end], rest[end:]
+        most = 2 if word == "--pair" else max(1, len(values) - wanted)
+        if len(values) > most:
+            paths += values[most:]
+            values = values[:most]
+        out += values
+    return [command, *paths, *out]
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors that are meant for the user become one line and exit code 1."""
     given = sys.argv[1:] if arguments is None else arguments
     if given[:2] == ["stereo", "doctor"]:
         given = ["stereo-doctor", *given[2:]]
+    if given[:1] in (["stereo"], ["stereo-doctor"]):
+        given = paths_first(given)
     # Modules and kernels are many small objects that stay: to look through them again and again for cycles took
     # an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)

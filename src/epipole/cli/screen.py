@@ -44,8 +44,8 @@ COMPILE_NOTE = "Compiling kernels, once on this machine (about a minute; later r
 
 
 @contextmanager
-def progress_on_screen() -> Iterator[ProgressCallback]:
-    """A progress callback that draws one bar per stage, with the time left."""
+def progress_on_screen(*, compiles_much: bool = False) -> Iterator[ProgressCallback]:
+    """A progress callback that draws one bar per stage, with the time left; what compiles for a minute says so."""
     columns = (
         *(TextColumn("{task.description:<22}"), BarColumn(bar_width=32), MofNCompleteColumn()),
         *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
@@ -54,7 +54,7 @@ def progress_on_screen() -> Iterator[ProgressCallback]:
         tasks: dict[str, TaskID] = {}
         from epipole import _jit
 
-        if not _jit.is_compiled():
+        if compiles_much and not _jit.is_compiled():
             bars.console.print(COMPILE_NOTE)
 
         def show(report: Progress) -> None:
@@ -152,7 +152,11 @@ def show_batch(batch: StereoBatch) -> None:
     console = Console()
     earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
     console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
-    _print_warnings(console, [f"{name}: {reason}" for name, reason in batch.problems.items()])
+    if batch.known:
+        shares = sorted(batch.known.values())
+        console.print(f"known pixels: {100 * shares[0]:.0f} to {100 * shares[-1]:.0f} %", highlight=False)
+    _print_warnings(console, [f"{name}: {'; '.join(words)}" for name, words in batch.warnings.items()])
+    _print_warnings(console, [f"{name}: {reason}" for name, reason in batch.problems.items()], "problem")
 
 
 def show_diagnosis(found: Diagnosis) -> None:
@@ -166,7 +170,7 @@ def show_diagnosis(found: Diagnosis) -> None:
     table.add_row("features that match", str(found.num_matches))
     table.add_row(
         "vertical offset",
-        f"median {found.vertical_median_px:.2f} px, 95 % {found.vertical_p95_px:.2f} px, mean direction "
+        f"median {found.vertical_median_px:.2f} px, 95 % {found.vertical_p95_px:.2f} px, signed median "
         f"{found.vertical_signed_px:+.2f} px",
     )
     table.add_row(
@@ -174,7 +178,7 @@ def show_diagnosis(found: Diagnosis) -> None:
         f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
     )
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
-        table.add_row(name, "  ".join(f"{value:+6.2f}" for value in row))
+        table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
     console.print(table)
     if found.expectations:
         ranges = Table("depth", "disparity, px", "error from matching", "from calibration", box=None)
@@ -191,7 +195,8 @@ def show_calibration(run: CalibrationRun) -> None:
         run.verdict.sentence, style="green" if run.verdict.passes else "yellow", highlight=False, markup=False
     )
     for c, camera in enumerate(found.cameras):
-        table = Table(f"{camera.model.name}", "value", "standard deviation", box=None)
+        who = f"{('left', 'right')[c]} " if len(found.cameras) == 2 else ""
+        table = Table(f"{who}{camera.model.name}", "value", "standard deviation", box=None)
         for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
@@ -200,12 +205,15 @@ def show_calibration(run: CalibrationRun) -> None:
             f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}",
             highlight=False,
         )
-    _print_warnings(console, [f"{name}: {reason}" for name, reason in run.problems.items()])
+    if found.config.refine_warp:
+        bend = ", ".join(f"{w:.3g}" for w in found.state.warp)
+        console.print(f"middle of the board above its edges, across and down: {bend}", highlight=False)
+    _print_warnings(console, run.problems.values())
     for c, states in enumerate(found.view_states):
         left_out = [
             f"{path.name}: {state.value}"
             for path, state in zip(run.pictures[c], states)
-            if state.value != "used"
+            if state.value != "used" and str(path) not in run.problems
         ]
         _print_warnings(console, left_out)
     console.print(

@@ -39,6 +39,10 @@ def run_stereo(
     if workspace is not None or pair is not None:
         if workspace is None or pair is None or len(paths) != 1:
             raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
+        if calibration or options != RigOptions():
+            raise ConfigError(
+                "the model says where its cameras are: give no calibration, focal length or baseline"
+            )
         with waiting_for_kernels():
             from epipole.api import stereo_of_model
 
@@ -75,14 +79,24 @@ def run_doctor(
     if as_json:
         from json import dumps
 
-        content = asdict(found)
-        content["cause"] = found.cause.value
-        content["vertical_map_px"] = [
-            [float(v) if np.isfinite(v) else None for v in row] for row in found.vertical_map_px
-        ]
-        print(dumps(content, indent=2, default=float))
+        content = asdict(found) | {
+            "cause": found.cause.value,
+            "vertical_map_px": found.vertical_map_px.tolist(),
+        }
+        print(dumps(_without_nan(content), indent=2))
     else:
         show_diagnosis(found)
+
+
+def _without_nan(content: object) -> object:
+    """The same with null for numbers that JSON does not know."""
+    if isinstance(content, dict):
+        return {key: _without_nan(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_without_nan(value) for value in content]
+    if isinstance(content, float):
+        return float(content) if np.isfinite(content) else None
+    return content
 
 
 def rig_of(

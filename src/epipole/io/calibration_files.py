@@ -83,8 +83,11 @@ def read_stereo_rig(*paths: str | Path, size: tuple[int, int] | None = None) -> 
         raise FileFormatError(
             paths[0], "it holds one camera; depth needs two and how they stand to each other (R and T)"
         )
+    if len(found.cameras) > 2:
+        raise FileFormatError(paths[0], f"it holds {len(found.cameras)} cameras; a pair has two")
+    motion = found.cam_from_rig[1] @ found.cam_from_rig[0].inverse()
     try:
-        return StereoRig(found.cameras[0], found.cameras[1], found.cam_from_rig[1], found.covariance)
+        return StereoRig(found.cameras[0], found.cameras[1], motion, found.covariance)
     except EpipoleError as error:
         raise FileFormatError(paths[0], str(error)) from error
 
@@ -250,6 +253,8 @@ def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
     prefix = "Camera_Matrix" if "Camera_Matrix" in content else "camera_matrix"
     coefficients = "Distortion_Coefficients" if prefix[0] == "C" else "distortion_coefficients"
     words = str(content.get("distortion_model", ""))
+    if words not in ("", "plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
+        raise FileFormatError(path, f"the distortion_model {words} is not known")
     is_fisheye = words in ("equidistant", "fisheye") or bool(content.get("fisheye_model", 0))
     K, d = _numbers(path, content, prefix, 3, 3), _numbers(path, content, coefficients)
     return camera_of_coefficients(path, _size(path, content, size), K, d, is_fisheye=is_fisheye)
@@ -317,6 +322,10 @@ def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
 
 
 def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
+    if content.get("version") != _VERSION:
+        raise FileFormatError(
+            path, f"it is of version {content.get('version')}; this epipole reads version {_VERSION}"
+        )
     try:
         cameras, rotations, translations = [], [], []
         for own in content["cameras"]:
@@ -324,7 +333,10 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
             params = np.array([float(own["params"][name]) for name in model.param_names])
             cameras.append(Camera(model, int(own["width"]), int(own["height"]), params))
             place = own["cam_from_rig"]
-            rotations.append(Rotation3.from_quat_wxyz(np.asarray(place["quat_wxyz"], np.float64)).matrix)
+            quaternion = np.asarray(place["quat_wxyz"], np.float64).reshape(4)
+            if not (np.isfinite(quaternion).all() and np.linalg.norm(quaternion) > 1e-9):
+                raise FileFormatError(path, "a quaternion is zero or not finite")
+            rotations.append(Rotation3.from_quat_wxyz(quaternion).matrix)
             translations.append(np.asarray(place["translation"], np.float64).reshape(3))
         if not cameras:
             raise FileFormatError(path, "it holds no camera")

@@ -43,7 +43,7 @@ def render_calibration_page(page: CalibrationPage) -> str:
     body = [
         f"<h1>Calibration of {plural(len(found.cameras), 'camera')}</h1>",
         f'<ul class="{verdict}"><li{mark}>{escape(page.verdict.sentence)}</li></ul>',
-        notes_list([f"{name}: {reason}" for name, reason in page.problems.items()]),
+        notes_list(list(page.problems.values())),
         section("Checks", _checks(page)),
     ]
     for c in range(len(found.cameras)):

@@ -36,6 +36,8 @@ class StereoRig:
             raise ShapeError("right_from_left must be a single motion")
         if self.covariance is not None and self.covariance.shape != (RIG_UNKNOWNS, RIG_UNKNOWNS):
             raise ShapeError(f"covariance must be ({RIG_UNKNOWNS}, {RIG_UNKNOWNS})")
+        if self.covariance is not None and not _is_covariance(self.covariance):
+            raise ConfigError("the covariance is none: not finite, not symmetric or with negative variances")
         rotation, translation = self.right_from_left.rotation, self.right_from_left.translation
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ConfigError("right_from_left has values that are not finite")
@@ -66,3 +68,14 @@ class StereoRig:
 
     def __repr__(self) -> str:
         return f"StereoRig(baseline {self.baseline:.6g}, left {self.left!r}, right {self.right!r})"
+
+
+def _is_covariance(matrix: np.ndarray) -> bool:
+    if not np.isfinite(matrix).all() or (np.diag(matrix) < 0).any():
+        return False
+    size = np.sqrt(np.diag(matrix))
+    scaled = matrix / np.maximum(np.outer(size, size), 1e-300)
+    kept = size > 0
+    if matrix[~kept].any() or np.abs(scaled - scaled.T).max() > 1e-6:
+        return False
+    return not kept.any() or bool(np.linalg.eigvalsh(scaled[np.ix_(kept, kept)])[0] > -1e-6)

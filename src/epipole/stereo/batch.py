@@ -12,6 +12,7 @@ from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.photographs import list_photographs
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import is_video
+from epipole.stereo.pipeline import StereoResult
 from epipole.workflow import Progress, ProgressCallback, ignore_progress
 
 
@@ -26,6 +27,10 @@ class StereoBatch:
     """Names of those that an earlier run with the same settings had measured."""
     problems: dict[str, str]
     """Why the others were not."""
+    warnings: dict[str, tuple[str, ...]]
+    """What is wrong with those that were measured now."""
+    known: dict[str, float]
+    """Share of their pixels that is known."""
 
     def __repr__(self) -> str:
         return f"StereoBatch({len(self.done)} done, {len(self.earlier)} done earlier, {len(self.problems)} failed, in {self.out})"
@@ -68,7 +73,7 @@ def run_batch(
     pairs: dict[str, tuple[Path, Path]],
     out: Path,
     settings: dict[str, Any],
-    measure: Callable[[Path, Path, Path], object],
+    measure: Callable[[Path, Path, Path], StereoResult],
     progress: ProgressCallback = ignore_progress,
 ) -> StereoBatch:
     """Measure each pair into a folder of its name; one that cannot be read does not stop the others.
@@ -80,19 +85,25 @@ def run_batch(
         measure: called with (left, right, folder).
         progress: called after each pair.
     """
-    done, earlier, problems = [], [], {}
+    done, earlier = [], []
+    problems: dict[str, str] = {}
+    warnings: dict[str, tuple[str, ...]] = {}
+    known: dict[str, float] = {}
     for number, (name, (left, right)) in enumerate(pairs.items(), 1):
         folder = out / name
         if _is_done(folder, settings):
             earlier.append(name)
         else:
             try:
-                measure(left, right, folder)
+                found = measure(left, right, folder)
                 done.append(name)
+                known[name] = found.disparities.density
+                if found.warnings:
+                    warnings[name] = found.warnings
             except EpipoleError as error:
                 problems[name] = str(error)
         progress(Progress("pairs", number, len(pairs)))
-    return StereoBatch(out, tuple(done), tuple(earlier), problems)
+    return StereoBatch(out, tuple(done), tuple(earlier), problems, warnings, known)
 
 
 def _is_done(folder: Path, settings: dict[str, Any]) -> bool:

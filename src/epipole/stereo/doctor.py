@@ -27,6 +27,7 @@ _EXPLAINS, _LESS = 0.7, 0.9
 _LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
 _UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
 _GRID = 3
+_SAME_PX = 0.02
 
 
 class Cause(StrEnum):
@@ -122,7 +123,7 @@ def examine(
     size = rectification.size if rectification is not None else size
     fits = _fits(every, flat, size)
     _say_order(matched, problems)
-    _say_rows(every, fits, problems, notes)
+    _say_rows(every, fits, len(pairs), problems, notes)
     _say_steadiness(clean, flat, size, problems, notes)
     if flat is not None:
         _say_units(flat, every, problems, notes)
@@ -231,10 +232,17 @@ def _say_order(matched: Sequence[RowMatches], problems: list[str]) -> None:
         problems.append("left and right are swapped: features lie farther right in the right picture")
 
 
-def _say_rows(matches: RowMatches, fits: tuple[float, float], problems: list[str], notes: list[str]) -> None:
+def _say_rows(
+    matches: RowMatches, fits: tuple[float, float], num_pairs: int, problems: list[str], notes: list[str]
+) -> None:
     if len(matches) < _LEAST_MATCHES:
-        notes.append(f"only {len(matches)} features match: nothing can be said of the rows")
+        if num_pairs:
+            problems.append(
+                f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
+            )
         return
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
+        problems.append("left and right are the same picture")
     cause = _cause(matches, fits)
     if cause is Cause.NONE:
         return

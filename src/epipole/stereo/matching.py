@@ -135,7 +135,8 @@ def match_with_evidence(
         theirs = mine.other
     apart = _left_right_difference(mine.disparity, theirs)
     reason = _judge(mine, apart, low, config)
-    reason[(reason == StereoReason.OK) & _is_textureless(one)] = StereoReason.TEXTURELESS
+    blank = _is_textureless(one) | _at_match(_is_textureless(two), mine.disparity)
+    reason[(reason == StereoReason.OK) & blank] = StereoReason.TEXTURELESS
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
@@ -154,6 +155,8 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
     greys = []
     for name, picture in (("left", left), ("right", right)):
         array = np.asarray(picture)
+        if array.size == 0:
+            raise ShapeError(f"{name} is empty: {array.shape}")
         if array.ndim == 3 and array.shape[2] == 3 and array.dtype in (np.uint8, np.uint16):
             array = cv2.cvtColor(np.ascontiguousarray(array), cv2.COLOR_RGB2GRAY)
         if array.ndim != 2 or array.dtype not in (np.uint8, np.uint16):
@@ -391,6 +394,13 @@ def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     changes = np.zeros_like(bright)
     changes[:, 1:-1] = np.abs(bright[:, 2:] - bright[:, :-2]) >= _LEAST_CHANGE
     return cv2.dilate(changes, np.ones((_TEXTURE_WINDOW, _TEXTURE_WINDOW))) == 0
+
+
+def _at_match(mask: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    """What the other picture's mask says at each pixel's match."""
+    width = mask.shape[1]
+    matched = np.rint(np.arange(width) - disparity).astype(np.int64)
+    return np.take_along_axis(mask, np.clip(matched, 0, width - 1), axis=1)
 
 
 def _speckles(disparity: np.ndarray, reason: np.ndarray, least: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from epipole.stereo.depth import DepthMap, RectifiedRig, depth_of
 from epipole.stereo.filling import FilledDisparities, fill_disparities
 from epipole.stereo.matching import DisparityMap, match_stereo
 from epipole.stereo.rectification import Rectification, rectify, within_both
-from epipole.stereo.rows import quick_warnings
+from epipole.stereo.rows import MatchedPair, quick_warnings
 
 REASON_COLORS = np.array(
     [[255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]], np.uint8
@@ -88,8 +88,7 @@ def measure_pair(
     disparities = match_stereo(left_rgb, right_rgb, config)
     if rectification is not None:
         disparities = within_both(disparities, rectification)
-    may_be_negative = config.min_disparity_px < 0 or (flat is not None and flat.principal_offset_px > 1.0)
-    warnings = list(quick_warnings(left_rgb, right_rgb, disparities.density, may_be_negative=may_be_negative))
+    warnings = list(quick_warnings(left_rgb, right_rgb, _matched(disparities, config, flat, rectification)))
     depths, num_points = None, 0
     if flat is not None:
         wrong_px = None
@@ -102,10 +101,27 @@ def measure_pair(
                 wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
         depths = depth_of(disparities, flat, wrong_px)
         num_points = int(np.isfinite(depths.depth).sum())
+        if not num_points and disparities.density > 0:
+            warnings.append(
+                "no depth is positive and finite: every disparity plus the principal offset is zero or less"
+            )
     return StereoResult(
         *(left_rgb, right_rgb, disparities, flat, depths, rectification, tuple(warnings), num_points),
         fill_disparities(disparities, left_rgb) if config.fill else None,
     )
+
+
+def _matched(
+    disparities: DisparityMap,
+    config: StereoConfig,
+    flat: RectifiedRig | None,
+    rectification: Rectification | None,
+) -> MatchedPair:
+    high = np.inf if config.max_disparity_px is None else float(config.max_disparity_px)
+    low = float(config.min_disparity_px)
+    if flat is not None and flat.principal_offset_px > 1.0:
+        low = min(low, -flat.principal_offset_px)  # axes that meet: far things have negative disparities
+    return MatchedPair(disparities.density, (low, high), rectification is not None)
 
 
 def run_stereo(

@@ -15,7 +15,8 @@ from epipole.features import detect_features, match_descriptors
 _MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are mistakes
 _ROUNDS = 20
 _LEAST_MATCHES = 30
-_SPARSE = 0.3
+_SPARSE, _FEW = 0.3, 0.2
+_AGREES_PX, _MOST_BEYOND = 2.0, 0.1
 _NEAR_PX = 1.0  # a disparity of less says nothing of the order of the pictures
 _SWAPPED_SHARE = 0.8
 _MOST_OFF_PX = 1.0
@@ -77,37 +78,63 @@ def match_features(
     return RowMatches(first[near], second[near], min(len(one), len(two)))
 
 
-def quick_warnings(
-    left_rgb: np.ndarray, right_rgb: np.ndarray, density: float, *, may_be_negative: bool = False
-) -> tuple[str, ...]:
-    """What is plainly wrong with a pair that counts as rectified: swapped, rows that do not match, nothing in common.
+@dataclass(frozen=True, slots=True)
+class MatchedPair:
+    """What was asked of a pair and came of it."""
+
+    density: float
+    """Share of the pixels for which a disparity was found."""
+    search_px: tuple[float, float]
+    """First and last disparity looked for; infinite where the pictures themselves set the end."""
+    is_calibrated: bool
+
+
+def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPair) -> tuple[str, ...]:
+    """What is plainly wrong with a rectified pair: swapped, rows that do not match, a range too small, nothing in common.
 
     Args:
         left_rgb: (h, w, 3).
         right_rgb: the same size.
-        density: share of the pixels for which a disparity was found.
-        may_be_negative: disparities below zero are asked for, and say nothing of the order.
+        found: what was asked and came of it.
     """
     grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
     matches = match_features(grey[0], grey[1], "orb")
+    few = f"only {100 * found.density:.1f} % of the pixels are known"
     if len(matches) < _LEAST_MATCHES:
-        if density > _SPARSE:
+        if found.density > _SPARSE:
             return ()
         if matches.num_features < _LEAST_MATCHES:
-            return ("hardly anything in the pictures can be matched: blank, dark or blurred",)
-        return ("hardly any feature of one picture is found in the other: do they show the same thing?",)
+            return (f"{few}: the pictures are blank, dark or blurred",)
+        return (
+            f"{few}, and hardly any feature of one picture is found in the other: do they show the same thing?",
+        )
     out = []
-    if not may_be_negative and is_swapped(matches):
-        out.append(
-            "left and right look swapped: nearly all features lie farther right in the right picture. "
-            "Exchange the two pictures"
+    low, high = found.search_px
+    agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
+    beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
+    if low >= 0 and is_swapped(matches):
+        advice = (
+            "is its calibration that of this pair?" if found.is_calibrated else "Exchange the two pictures"
         )
-    offset = float(np.median(matches.vertical_px))
-    if abs(offset) > _MOST_OFF_PX:
         out.append(
-            f"the pair is not rectified: features lie {abs(offset):.1f} px "
-            f"{'lower' if offset > 0 else 'higher'} in the right picture (median). Give its calibration"
+            f"left and right look swapped: nearly all features lie farther right in the right picture. {advice}"
         )
+    elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
+        out.append(
+            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities beyond the range looked for, {low:g} to {high:g} px: "
+            "what is known there is wrong"
+        )
+    offset = float(np.median(np.abs(matches.vertical_px)))
+    if offset > _MOST_OFF_PX:
+        advice = (
+            "the calibration does not fit these pictures" if found.is_calibrated else "give its calibration"
+        )
+        out.append(
+            f"the pair is not rectified: features lie {offset:.1f} px off their rows (median); {advice}. "
+            "`epipole stereo doctor` says more"
+        )
+    if found.density < _FEW and not out:
+        out.append(few)
     return tuple(out)
 
 
@@ -117,7 +144,7 @@ def is_swapped(matches: RowMatches) -> bool:
     if telling.sum() < _LEAST_MATCHES:
         return False
     # Half of the matches may be mistakes: the sign of what agrees in its row counts.
-    agrees = telling & (np.abs(matches.vertical_px - np.median(matches.vertical_px)) < 2.0)
+    agrees = telling & (np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX)
     return bool(agrees.any() and (matches.disparity_px[agrees] < 0).mean() > _SWAPPED_SHARE)
 
 

@@ -1,0 +1,55 @@
+"""Which pictures belong to which camera, and what is said of those that cannot be used."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from epipole.calibration.pipeline import pictures_of_cameras, run_calibration
+from epipole.config import BoardConfig, CalibrationConfig
+from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
+
+
+def saved(path):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.zeros((80, 100), np.uint8)).save(path)
+
+
+@pytest.mark.parametrize("names", [("left{}.png", "right{}.png"), ("cam0_{}.png", "cam1_{}.png")])
+def test_pairs_in_one_folder_are_told_by_their_names(tmp_path, names):
+    for number in (1, 2, 3):
+        for name in names:
+            saved(tmp_path / name.format(number))
+    saved(tmp_path / names[0].format(9))  # without a partner
+    sides = pictures_of_cameras(tmp_path)
+    assert [[p.name for p in side] for side in sides] == [[n.format(k) for k in (1, 2, 3)] for n in names]
+
+
+def test_folders_of_sides_and_single_cameras(tmp_path):
+    for side in ("cam0", "cam1"):
+        for number in (1, 2):
+            saved(tmp_path / "two" / side / f"{number}.png")
+    assert [len(side) for side in pictures_of_cameras(tmp_path / "two")] == [2, 2]
+    saved(tmp_path / "one" / "a.png")
+    assert [len(side) for side in pictures_of_cameras(tmp_path / "one")] == [1]
+    saved(tmp_path / "two" / "cam1" / "3.png")
+    with pytest.raises(FileFormatError, match="every left one needs"):
+        pictures_of_cameras(tmp_path / "two")
+
+
+def test_what_cannot_be_used_is_said(tmp_path):
+    saved(tmp_path / "blank" / "a.png")
+    for kind, words in (
+        ("chessboard", "7 x 5 inner corners"),
+        ("charuco", "ChArUco"),
+        ("apriltag", "AprilTags"),
+    ):
+        config = CalibrationConfig(board=BoardConfig(kind=kind, columns=7, rows=5))
+        with pytest.raises(DegenerateGeometryError, match=words):
+            run_calibration(tmp_path / "blank", tmp_path / "out", config)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WorkspaceError, match="is a file"):
+        run_calibration(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileFormatError, match="no picture"):
+        run_calibration(tmp_path / "empty", tmp_path / "out", CalibrationConfig())
+    assert not (tmp_path / "out").exists()
