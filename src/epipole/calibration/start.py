@@ -34,8 +34,7 @@ def start_camera(
 ) -> tuple[Camera, Rigid3]:
     """The undistorted camera whose views fit best by their medians, and cam_from_board of each view (NaN: none).
 
-    Each focal length of a grid is tried with the pose of least error for each view: it needs no closed form, and
-    serves every model.
+    Each focal length of a grid is tried with the pose that each view's homography gives: it serves every model.
 
     Raises:
         DegenerateGeometryError: fewer than three views show the board.
@@ -68,45 +67,67 @@ def start_camera(
 
 
 def _plane_error(camera: Camera, pixels: np.ndarray, points: np.ndarray) -> float:
-    """Median pixel distance under the pose that the homography from the board to the rays gives.
-
-    ray x (H (X, Y, 1)) = 0 by its null vector; H = [r1 r2 t] up to scale, its first columns brought to the nearest pair of
-    orthogonal unit vectors: what they lack to be one is what tells the focal length (Zhang, PAMI 2000).
-    """
+    """Median pixel distance under the pose of `plane_pose`: it tells the focal length."""
     rays = camera.unproject(pixels)
     usable = np.isfinite(rays).all(axis=1)
-    if usable.sum() < 4:
+    pose = plane_pose(rays[usable], points[usable])
+    if pose is None:
         return np.inf
-    middle, size = points.mean(axis=0)[:2], np.ptp(points[:, :2], axis=0).max()
-    plane = np.column_stack([(points[:, :2] - middle) / size, np.ones(len(points))])
-    rows = (skew(rays[usable])[:, :, :, None] * plane[usable][:, None, None, :]).reshape(-1, 9)
-    matrix = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    if matrix[2] @ plane[0] < 0 or (matrix[2] @ plane[0] == 0):
-        matrix = -matrix
-    left, values, right = np.linalg.svd(matrix[:, :2], full_matrices=False)
-    axes = left @ right
-    rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
-    in_cam = plane[:, :2] @ rotation[:, :2].T + matrix[:, 2] / values.mean()
-    distance = np.linalg.norm(camera.project(in_cam) - pixels, axis=1)
+    distance = np.linalg.norm(camera.project(pose.apply(points)) - pixels, axis=1)
     return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
 
 
-def place_view(camera: Camera, pixels: np.ndarray, points: np.ndarray) -> tuple[Rigid3, float] | None:
-    """cam_from_board of one view by PnP, twice without the corners that lie far off, and its median error."""
+def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
+    """cam_from_board from the homography of the board's plane to the rays; None for fewer than four.
+
+    ray x (H (X, Y, 1)) = 0 by its null vector; H = [r1 r2 t] up to scale, its first columns brought to the nearest pair of
+    orthogonal unit vectors: what they lack to be one is what tells the focal length (Zhang, PAMI 2000). The board is nearly flat.
+    """
+    if len(rays) < 4:
+        return None
+    middle, size = points.mean(axis=0), np.ptp(points[:, :2], axis=0).max()
+    plane = np.column_stack([(points[:, :2] - middle[:2]) / size, np.ones(len(points))])
+    rows = (skew(rays)[:, :, :, None] * plane[:, None, None, :]).reshape(-1, 9)
+    matrix = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+    if np.einsum("ni,ij,nj->", rays, matrix, plane) < 0:  # the board lies before the camera
+        matrix = -matrix
+    left, values, right = np.linalg.svd(matrix[:, :2], full_matrices=False)
+    if not values[1] > 1e-12 * values[0]:
+        return None
+    axes = left @ right
+    rotation = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
+    return Rigid3(rotation, matrix[:, 2] * size / values.mean() - rotation @ middle)
+
+
+def place_view(
+    camera: Camera, pixels: np.ndarray, points: np.ndarray, *, precise: bool = True
+) -> tuple[Rigid3, float] | None:
+    """cam_from_board of one view, twice without the corners that lie far off, and its median error.
+
+    By PnP, or (precise=False, a hundredth of the time) by the board's homography alone.
+    """
     rays = camera.unproject(pixels)
     usable = np.isfinite(rays).all(axis=1)
+    found: tuple[Rigid3, float] | None = None
     for _ in range(_TRIMS + 1):
-        if usable.sum() < 4:
-            return None
-        try:
-            pose = solve_pnp(rays[usable], points[usable])
-        except (DegenerateGeometryError, ShapeError):
+        pose = _pose(rays[usable], points[usable], precise=precise)
+        if pose is None:
             return None
         distance = np.linalg.norm(camera.project(pose.apply(points)) - pixels, axis=1)
         distance = np.where(np.isfinite(distance), distance, np.inf)
         middle = float(np.median(distance))
+        found = (pose, middle) if np.isfinite(middle) else None
         usable = np.isfinite(rays).all(axis=1) & (distance <= max(_TRIM * middle, 1e-6))
-    return (pose, middle) if np.isfinite(middle) else None
+    return found
+
+
+def _pose(rays: np.ndarray, points: np.ndarray, *, precise: bool) -> Rigid3 | None:
+    if not precise:
+        return plane_pose(rays, points)
+    try:
+        return solve_pnp(rays, points)
+    except (DegenerateGeometryError, ShapeError):
+        return None
 
 
 def _places(
@@ -116,7 +137,7 @@ def _places(
     error = np.full(len(views), np.nan)
     for v in which:
         rows = views[v]
-        found = place_view(camera, corners.pixels[rows], board[corners.corner[rows]])
+        found = place_view(camera, corners.pixels[rows], board[corners.corner[rows]], precise=False)
         if found is not None:
             rotation[v], translation[v], error[v] = found[0].rotation, found[0].translation, found[1]
     return _Places(Rigid3(rotation, translation), error)
