@@ -346,7 +346,7 @@ def stereo(
     )
     with atomic_write(out / "report.html") as aside:
         aside.write_text(render_stereo_page(page), encoding="utf-8")
-    write_json(out / "config.json", _stereo_settings(config, rig))
+    write_json(out / "config.json", _stereo_settings(config, rig, Path(left), Path(right)))
     return result
 
 
@@ -369,7 +369,7 @@ def stereo_many(
     config, out = config or StereoConfig(), Path(out)
     pairs = list_pairs(Path(left), Path(right), out, config.max_frames)
     batch = run_batch(
-        *(pairs, out, _stereo_settings(config, rig)),
+        *(pairs, out, lambda one, two: _stereo_settings(config, rig, one, two)),
         lambda one, two, folder: stereo(one, two, folder, config, rig),
         progress,
     )
@@ -457,9 +457,19 @@ def examine_stereo(
         return replace(found, notes=(*found.notes, *unread))
 
 
-def _stereo_settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> dict[str, Any]:
-    described: Any = rig if rig is None else asdict(rig) if isinstance(rig, RectifiedRig) else repr(rig)
-    return {"version": __version__, "config": asdict(config), "rig": described}
+def _stereo_settings(
+    config: StereoConfig, rig: RectifiedRig | StereoRig | None, left: Path, right: Path
+) -> dict[str, Any]:
+    """All that the result depends on: other pictures or another calibration of the same name are not the same pair."""
+    described: Any = asdict(rig) if isinstance(rig, RectifiedRig) else rig
+    if isinstance(rig, StereoRig):
+        described = {
+            "cameras": [[c.model.name, c.width, c.height, c.params.tolist()] for c in (rig.left, rig.right)],
+            "right_from_left": rig.right_from_left.as_matrix().tolist(),
+            "covariance": None if rig.covariance is None else rig.covariance.tolist(),
+        }
+    pictures = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in (left, right)]
+    return {"version": __version__, "config": asdict(config), "rig": described, "pictures": pictures}
 
 
 def calibrate(

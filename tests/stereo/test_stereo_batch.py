@@ -50,6 +50,9 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     (tmp_path / "right" / "b.png").write_bytes(data)
     again = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert again.done == ("b",) and again.earlier == ("a", "c") and not again.problems
+    saved(tmp_path / "right" / "c.png", np.roll(pair.right, 1, axis=1))
+    changed = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
+    assert changed.done == ("c",) and changed.earlier == ("a", "b")
     other = api.stereo_many(
         tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig
     )
@@ -63,6 +66,11 @@ def test_pairs_by_name_and_by_order(tmp_path, pair):
         saved(tmp_path / "right" / name, pair.right)
     pairs = list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)
     assert [(a.name, b.name) for a, b in pairs.values()] == [("l1.png", "r1.png"), ("l2.png", "r2.png")]
+    for side in ("x", "y"):
+        for name in ("same.png", "same.bmp"):
+            saved(tmp_path / side / name, pair.left)
+    twins = list_pairs(tmp_path / "x", tmp_path / "y", tmp_path / "out", 5)
+    assert sorted(twins) == ["same.bmp", "same.png"]
     saved(tmp_path / "right" / "r3.png", pair.right)
     with pytest.raises(FileFormatError, match="which belong together"):
         list_pairs(tmp_path / "left", tmp_path / "right", tmp_path / "out", 5)

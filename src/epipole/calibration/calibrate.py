@@ -118,7 +118,7 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one camera, or several that are held in place to each other, from views of a board.
 
-    Every camera is begun alone (a grid of focal lengths, PnP), the rig from the views that agree most. Then
+    Every camera is begun alone (a grid of focal lengths, each view's homography), the rig from the views that agree most. Then
     all is adjusted under Cauchy's loss; corners and whole views that lie off are left out; the rest is fitted by plain
     least squares until nothing changes.
 

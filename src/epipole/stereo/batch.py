@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,19 +60,19 @@ def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str,
         raise FileFormatError(left if not names[0] else right, "there is no picture in it")
     common = [name for name in names[0] if name in set(names[1])]
     if common:
-        return {_folder_name(name): (left / name, right / name) for name in common}
+        return _by_folder([(left / name, right / name) for name in common], common)
     if len(names[0]) != len(names[1]):
         raise FileFormatError(
             right,
             f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
         )
-    return {_folder_name(a): (left / a, right / b) for a, b in zip(names[0], names[1])}
+    return _by_folder([(left / a, right / b) for a, b in zip(names[0], names[1])], names[0])
 
 
 def run_batch(
     pairs: dict[str, tuple[Path, Path]],
     out: Path,
-    settings: dict[str, Any],
+    settings: Callable[[Path, Path], dict[str, Any]],
     measure: Callable[[Path, Path, Path], StereoResult],
     progress: ProgressCallback = ignore_progress,
 ) -> StereoBatch:
@@ -81,7 +81,7 @@ def run_batch(
     Args:
         pairs: as of `list_pairs`.
         out: the folder of the folders.
-        settings: what `measure` writes to `config.json`: a pair that has it is not measured again.
+        settings: what `measure` writes to `config.json` of two pictures: a pair that has it is not measured again.
         measure: called with (left, right, folder).
         progress: called after each pair.
     """
@@ -91,7 +91,7 @@ def run_batch(
     known: dict[str, float] = {}
     for number, (name, (left, right)) in enumerate(pairs.items(), 1):
         folder = out / name
-        if _is_done(folder, settings):
+        if left.is_file() and right.is_file() and _is_done(folder, settings(left, right)):
             earlier.append(name)
         else:
             try:
@@ -114,5 +114,7 @@ def _is_done(folder: Path, settings: dict[str, Any]) -> bool:
     return (folder / "report.html").is_file() and written == json.loads(json.dumps(settings, default=str))
 
 
-def _folder_name(name: str) -> str:
-    return Path(name).with_suffix("").as_posix()
+def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
+    """Named without suffix, where no two names differ in that alone."""
+    short = [Path(name).with_suffix("").as_posix() for name in names]
+    return {a if short.count(a) == 1 else name: pair for a, name, pair in zip(short, names, pairs)}
