@@ -209,6 +209,13 @@ def test_calibrate_names_what_is_wrong(tmp_path):
 def test_paths_come_before_options_that_would_swallow_them():
     given = ["stereo", "--calibration", "a", "b", "L", "R", "O", "--fill"]
     assert paths_first(given) == ["stereo", "L", "R", "O", "--calibration", "a", "b", "--fill"]
+    for given in (
+        ["stereo", "L", "R", "O", "--calibration", "a", "b", "--cameras", "2", "3"],
+        ["stereo", "L", "R", "O", "--cameras", "2", "3", "--calibration", "a", "b"],
+    ):
+        assert paths_first(given) == given
+    given = ["stereo", "--calibration", "a", "--cameras", "2", "3", "L", "R", "O"]
+    assert paths_first(given) == ["stereo", "L", "R", "O", "--calibration", "a", "--cameras", "2", "3"]
     given = ["stereo", "--workspace", "W", "--pair", "A", "B", "OUT"]
     assert paths_first(given) == ["stereo", "OUT", "--workspace", "W", "--pair", "A", "B"]
     given = ["stereo", "L", "R", "O", "--calibration", "F"]

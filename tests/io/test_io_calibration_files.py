@@ -197,3 +197,61 @@ def test_the_first_camera_need_not_be_the_rigs_origin(tmp_path):
     write_calibration(tmp_path / "own.json", CalibrationFile((LENS, LENS), both))
     rig = read_stereo_rig(tmp_path / "own.json")
     np.testing.assert_allclose(rig.right_from_left.as_matrix(), MOTION.as_matrix(), atol=1e-12)
+
+
+def test_euroc_sensors_are_read(data_dir):
+    sensors = [
+        data_dir / "slam" / "euroc_static" / "mav0" / name / "sensor.yaml" for name in ("cam0", "cam1")
+    ]
+    rig = read_stereo_rig(*sensors)
+    assert rig.left.model is CameraModel.OPENCV and (rig.left.width, rig.left.height) == (752, 480)
+    np.testing.assert_allclose(rig.left.params[:4], [458.654, 457.296, 367.215, 248.375])
+    assert rig.baseline == pytest.approx(0.11007, abs=1e-5)
+    assert rig.right_from_left.translation[0] < 0  # cam1 stands right of cam0
+    assert len(read_calibration(sensors[0]).cameras) == 1
+
+
+def test_kitti_matrices_are_read(data_dir, tmp_path):
+    path = data_dir / "slam" / "kitti06_stereo" / "calib.txt"
+    with pytest.raises(FileFormatError, match="how large"):
+        read_stereo_rig(path)
+    rig = read_stereo_rig(path, size=(1226, 370))
+    np.testing.assert_allclose(rig.left.params, [707.0912, 707.0912, 601.8873, 183.1104])
+    np.testing.assert_allclose(rig.right_from_left.translation, [-379.8145 / 707.0912, 0, 0])
+    first, second = path.read_text().splitlines()
+    named = tmp_path / "calib.txt"
+    named.write_text(f"P0: {first}\nP1: {second}\nP2: {first}\nP3: {second}\nTr: {first}\n")
+    with pytest.raises(FileFormatError, match="say which two"):
+        read_stereo_rig(named, size=(1226, 370))
+    other = read_stereo_rig(named, size=(1226, 370), cameras=(2, 3))
+    assert other.baseline == pytest.approx(rig.baseline)
+    for cameras in ((0, 4), (1, 1), (-1, 0)):
+        with pytest.raises(FileFormatError, match="no pair of them"):
+            read_stereo_rig(named, size=(1226, 370), cameras=cameras)
+    raw = tmp_path / "calib_cam_to_cam.txt"
+    raw.write_text(
+        f"calib_time: 09-Jan-2012 13:57:47\nS_rect_00: 1.226e+03 3.7e+02\nR_00: 1 0 0 0 1 0 0 0 1\nP_rect_00: {first}\n"
+        f"S_rect_01: 1.226e+03 3.7e+02\nP_rect_01: {second}\n"
+    )
+    assert read_stereo_rig(raw).left.width == 1226
+    raw.write_text(f"P0: {first}\nP1: 1 2 3\n")
+    with pytest.raises(FileFormatError, match="P1 should be 12"):
+        read_stereo_rig(raw, size=(4, 4))
+
+
+def test_middlebury_calibrations_are_read(tmp_path):
+    path = tmp_path / "calib.txt"
+    text = (
+        "cam0=[994.978 0 311.193; 0 994.978 254.877; 0 0 1]\ncam1=[994.978 0 342.279; 0 994.978 254.877; 0 0 1]\n"
+        "doffs=31.086\nbaseline=193.001\nwidth=741\nheight=497\nndisp=70\nisint=0\n"
+    )
+    path.write_text(text)
+    rig = read_stereo_rig(path)
+    assert (rig.left.width, rig.left.height, rig.baseline) == (741, 497, pytest.approx(193.001))
+    assert rig.right.params[2] - rig.left.params[2] == pytest.approx(31.086)
+    path.write_text(text.replace("baseline", "base"))
+    with pytest.raises(FileFormatError, match="the key baseline is missing"):
+        read_stereo_rig(path)
+    path.write_text(text.replace("193.001", "far"))
+    with pytest.raises(FileFormatError, match="baseline holds something"):
+        read_stereo_rig(path)

@@ -7,13 +7,16 @@ import pytest
 from PIL import Image
 
 from epipole import api
+from epipole.cameras import Camera, CameraModel
 from epipole.config import RigOptions, StereoConfig
 from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.geometry import Rigid3
 from epipole.io.depth_maps import read_pfm, read_png16
 from epipole.io.ply import read_points_ply
 from epipole.report.stereo_page import color_map
+from epipole.scene import StereoRig
 from epipole.stereo import DisparityMap, RectifiedRig, StereoReason, depth_of, match_stereo, point_covariances
-from epipole.stereo.depth import rig_from_options
+from epipole.stereo.depth import rectified_rig_of, rig_from_options
 from epipole.synthetic.stereo_rooms import stereo_room
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.12)
@@ -148,3 +151,33 @@ def test_a_page_of_nothing(tmp_path):
     assert found.disparities.density == 0 and found.num_points == 0
     assert "0.0 % of the left" in (tmp_path / "out" / "report.html").read_text()
     assert (color_map(np.full((3, 3), np.nan)) == 0).all()
+
+
+def flat_rig(pair, offset_px=3.0, turn=0.0, k1=0.0, covariance=None):
+    height, width = pair.left.shape[:2]
+    focal, cx, cy = pair.camera.K[0, 0], pair.camera.K[0, 2], pair.camera.K[1, 2]
+    left = Camera(CameraModel.OPENCV, width, height, np.array([focal, focal, cx, cy, k1, 0, 0, 0]))
+    right = Camera(CameraModel.PINHOLE, width, height, np.array([focal, focal, cx + offset_px, cy]))
+    return StereoRig(left, right, Rigid3.exp(np.array([-pair.baseline, 0, 0, 0, 0, turn])), covariance)
+
+
+def test_a_calibration_of_rectified_cameras_resamples_nothing(pair_files, tmp_path):
+    pair, left, right = pair_files
+    height, width = pair.left.shape[:2]
+    found = api.stereo(left, right, tmp_path / "out", StereoConfig(max_disparity_px=40), flat_rig(pair))
+    assert found.rectification is None and found.left_rgb.shape[:2] == (height, width)
+    assert found.rig.principal_offset_px == pytest.approx(3.0)
+    assert any("no covariance" in words for words in found.warnings)
+    for other in ({"turn": 1e-4}, {"k1": 1e-3}, {"covariance": np.zeros((30, 30))}):
+        assert rectified_rig_of(flat_rig(pair, **other)) is None
+
+
+def test_a_calibration_of_another_size_is_refused(pair_files, tmp_path):
+    pair, left, right = pair_files
+    rig = flat_rig(pair)
+    small = Camera(rig.left.model, rig.left.width // 2, rig.left.height, rig.left.params)
+    wrong = StereoRig(small, rig.right, rig.right_from_left)
+    with pytest.raises(ShapeError, match="its calibration is for"):
+        api.stereo(left, right, tmp_path / "out", StereoConfig(max_disparity_px=40), wrong)
+    with pytest.raises(ShapeError, match="its calibration is for"):
+        api.examine_stereo(left, right, wrong)

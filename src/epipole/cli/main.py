@@ -24,6 +24,9 @@ Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
 Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
 Paths = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LEFT RIGHT OUT")]
 
+ANSWER_IS_NO = 3
+"""Exit code of a check that ran and did not pass; errors have 1, wrong usage 2."""
+
 DEFAULTS = ReconstructConfig()
 STEREO_DEFAULTS = StereoConfig()
 RIG_DEFAULTS = RigOptions()
@@ -56,6 +59,7 @@ def stereo(
     config: Annotated[StereoConfig, tyro.conf.arg(name="")] = STEREO_DEFAULTS,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
     calibration: tuple[Path, ...] = (),
+    cameras: tuple[int, int] | None = None,
     workspace: Path | None = None,
     pair: tuple[str, str] | None = None,
 ) -> None:
@@ -68,14 +72,15 @@ def stereo(
         paths: Left picture, whose pixels get the disparities; right picture; output folder.
         config: Options.
         rig: What is known of rectified cameras.
-        calibration: File of both cameras, of epipole, OpenCV or Kalibr; or two files (ROS' left and right, OpenCV's
-            intrinsics and extrinsics). The pair is rectified by it.
+        calibration: File of both cameras, of epipole, OpenCV, Kalibr, KITTI or Middlebury; or two files (ROS' or EuRoC's
+            left and right, OpenCV's intrinsics and extrinsics). The pair is rectified by it.
+        cameras: Left and right camera of a calibration that has more than two, counted from 0.
         workspace: Output folder of a reconstruction to take two pictures from, in place of LEFT and RIGHT.
         pair: Names of these pictures.
     """
-    from epipole.cli.stereo import run_stereo
+    from epipole.cli.stereo import CalibrationGiven, run_stereo
 
-    run_stereo(paths, config, rig, calibration, (workspace, pair))
+    run_stereo(paths, config, rig, CalibrationGiven(calibration, cameras), (workspace, pair))
 
 
 def stereo_doctor(
@@ -83,7 +88,9 @@ def stereo_doctor(
     right: Right,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
     calibration: tuple[Path, ...] = (),
+    cameras: tuple[int, int] | None = None,
     json: bool = False,
+    strict: bool = False,
 ) -> None:
     """What is wrong with a stereo pair: swapped, rows that do not match and why, not synchronous, odd units.
 
@@ -94,11 +101,15 @@ def stereo_doctor(
         right: Right picture, folder or video.
         rig: What is known of rectified cameras.
         calibration: As for `stereo`.
+        cameras: As for `stereo`.
         json: Print JSON.
+        strict: Exit with code 3 where something is wrong.
     """
-    from epipole.cli.stereo import run_doctor
+    from epipole.cli.stereo import CalibrationGiven, run_doctor
 
-    run_doctor(left, right, rig, calibration, as_json=json)
+    is_healthy = run_doctor(left, right, rig, CalibrationGiven(calibration, cameras), as_json=json)
+    if strict and not is_healthy:
+        sys.exit(ANSWER_IS_NO)
 
 
 def calibrate(
@@ -108,6 +119,7 @@ def calibrate(
         CalibrationConfig, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes
     ] = CALIBRATION_DEFAULTS,
     right: Path | None = None,
+    strict: bool = False,
 ) -> None:
     """Calibrate a camera, or a pair of cameras, from pictures of a chessboard, ChArUco board or AprilTag grid.
 
@@ -118,6 +130,7 @@ def calibrate(
         out: Output folder.
         config: Board and options.
         right: Folder of the right camera's pictures, where it is not found by name.
+        strict: Exit with code 3 where the calibration fails its checks; it is written all the same.
     """
     from epipole.cli.screen import progress_on_screen, show_calibration
 
@@ -126,6 +139,8 @@ def calibrate(
 
         result = run(images, out, config, right, progress)
     show_calibration(result)
+    if strict and not result.verdict.passes:
+        sys.exit(ANSWER_IS_NO)
 
 
 def demo(out: Out = Path("demo"), num_views: int = 24) -> None:
@@ -235,14 +250,17 @@ def paths_first(given: list[str]) -> list[str]:
     paths: list[str] = []
     command, rest = given[0], given[1:]
     wanted = 2 if command == "stereo-doctor" else 1 if "--workspace" in rest else 3
+    while rest and not rest[0].startswith("-"):
+        out.append(rest.pop(0))
+    wanted -= len(out)
     while rest:
         word = rest.pop(0)
         out.append(word)
-        if word not in ("--pair", "--calibration"):
+        if word not in ("--pair", "--cameras", "--calibration"):
             continue
         end = next((k for k, value in enumerate(rest) if value.startswith("--")), len(rest))
         values, rest = rest[:end], rest[end:]
-        most = 2 if word == "--pair" else max(1, len(values) - wanted)
+        most = max(1, len(values) - wanted) if word == "--calibration" else 2
         if len(values) > most:
             paths += values[most:]
             values = values[:most]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -23,11 +23,18 @@ if TYPE_CHECKING:
     from epipole.stereo import RectifiedRig
 
 
+class CalibrationGiven(NamedTuple):
+    """What `--calibration` and `--cameras` say."""
+
+    files: tuple[Path, ...] = ()
+    cameras: tuple[int, int] | None = None
+
+
 def run_stereo(
     paths: tuple[Path, ...],
     config: StereoConfig,
     options: RigOptions,
-    calibration: tuple[Path, ...],
+    calibrated: CalibrationGiven,
     of_model: tuple[Path | None, tuple[str, str] | None],
 ) -> None:
     """One pair, many pairs, or two pictures of a model.
@@ -39,7 +46,7 @@ def run_stereo(
     if workspace is not None or pair is not None:
         if workspace is None or pair is None or len(paths) != 1:
             raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
-        if calibration or options != RigOptions():
+        if calibrated.files or options != RigOptions():
             raise ConfigError(
                 "the model says where its cameras are: give no calibration, focal length or baseline"
             )
@@ -58,24 +65,24 @@ def run_stereo(
         with progress_on_screen() as progress:
             from epipole.api import stereo_many
 
-            batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibration), progress)
+            batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibrated), progress)
         show_batch(batch)
         return
     with waiting_for_kernels():
         from epipole.api import stereo
 
-        result = stereo(left, right, out, config, rig_of(left, right, options, calibration))
+        result = stereo(left, right, out, config, rig_of(left, right, options, calibrated))
     show_stereo(result)
 
 
 def run_doctor(
-    left: Path, right: Path, options: RigOptions, calibration: tuple[Path, ...], *, as_json: bool
-) -> None:
-    """Examine and print."""
+    left: Path, right: Path, options: RigOptions, calibrated: CalibrationGiven, *, as_json: bool
+) -> bool:
+    """Examine and print; whether nothing is wrong."""
     with waiting_for_kernels():
         from epipole.api import examine_stereo
 
-        found = examine_stereo(left, right, rig_of(left, right, options, calibration))
+        found = examine_stereo(left, right, rig_of(left, right, options, calibrated))
     if as_json:
         from json import dumps
 
@@ -86,6 +93,7 @@ def run_doctor(
         print(dumps(_without_nan(content), indent=2))
     else:
         show_diagnosis(found)
+    return found.is_healthy
 
 
 def _without_nan(content: object) -> object:
@@ -100,7 +108,7 @@ def _without_nan(content: object) -> object:
 
 
 def rig_of(
-    left: Path, right: Path, options: RigOptions, calibration: tuple[Path, ...]
+    left: Path, right: Path, options: RigOptions, calibrated: CalibrationGiven
 ) -> RectifiedRig | StereoRig | None:
     """What the options and files say of the cameras.
 
@@ -110,12 +118,14 @@ def rig_of(
     """
     from epipole.stereo.depth import rig_from_options
 
-    if calibration:
+    if calibrated.cameras and not calibrated.files:
+        raise ConfigError("--cameras chooses two of the cameras of a calibration: give one")
+    if calibrated.files:
         if options != RigOptions():
             raise ConfigError("give a calibration, or focal_px and baseline of a rectified pair, not both")
         from epipole.io.calibration_files import read_stereo_rig
 
-        return read_stereo_rig(*calibration, size=_size_of_first(left))
+        return read_stereo_rig(*calibrated.files, size=_size_of_first(left), cameras=calibrated.cameras)
     if options.focal_px is None and options.baseline is None:
         return rig_from_options(options, (1, 1))
     return rig_from_options(options, _size_of_first(left) or _size_of_first(right) or (1, 1))

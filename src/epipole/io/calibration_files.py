@@ -1,4 +1,7 @@
-"""Calibrations as files: our JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain."""
+"""Calibrations as files: our JSON with covariances, OpenCV's YAML/XML/JSON, ROS' camera_info, Kalibr's camchain.
+
+EuRoC's, KITTI's and Middlebury's are read too.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from jaxtyping import Float64
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
+from epipole.io import _dataset_calibrations as datasets
 from epipole.io._bytes import file_bytes
 from epipole.io._lens_coefficients import camera_of_coefficients, coefficients_of_camera
 from epipole.io.atomic import atomic_write
@@ -46,8 +50,9 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     """Read cameras, and how they stand to each other where a file says so.
 
     Args:
-        paths: one file; or two: those of the left and the right camera (ROS), or intrinsics and extrinsics (OpenCV's sample).
-        size: width and height of the pictures, for files that do not say (OpenCV's stereo sample).
+        paths: one file; or two: those of the left and the right camera (ROS, EuRoC), or intrinsics and extrinsics
+            (OpenCV's sample).
+        size: width and height of the pictures, for files that do not say (OpenCV's stereo sample, KITTI).
 
     Raises:
         FileFormatError: a file cannot be read; the message says which key is missing.
@@ -59,10 +64,18 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     with_camera = [k for k, content in enumerate(contents) if _is_single(content)]
     if len(files) == 2 and len(with_camera) == 2:
         return _left_and_right(files, contents, size)
+    if all(datasets.is_euroc(content) for content in contents):
+        return CalibrationFile(*datasets.euroc_cameras(files, contents))
     merged: dict[str, Any] = {}
     for content in contents:
         merged |= content
     path = files[0]
+    for is_its, cameras_of in (
+        (datasets.is_middlebury, datasets.middlebury_cameras),
+        (datasets.is_kitti, datasets.kitti_cameras),
+    ):
+        if is_its(merged):
+            return CalibrationFile(*cameras_of(path, merged, size))
     if merged.get("format") == FORMAT:
         return _own(path, merged)
     if "cam0" in merged:
@@ -72,22 +85,36 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     return _opencv_pair(path, merged, size)
 
 
-def read_stereo_rig(*paths: str | Path, size: tuple[int, int] | None = None) -> StereoRig:
+def read_stereo_rig(
+    *paths: str | Path, size: tuple[int, int] | None = None, cameras: tuple[int, int] | None = None
+) -> StereoRig:
     """Read a pair of cameras.
 
+    Args:
+        paths: as for `read_calibration`.
+        size: the same.
+        cameras: which two of a file of more, left and right, counted from 0.
+
     Raises:
-        FileFormatError: a file cannot be read, or holds one camera alone.
+        FileFormatError: a file cannot be read, or holds one camera alone, or more than two and none are chosen.
     """
     found = read_calibration(*paths, size=size)
     if len(found.cameras) < 2:
         raise FileFormatError(
             paths[0], "it holds one camera; depth needs two and how they stand to each other (R and T)"
         )
-    if len(found.cameras) > 2:
-        raise FileFormatError(paths[0], f"it holds {len(found.cameras)} cameras; a pair has two")
-    motion = found.cam_from_rig[1] @ found.cam_from_rig[0].inverse()
+    count = len(found.cameras)
+    if cameras is None and count > 2:
+        raise FileFormatError(paths[0], f"it holds {count} cameras: say which two, cameras 0 1 for one")
+    left, right = cameras or (0, 1)
+    if left == right or not (0 <= left < count and 0 <= right < count):
+        raise FileFormatError(
+            paths[0], f"it holds cameras 0 to {count - 1}: {left} and {right} are no pair of them"
+        )
+    motion = found.cam_from_rig[right] @ found.cam_from_rig[left].inverse()
+    covariance = found.covariance if (left, right) == (0, 1) else None
     try:
-        return StereoRig(found.cameras[0], found.cameras[1], motion, found.covariance)
+        return StereoRig(found.cameras[left], found.cameras[right], motion, covariance)
     except EpipoleError as error:
         raise FileFormatError(paths[0], str(error)) from error
 
@@ -182,10 +209,14 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
 def _parse(path: Path) -> dict[str, Any]:
     data = file_bytes(path)
     head = data.lstrip()[:200]
-    if head.startswith(b"%YAML:1.0") or head.startswith(b"<?xml") or b"opencv-matrix" in data:
+    is_euroc = b"T_BS" in data and b"opencv-matrix" not in data
+    if not is_euroc and (head.startswith((b"%YAML:1.0", b"<?xml")) or b"opencv-matrix" in data):
         return _opencv_storage(path)
     try:
         text = data.decode("utf-8")
+        if lines := datasets.named_lines(text):
+            return lines
+        text = text.removeprefix("%YAML:1.0")  # OpenCV's way to write it, which YAML itself does not know
         content = json.loads(text) if head.startswith(b"{") else yaml.safe_load(text)
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).splitlines()[0]}") from error

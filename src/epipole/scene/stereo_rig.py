@@ -51,6 +51,19 @@ class StereoRig:
         """Distance between both centres."""
         return float(np.linalg.norm(self.right_from_left.translation))
 
+    def check_pictures(self, left: np.ndarray, right: np.ndarray) -> None:
+        """Compare the sizes of two pictures, (h, w) or (h, w, c), with those the cameras were calibrated for.
+
+        Raises:
+            ShapeError: one differs.
+        """
+        for name, picture, camera in (("left", left, self.left), ("right", right, self.right)):
+            height, width = picture.shape[:2]
+            if (width, height) != (camera.width, camera.height):
+                raise ShapeError(
+                    f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"
+                )
+
     def perturbed(self, change: Float64[np.ndarray, " 30"]) -> StereoRig:
         """The rig after a change of its unknowns, in the order of `covariance`."""
         n, m = len(self.left.params), len(self.right.params)

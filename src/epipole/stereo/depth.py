@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
+from epipole.cameras import CameraModel
 from epipole.config import RigOptions
 from epipole.errors import ConfigError
 from epipole.geometry import depth_error, disparity_to_depth
+from epipole.scene import StereoRig
 from epipole.stereo.matching import DisparityMap
 
 _NEAREST, _FARTHEST = 8.0, 800.0  # baselines
+_SAME = 1e-6  # relative: a thousandth of a pixel across a picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,30 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
         options.focal_px,
         *(cx, cy, options.baseline, options.principal_offset_px),
         *(options.focal_sigma_px, options.baseline_sigma, options.principal_offset_sigma_px),
+    )
+
+
+def rectified_rig_of(rig: StereoRig) -> RectifiedRig | None:
+    """The same as a rectified pair, where the cameras already stand so (KITTI, Middlebury): nothing needs resampling.
+
+    None for any other rig, and for one with a covariance, which needs the cameras' own parameters.
+    """
+    left, right, motion = rig.left, rig.right, rig.right_from_left
+    if rig.covariance is not None or (left.width, left.height) != (right.width, right.height):
+        return None
+    K1, K2 = left.K, right.K
+    focal, baseline = float(K1[0, 0]), rig.baseline
+    is_flat = (
+        not any(camera.params[list(camera.model.distortion_indices)].any() for camera in (left, right))
+        and np.allclose([K1[1, 1], K2[0, 0], K2[1, 1]], focal, rtol=_SAME, atol=0)
+        and abs(K2[1, 2] - K1[1, 2]) < _SAME * focal
+        and np.abs(motion.rotation - np.eye(3)).max() < _SAME
+        and np.abs(motion.translation - [-baseline, 0, 0]).max() < _SAME * baseline
+    )
+    if not is_flat or CameraModel.OPENCV_FISHEYE in (left.model, right.model):
+        return None
+    return RectifiedRig(
+        focal, float(K1[0, 2]), float(K1[1, 2]), baseline, principal_offset_px=float(K2[0, 2] - K1[0, 2])
     )
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from epipole.errors import EpipoleError, ShapeError
 from epipole.scene import StereoRig
 from epipole.stereo.calibration_error import calibration_sigma
-from epipole.stereo.depth import RectifiedRig
+from epipole.stereo.depth import RectifiedRig, rectified_rig_of
 from epipole.stereo.rectification import Rectification, rectify
 from epipole.stereo.rows import RowMatches, fit_trend, is_swapped, match_features
 
@@ -98,18 +98,23 @@ def examine(
         rig: what is known of the cameras.
 
     Raises:
-        ShapeError: there is no pair, or pictures do not fit.
+        ShapeError: there is no pair, or pictures do not fit each other or the calibration.
     """
     if not pairs:
         raise ShapeError("there is no pair to examine")
+    if isinstance(rig, StereoRig):
+        for left, right in pairs:
+            rig.check_pictures(left, right)
     problems: list[str] = []
     notes: list[str] = []
     rectification: Rectification | None = None
     flat = rig if isinstance(rig, RectifiedRig) else None
     if isinstance(rig, StereoRig):
         try:
-            rectification = rectify(rig)
-            flat = rectification.rig
+            flat = rectified_rig_of(rig)
+            if flat is None:
+                rectification = rectify(rig)
+                flat = rectification.rig
         except EpipoleError as error:
             problems.append(f"the calibration cannot be used: {error}")
             pairs = ()

@@ -19,7 +19,7 @@ from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
 from epipole.scene import StereoRig
 from epipole.stereo.calibration_error import calibration_sigma
-from epipole.stereo.depth import DepthMap, RectifiedRig, depth_of
+from epipole.stereo.depth import DepthMap, RectifiedRig, depth_of, rectified_rig_of
 from epipole.stereo.filling import FilledDisparities, fill_disparities
 from epipole.stereo.matching import DisparityMap, match_stereo
 from epipole.stereo.rectification import Rectification, rectify, within_both
@@ -77,14 +77,19 @@ def measure_pair(
     """
     rectification = None
     if isinstance(rig, StereoRig):
-        _check_sizes(left_rgb, right_rgb, rig)
-        rectification = rectify(rig)
-        left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
-    elif left_rgb.shape != right_rgb.shape:
-        (h1, w1), (h2, w2) = left_rgb.shape[:2], right_rgb.shape[:2]
-        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
-    flat = rectification.rig if rectification is not None else rig
-    assert not isinstance(flat, StereoRig)
+        rig.check_pictures(left_rgb, right_rgb)
+        flat = rectified_rig_of(rig)
+        if flat is None:
+            rectification = rectify(rig)
+            flat = rectification.rig
+            left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
+    else:
+        flat = rig
+        if left_rgb.shape != right_rgb.shape:
+            (h1, w1), (h2, w2) = left_rgb.shape[:2], right_rgb.shape[:2]
+            raise ShapeError(
+                f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size"
+            )
     disparities = match_stereo(left_rgb, right_rgb, config)
     if rectification is not None:
         disparities = within_both(disparities, rectification)
@@ -92,13 +97,10 @@ def measure_pair(
     depths, num_points = None, 0
     if flat is not None:
         wrong_px = None
-        if isinstance(rig, StereoRig) and rectification is not None:
-            if rig.covariance is None:
-                warnings.append(
-                    "the calibration has no covariance: sigma_depth is that of the disparities alone"
-                )
-            else:
-                wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
+        if isinstance(rig, StereoRig) and rig.covariance is None:
+            warnings.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
+        elif isinstance(rig, StereoRig) and rectification is not None:
+            wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
         depths = depth_of(disparities, flat, wrong_px)
         num_points = int(np.isfinite(depths.depth).sum())
         if not num_points and disparities.density > 0:
@@ -229,12 +231,3 @@ def _described(rig: RectifiedRig, rectification: Rectification | None) -> dict[s
         "Q": rectification.Q.tolist(),
         "is_turned": rectification.is_turned,
     }
-
-
-def _check_sizes(left_rgb: np.ndarray, right_rgb: np.ndarray, rig: StereoRig) -> None:
-    for name, picture, camera in (("left", left_rgb, rig.left), ("right", right_rgb, rig.right)):
-        height, width = picture.shape[:2]
-        if (width, height) != (camera.width, camera.height):
-            raise ShapeError(
-                f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"
-            )

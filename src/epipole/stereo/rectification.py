@@ -66,7 +66,7 @@ class Rectification:
         """Both pictures, resampled (bilinear); where a camera saw nothing its border goes on.
 
         Raises:
-            ShapeError: a picture is not as large as its camera's.
+            ShapeError: one of them is no picture.
         """
         pictures = []
         for name, picture, table in (
