@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -16,6 +17,7 @@ from epipole.config import StereoConfig
 from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
 from epipole.stereo import _block_kernels as block_kernels
+from epipole.stereo import _judging_kernels as judging
 from epipole.stereo import _path_kernels as kernels
 from epipole.stereo._lane_kernels import LANES
 from epipole.stereo.coarse_to_fine import MARGIN_PX, TILE_PX, tiles_of
@@ -24,6 +26,7 @@ from epipole.stereo.uncertainty import MatchEvidence, disparity_sigma, roughness
 _MARGIN = 32  # rows beyond a strip in which its paths begin: later ones do not change the result (measured)
 _MOST_STRIP_BYTES = 1 << 27
 _LEAST_ROWS, _MOST_ROWS = 16, 192
+_ROWS = 64  # at a time, of what is done pixel by pixel
 _MOST_DISPARITIES = 4096
 _COARSE = 4  # times smaller are the pictures from which the range is found
 _LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
@@ -133,10 +136,7 @@ def match_with_evidence(
     else:
         mine = _winners(_look(one, config), _look(two, config), low, high, config)
         theirs = mine.other
-    apart = _left_right_difference(mine.disparity, theirs)
-    reason = _judge(mine, apart, low, config)
-    blank = _is_textureless(one) | _at_match(_is_textureless(two), mine.disparity)
-    reason[(reason == StereoReason.OK) & blank] = StereoReason.TEXTURELESS
+    apart, reason = _judge(mine, theirs, low, config, (_is_textureless(one), _is_textureless(two)))
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
@@ -193,8 +193,7 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
     found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
-    apart = _left_right_difference(found.disparity, found.other)
-    seen = _judge(found, apart, low, config) == StereoReason.OK
+    seen = _judge(found, found.other, low, config)[1] == StereoReason.OK
     if not seen.any():
         return left.shape[1] // 4
     scale = left.shape[1] / size[0]
@@ -241,9 +240,14 @@ def _winners(left: _Picture, right: _Picture, low: int, high: int, config: Stere
     else:
         _match_paths(pictures, left.brightness, size, search, config, num_strips, out)
     winner, lowest, second, beside, spread, other = out
-    others = np.where(other == kernels.NOBODY, np.float32(np.nan), other + np.float32(low))
-    offset, steepness = _bottom_of_v(lowest, beside)
-    return _Winners(winner + offset + np.float32(low), lowest, second, steepness, spread, others)
+    disparity, steepness, others = (np.empty((height, width), np.float32) for _ in range(3))
+    _by_rows(
+        height,
+        lambda start, stop, _: judging.bottom_of_v(
+            winner, lowest, beside, other, low, start, stop, (disparity, steepness, others)
+        ),
+    )
+    return _Winners(disparity, lowest, second, steepness, spread, others)
 
 
 def _both_winners(
@@ -265,8 +269,7 @@ def _both_winners(
     mirrored = right[:, ::-1], left[:, ::-1]
     out = []
     for pair, mine, theirs in (((left, right), *coarse), (mirrored, *coarse[::-1])):
-        apart = _left_right_difference(mine.disparity, theirs.disparity[:, ::-1])
-        reason = _judge(mine, apart, low // 2, config)
+        _, reason = _judge(mine, theirs.disparity[:, ::-1], low // 2, config)
         reason[_speckles(mine.disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
         trusted = np.where(reason == StereoReason.OK, mine.disparity, np.float32(np.nan))
         out.append(_winners_by_tiles(*pair, trusted, (low, high), config))
@@ -350,57 +353,41 @@ def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int16)
 
 
-def _bottom_of_v(lowest: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(-1/2 ... 1/2, slope): where between the whole disparities a V of two equal slopes has its bottom.
+def _judge(
+    mine: _Winners,
+    theirs: Float32[np.ndarray, "h w"],
+    low: int,
+    config: StereoConfig,
+    blank: tuple[np.ndarray, np.ndarray] | None = None,
+) -> tuple[Float32[np.ndarray, "h w"], UInt8[np.ndarray, "h w"]]:
+    """How far each disparity is from that of the matched pixel in the other picture, and reasons before speckles are looked at.
 
-    Sums of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers.
+    blank: where nothing changes along the row, of both pictures; None: not looked at.
     """
-    down = beside[..., 0].astype(np.float32) - lowest
-    up = beside[..., 1].astype(np.float32) - lowest
-    steepness = np.maximum(down, up)
-    offset = 0.5 * (down - up) / np.maximum(steepness, 1.0)
-    at_end = (beside[..., 0] == kernels.NOBODY) | (beside[..., 1] == kernels.NOBODY)
-    return np.where(at_end, np.float32(0.0), offset), np.where(at_end, np.minimum(down, up), steepness)
+    shape = mine.disparity.shape
+    nowhere = np.zeros(shape, bool)
+    apart, reason = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    found, theirs = (mine.disparity, mine.lowest, mine.second), np.ascontiguousarray(theirs)
+    limits = (float(config.min_margin), float(config.max_left_right_px))
+    _by_rows(
+        shape[0],
+        lambda start, stop, _: judging.judge_rows(
+            found, theirs, blank or (nowhere, nowhere), low, limits, start, stop, (apart, reason)
+        ),
+    )
+    return apart, reason
 
 
-def _left_right_difference(mine: np.ndarray, theirs: np.ndarray) -> Float32[np.ndarray, "h w"]:
-    """How far the disparity of the matched pixel in the other picture is from this one's; infinite where there is none."""
-    width = mine.shape[1]
-    matched = np.rint(np.arange(width) - mine).astype(np.int64)
-    confirmed = np.take_along_axis(theirs, np.clip(matched, 0, width - 1), axis=1)
-    apart = np.abs(confirmed - mine)
-    return np.where((matched >= 0) & (matched < width) & np.isfinite(apart), apart, np.float32(np.inf))
-
-
-def _judge(mine: _Winners, apart: np.ndarray, low: int, config: StereoConfig) -> UInt8[np.ndarray, "h w"]:
-    """Reasons before texture and speckles are looked at."""
-    height, width = mine.disparity.shape
-    x = np.arange(width)
-    matched = x - mine.disparity
-    reason = np.full((height, width), StereoReason.OK, np.uint8)
-    margin = mine.second.astype(np.float32) - mine.lowest
-    reason[margin <= config.min_margin * mine.lowest] = StereoReason.AMBIGUOUS
-    reason[~(apart <= config.max_left_right_px)] = StereoReason.OCCLUDED
-    reason[(matched < -0.5) | (matched > width - 0.5) | (x - low < 0)] = StereoReason.OUT_OF_VIEW
-    # Before the first known pixel of a row surfaces begin that reach beyond the other picture's border.
-    begins = (reason != StereoReason.OCCLUDED).cumsum(axis=1) == 0
-    reason[begins] = StereoReason.OUT_OF_VIEW
-    return reason
+def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:
+    _parallel.map_chunks(work, height, -(-height // _ROWS))
 
 
 def _is_textureless(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     """Where no pixel of a window differs from its neighbours in the row by more than what noise does."""
-    bright = _brightness(grey).astype(np.float32)
-    changes = np.zeros_like(bright)
+    bright = _brightness(grey)
+    changes = np.zeros(bright.shape, np.uint8)
     changes[:, 1:-1] = np.abs(bright[:, 2:] - bright[:, :-2]) >= _LEAST_CHANGE
     return cv2.dilate(changes, np.ones((_TEXTURE_WINDOW, _TEXTURE_WINDOW))) == 0
-
-
-def _at_match(mask: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """What the other picture's mask says at each pixel's match."""
-    width = mask.shape[1]
-    matched = np.rint(np.arange(width) - disparity).astype(np.int64)
-    return np.take_along_axis(mask, np.clip(matched, 0, width - 1), axis=1)
 
 
 def _speckles(disparity: np.ndarray, reason: np.ndarray, least: int) -> np.ndarray:
