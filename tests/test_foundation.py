@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import epipole
 from epipole import config, errors
 from epipole.config import (
     FeatureConfig,
@@ -14,6 +15,8 @@ from epipole.config import (
     MatchConfig,
     RansacConfig,
     ReconstructConfig,
+    StereoConfig,
+    options_of,
 )
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
@@ -128,3 +131,13 @@ def test_random_numbers_are_the_same_in_every_test(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(
         rng.integers(1 << 30, size=4), np.random.default_rng(20260).integers(1 << 30, size=4)
     )
+
+
+def test_options_of_another_kind_are_refused(tmp_path):
+    assert options_of(StereoConfig, None) == StereoConfig()
+    with pytest.raises(ConfigError, match=r"StereoConfig\(\*\*it\)"):
+        options_of(StereoConfig, {"paths": 4})
+    with pytest.raises(ConfigError, match="not a FeatureConfig"):
+        options_of(StereoConfig, FeatureConfig())
+    with pytest.raises(ConfigError, match="path is empty"):
+        epipole.calibrate("", tmp_path / "out")

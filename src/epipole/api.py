@@ -15,8 +15,8 @@ import numpy as np
 from epipole import __version__, _parallel
 from epipole._jit import compile_seconds
 from epipole.calibration.pipeline import CalibrationRun, run_calibration
-from epipole.config import CalibrationConfig, ReconstructConfig, StereoConfig
-from epipole.errors import DegenerateGeometryError, EpipoleError, FileFormatError, NoModelError
+from epipole.config import CalibrationConfig, ReconstructConfig, StereoConfig, options_of
+from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3, depth_map_to_point_cloud
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
@@ -42,6 +42,17 @@ from epipole.viewer import view as open_viewer
 from epipole.workflow import Progress, ProgressCallback, ignore_progress, load, timed
 
 MAX_INLIERS_SHOWN = 400
+
+
+def _path(given: str | Path) -> Path:
+    """A path that was really given: an empty word would be the present folder.
+
+    Raises:
+        ConfigError: it is empty.
+    """
+    if str(given) == "":
+        raise ConfigError("a path is empty")
+    return Path(given)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,10 +97,10 @@ def reconstruct(
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option does not fit the pictures.
     """
-    config, out = config or ReconstructConfig(), Path(out)
+    config, out = options_of(ReconstructConfig, config), _path(out)
     begin = time.perf_counter()
     _parallel.set_num_threads(config.threads)
-    result = run_pipeline(Path(images), out, config, progress)
+    result = run_pipeline(_path(images), out, config, progress)
     settings = asdict(config)
     write_json(out / "config.json", {"version": __version__, "seed": config.mapper.seed, "config": settings})
     with timed(result.timings_s, "report"):
@@ -202,7 +213,7 @@ def find_model(path: str | Path) -> Path:
     Raises:
         FileFormatError: there is none.
     """
-    path = Path(path)
+    path = _path(path)
     for folder in (path, path / "sparse" / "0", path / "sparse"):
         if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
             return folder
@@ -276,7 +287,7 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
     Raises:
         FileFormatError: there is no model, a picture is missing, or its format cannot be written.
     """
-    out = Path(out)
+    out = _path(out)
     model = read_colmap_model(find_model(out))
     target = out / "undistorted"
     pinholes = [undistorted_camera(model.cameras[c]) for c in range(len(model.cameras))]
@@ -338,15 +349,15 @@ def stereo(
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, out = config or StereoConfig(), Path(out)
-    result = run_stereo(Path(left), Path(right), out, config, rig)
+    config, out = options_of(StereoConfig, config), _path(out)
+    result = run_stereo(_path(left), _path(right), out, config, rig)
     page = StereoPage(
         *(result.left_rgb, result.right_rgb, result.disparities, REASON_COLORS),
         *(result.depths, result.rig, result.warnings, __version__),
     )
     with atomic_write(out / "report.html") as aside:
         aside.write_text(render_stereo_page(page), encoding="utf-8")
-    write_json(out / "config.json", _stereo_settings(config, rig, Path(left), Path(right)))
+    write_json(out / "config.json", _stereo_settings(config, rig, _path(left), _path(right)))
     return result
 
 
@@ -366,8 +377,8 @@ def stereo_many(
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
-    config, out = config or StereoConfig(), Path(out)
-    pairs = list_pairs(Path(left), Path(right), out, config.max_frames)
+    config, out = options_of(StereoConfig, config), _path(out)
+    pairs = list_pairs(_path(left), _path(right), out, config.max_frames)
     batch = run_batch(
         *(pairs, out, lambda one, two: _stereo_settings(config, rig, one, two)),
         lambda one, two, folder: stereo(one, two, folder, config, rig),
@@ -402,7 +413,7 @@ def stereo_of_model(
         FileFormatError: there is no model, or a picture is not in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
     """
-    workspace = Path(workspace)
+    workspace = _path(workspace)
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
     registered, places = model.is_registered(), model.cams_from_world()
@@ -439,7 +450,7 @@ def examine_stereo(
     Raises:
         FileFormatError: a picture cannot be read, or there is no pair.
     """
-    left, right = Path(left), Path(right)
+    left, right = _path(left), _path(right)
     if not is_many(left, right):
         return examine([(read_rgb(left), read_rgb(right))], rig)
     with tempfile.TemporaryDirectory() as scratch:
@@ -496,8 +507,8 @@ def calibrate(
         DegenerateGeometryError: the board is seen too seldom, or the views leave something open.
         WorkspaceError: the output folder cannot be used.
     """
-    config, out = config or CalibrationConfig(), Path(out)
-    run = run_calibration(Path(images), out, config, Path(right) if right else None, progress)
+    config, out = options_of(CalibrationConfig, config), _path(out)
+    run = run_calibration(_path(images), out, config, None if right is None else _path(right), progress)
     found = run.calibration
     write_json(out / "config.json", {"version": __version__, "config": asdict(config)})
     if len(found.cameras) == 1:
@@ -533,7 +544,7 @@ def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: b
     Raises:
         FileFormatError: there is neither.
     """
-    out = Path(out)
+    out = _path(out)
     if (out / "disparity.pfm").is_file():
         return view_depth(_depth_view(read_stereo(out)), port=port, host=host, block=block)
     model = read_colmap_model(find_model(out))

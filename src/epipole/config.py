@@ -7,9 +7,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from epipole.errors import ConfigError
+
+Options = TypeVar("Options")
+
+
+def options_of(kind: type[Options], given: Options | None) -> Options:
+    """What was given, or the defaults for None.
+
+    Raises:
+        ConfigError: something else was given, a dict for one.
+    """
+    if given is None:
+        return kind()
+    if not isinstance(given, kind):
+        hint = f"; {kind.__name__}(**it) makes one" if isinstance(given, dict) else ""
+        raise ConfigError(f"options must be a {kind.__name__}, not a {type(given).__name__}{hint}")
+    return given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,10 +295,14 @@ class StereoConfig:
     """Disparities of the two pictures that differ by more are occluded."""
     min_margin: float = 0.0
     """The second lowest sum must exceed the lowest by this share of it; else the pixel is ambiguous."""
+    max_sigma_px: float | None = None
+    """Disparities with a larger standard deviation are left out; None: all are kept."""
     min_region_px: int = 40
     """Smaller regions of one smooth disparity are speckles."""
     median_px: Literal[0, 3, 5] = 5
     """Side of the median filter; 0: none."""
+    uncalibrated: bool = False
+    """Nothing is known of the cameras, and the pair is not rectified: do it through the fundamental matrix. There is no depth."""
     fill: bool = False
     """Guess what is not known, in files of their own: filled.pfm, and filled_mask.png where it was guessed."""
     max_frames: int = 20
@@ -329,6 +349,8 @@ class StereoConfig:
             raise ConfigError(
                 "coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side"
             )
+        if self.max_sigma_px is not None and not self.max_sigma_px > 0:
+            raise ConfigError(f"max_sigma_px must be positive, is {self.max_sigma_px}")
         if not self.max_left_right_px > 0 or not self.min_margin >= 0 or self.min_region_px < 0:
             raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")
 

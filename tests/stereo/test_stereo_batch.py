@@ -59,6 +59,14 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     assert len(other.done) == 3
 
 
+def test_pictures_without_a_partner_are_named(tmp_path, pair):
+    for name in ("left/a.png", "right/a.png", "left/b.png", "right/c.png"):
+        saved(tmp_path / name, pair.left)
+    batch = api.stereo_many(tmp_path / "left", tmp_path / "right", tmp_path / "out", CONFIG)
+    assert batch.done == ("a",) and set(batch.problems) == {"b", "c"}
+    assert "right/b.png" in batch.problems["b"] and "left/c.png" in batch.problems["c"]
+
+
 def test_pairs_by_name_and_by_order(tmp_path, pair):
     for name in ("l1.png", "l2.png"):
         saved(tmp_path / "left" / name, pair.left)

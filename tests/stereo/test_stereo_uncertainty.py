@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from epipole.config import StereoConfig
-from epipole.stereo import match_stereo, uncertainty
+from epipole.errors import ConfigError
+from epipole.stereo import StereoReason, match_stereo, uncertainty
 from epipole.synthetic.stereo_rooms import stereo_room
 
 
@@ -62,3 +63,16 @@ def test_rooms_are_the_same_each_time():
     np.testing.assert_array_equal(one.right, two.right)
     assert one.left.shape == one.disparity_px.shape == (48, 64) and one.left.std() > 3
     assert not np.array_equal(stereo_room(4, (64, 48)).left, one.left)
+
+
+def test_disparities_that_are_not_sure_enough_are_left_out():
+    pair = stereo_room(5, (240, 180))
+    every = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=60))
+    sure = match_stereo(pair.left, pair.right, StereoConfig(max_disparity_px=60, max_sigma_px=0.2))
+    kept = every.sigma_px <= 0.2
+    assert 0.2 < kept.mean() < 0.9
+    np.testing.assert_array_equal(np.isfinite(sure.disparity_px), kept)
+    np.testing.assert_array_equal(sure.reason == StereoReason.UNSURE, np.isfinite(every.sigma_px) & ~kept)
+    np.testing.assert_array_equal(sure.disparity_px[kept], every.disparity_px[kept])
+    with pytest.raises(ConfigError, match="max_sigma_px"):
+        StereoConfig(max_sigma_px=0.0)

@@ -14,7 +14,7 @@ from epipole.calibration.observations import Corners, RigState, adjust
 from epipole.calibration.start import place_view, start_camera, start_rig
 from epipole.calibration.uncertainty import Uncertainty, uncertainty_of
 from epipole.cameras import MAX_PARAMS, Camera, camera_model_named
-from epipole.config import CalibrationConfig
+from epipole.config import CalibrationConfig, options_of
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.scene import StereoRig
@@ -131,7 +131,7 @@ def calibrate(
         DegenerateGeometryError: too few views, or they leave something open.
         ShapeError: the views do not fit together.
     """
-    config = config or CalibrationConfig()
+    config = options_of(CalibrationConfig, config)
     board = corners_on_board(config.board)
     corners = Corners.of(views)
     if len(corners) and corners.corner.max() >= len(board):

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole.config import FeatureConfig
+from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.sift import detect_sift
 
@@ -21,7 +21,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     Returns:
         Features in pixels of the given picture, also when it was reduced for detection.
     """
-    config = config or FeatureConfig()
+    config = options_of(FeatureConfig, config)
     height, width = grey.shape
     if min(height, width) < 16:
         return _none(128 if config.kind == "sift" else 32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
-from epipole.config import MatchConfig
+from epipole.config import MatchConfig, options_of
 from epipole.errors import ShapeError
 from epipole.features import _byte_dot_kernels as byte_kernels
 from epipole.features import _matching_kernels as kernels
@@ -30,7 +30,7 @@ def match_descriptors(
     Raises:
         ShapeError: descriptors of different or unknown width.
     """
-    config = config or MatchConfig()
+    config = options_of(MatchConfig, config)
     width = descriptors1.shape[1]
     if width != descriptors2.shape[1] or width not in (32, 128):
         raise ShapeError(f"cannot match descriptors of widths {width} and {descriptors2.shape[1]}")
@@ -124,7 +124,7 @@ def match_along_epipolar_lines(
         band_px: half width of the band around a line.
         config: ratio and distance bounds.
     """
-    config = config or MatchConfig()
+    config = options_of(MatchConfig, config)
     n, m = len(features1), len(features2)
     if min(n, m) == 0:
         return np.empty((0, 2), np.int32)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
+from epipole.config import options_of
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.optim.bundle_layout import BundleState, initial_state
@@ -153,7 +154,7 @@ def adjust_bundle(
         ShapeError: the arrays of the problem do not fit together.
     """
     with _parallel.single_threaded_blas():
-        return _adjust(problem, config or BundleConfig(), progress)
+        return _adjust(problem, options_of(BundleConfig, config), progress)
 
 
 def _adjust(

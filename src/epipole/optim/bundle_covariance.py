@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole import _parallel
+from epipole.config import options_of
 from epipole.errors import DegenerateGeometryError
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
@@ -58,7 +59,7 @@ def bundle_covariance(
     Raises:
         DegenerateGeometryError: there are no more residuals than unknowns, and no noise is given.
     """
-    config = config or BundleConfig()
+    config = options_of(BundleConfig, config)
     found = with_result(problem, result)
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False

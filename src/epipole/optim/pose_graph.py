@@ -17,6 +17,7 @@ from scipy.sparse.linalg import splu
 from scipy.stats import chi2
 
 from epipole import _parallel
+from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.geometry.tangents import inverse_right_jacobian
@@ -128,7 +129,7 @@ def optimize_pose_graph(
         DegenerateGeometryError: an information matrix is not positive definite.
     """
     with _parallel.single_threaded_blas():
-        return _optimize(graph, config or PoseGraphConfig(), np.ones(len(graph.first)), progress)
+        return _optimize(graph, options_of(PoseGraphConfig, config), np.ones(len(graph.first)), progress)
 
 
 def optimize_pose_graph_robustly(
@@ -149,7 +150,7 @@ def optimize_pose_graph_robustly(
         DegenerateGeometryError: an information matrix is not positive definite.
     """
     with _parallel.single_threaded_blas():
-        return _optimize_robustly(graph, may_be_wrong_mask, config or PoseGraphConfig())
+        return _optimize_robustly(graph, may_be_wrong_mask, options_of(PoseGraphConfig, config))
 
 
 def _optimize_robustly(

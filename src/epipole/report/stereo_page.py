@@ -20,6 +20,7 @@ _REASONS = {
     StereoReason.AMBIGUOUS: "another disparity fits nearly as well",
     StereoReason.SPECKLE: "it stands alone among others",
     StereoReason.TEXTURELESS: "nothing around it changes along the row",
+    StereoReason.UNSURE: "its standard deviation is larger than was asked for",
 }
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.cameras import Camera
-from epipole.config import RansacConfig
+from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.robust._absolute_pose_kernels import ROWS, AbsolutePoseProblem, pack_rays
@@ -46,7 +46,7 @@ def estimate_absolute_pose(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
     order, items = _pack([camera], Rigid3.identity(1), np.zeros(n, np.int64), points, pixels, config)
@@ -78,7 +78,7 @@ def estimate_rig_pose(
     Raises:
         ShapeError: the arrays do not fit, or an index has no camera.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     index = np.asarray(camera_index)
     n = require_same_length(points_in_world=points, pixels=pixels, camera_index=index)
@@ -118,7 +118,7 @@ def estimate_upright_pose(
     Raises:
         ShapeError: the arrays do not fit, or a direction is zero.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
     cam_from_upright = Rotation3(turn_upright(down_in_cam, "down_in_cam").T)
@@ -166,7 +166,7 @@ def estimate_pose_and_focal(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     n = require_same_length(points_in_world=points, pixels=pixels)
     center = as_float_array(principal_point, "principal_point", 2, finite=True)

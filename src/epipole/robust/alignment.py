@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_points, require_same_length
-from epipole.config import RansacConfig
+from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, Similarity3, skew
 from epipole.robust._alignment_kernels import SCALE, AlignmentProblem
 from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
@@ -30,7 +30,7 @@ def estimate_rigid(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found = _fit(source, target, 6, config or RansacConfig(), quality)
+    found = _fit(source, target, 6, options_of(RansacConfig, config), quality)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _tangent_covariance(found))
 
@@ -52,7 +52,7 @@ def estimate_similarity(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found = _fit(source, target, 7, config or RansacConfig(), quality)
+    found = _fit(source, target, 7, options_of(RansacConfig, config), quality)
     rotation, translation = found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy()
     return found.estimate(Similarity3(found.raw[SCALE], rotation, translation), _tangent_covariance(found))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_float_array, as_points, require_same_length
-from epipole.config import RansacConfig
+from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
 from epipole.robust._focal_motion_kernels import FOCAL1, FOCAL2, SharedFocalProblem, TwoFocalsProblem
 from epipole.robust.estimate import Estimate, ModelTraits, random_order, run_loop, usable_rows
@@ -47,7 +47,12 @@ def estimate_motion_and_shared_focal(
         ShapeError: the arrays do not fit.
     """
     return _fit(
-        SharedFocalProblem, pixels1, pixels2, principal_point, principal_point, config or RansacConfig()
+        SharedFocalProblem,
+        pixels1,
+        pixels2,
+        principal_point,
+        principal_point,
+        options_of(RansacConfig, config),
     )
 
 
@@ -78,7 +83,12 @@ def estimate_motion_and_focals(
         ShapeError: the arrays do not fit.
     """
     return _fit(
-        TwoFocalsProblem, pixels1, pixels2, principal_point1, principal_point2, config or RansacConfig()
+        TwoFocalsProblem,
+        pixels1,
+        pixels2,
+        principal_point1,
+        principal_point2,
+        options_of(RansacConfig, config),
     )
 
 

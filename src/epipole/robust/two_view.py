@@ -11,7 +11,7 @@ from scipy.special import bdtrc
 
 from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
-from epipole.config import RansacConfig
+from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
 from epipole.robust._fundamental_kernels import (
     FundamentalProblem,
@@ -70,7 +70,7 @@ def estimate_relative_pose(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found = _fit_motion(pixels1, pixels2, camera1, camera2, config or RansacConfig(), quality)
+    found = _fit_motion(pixels1, pixels2, camera1, camera2, options_of(RansacConfig, config), quality)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _twist_covariance(found))
 
@@ -103,7 +103,9 @@ def estimate_upright_motion(
         ShapeError: the arrays do not fit, or a direction is zero.
     """
     up1, up2 = (turn_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
-    found = _fit_motion(pixels1, pixels2, camera1, camera2, config or RansacConfig(), None, (up1, up2))
+    found = _fit_motion(
+        pixels1, pixels2, camera1, camera2, options_of(RansacConfig, config), None, (up1, up2)
+    )
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _twist_covariance(found))
 
@@ -173,7 +175,7 @@ def estimate_fundamental_matrix(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     problem, found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config, quality)
     if found.reason is Reason.OK and _is_held_by_a_plane(problem, found.raw, config.max_error_px * t1[0, 0]):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
@@ -205,7 +207,7 @@ def estimate_homography(
     Raises:
         ShapeError: the arrays do not fit.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     _, found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config, quality, _BREADTH_OF_PLANES)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1

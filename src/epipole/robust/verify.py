@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64
 from epipole import _parallel
 from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
-from epipole.config import RansacConfig
+from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
 from epipole.geometry.epipolar import (
     essential_from_fundamental,
@@ -106,7 +106,7 @@ def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = Non
     Raises:
         ShapeError: the pixels of a pair do not fit.
     """
-    config = config or RansacConfig()
+    config = options_of(RansacConfig, config)
     parts = _parallel.map_chunks(lambda a, b, _: _verify(pairs[a:b], config), len(pairs), _CHUNKS)
     return [geometry for part in parts for geometry in part]
 

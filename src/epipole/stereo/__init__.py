@@ -11,4 +11,5 @@ from epipole.stereo.matching import StereoReason as StereoReason
 from epipole.stereo.matching import match_stereo as match_stereo
 from epipole.stereo.rectification import Rectification as Rectification
 from epipole.stereo.rectification import rectify as rectify
-from epipole.stereo.rectification import rectify_uncalibrated as rectify_uncalibrated
+from epipole.stereo.uncalibrated import UncalibratedRectification as UncalibratedRectification
+from epipole.stereo.uncalibrated import rectify_uncalibrated as rectify_uncalibrated

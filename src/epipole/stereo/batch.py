@@ -58,9 +58,9 @@ def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str,
     names = [list_photographs(folder, ignore=[out]).names for folder in (left, right)]
     if not names[0] or not names[1]:
         raise FileFormatError(left if not names[0] else right, "there is no picture in it")
-    common = [name for name in names[0] if name in set(names[1])]
-    if common:
-        return _by_folder([(left / name, right / name) for name in common], common)
+    if set(names[0]) & set(names[1]):
+        every = sorted({*names[0], *names[1]})  # one that has no partner fails by itself, with words
+        return _by_folder([(left / name, right / name) for name in every], every)
     if len(names[0]) != len(names[1]):
         raise FileFormatError(
             right,

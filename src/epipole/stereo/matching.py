@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Int16, UInt8, UInt16
 
 from epipole import _parallel
-from epipole.config import StereoConfig
+from epipole.config import StereoConfig, options_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
 from epipole.stereo import _block_kernels as block_kernels
@@ -33,8 +33,6 @@ _LEAST_CHANGE, _TEXTURE_WINDOW = 3, 25  # of 255 grey levels; pixels
 _FEW_DISPARITIES = 48  # are searched in full
 _SMOOTH_PX = 1.0  # neighbours of one region differ by no more
 
-DEFAULTS = StereoConfig()
-
 
 class StereoReason(IntEnum):
     """Why a pixel has no disparity, or that it has one."""
@@ -50,6 +48,8 @@ class StereoReason(IntEnum):
     """It stands alone among others."""
     TEXTURELESS = 5
     """Nothing around it changes along the row: what smoothness alone would say is not a measurement."""
+    UNSURE = 6
+    """Its standard deviation is larger than was asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ class _Winners:
     """Disparities of the other picture read off the same sums, whole; NaN where there is none."""
 
 
-def match_stereo(left: Any, right: Any, config: StereoConfig = DEFAULTS) -> DisparityMap:
+def match_stereo(left: Any, right: Any, config: StereoConfig | None = None) -> DisparityMap:
     """Disparities of a rectified pair by semi-global matching of census windows (Hirschmueller, PAMI 2008).
 
     Every step is a line of `match_with_evidence`. A disparity is whole where the costs, summed along straight paths, are lowest, plus the
@@ -115,7 +115,7 @@ def match_stereo(left: Any, right: Any, config: StereoConfig = DEFAULTS) -> Disp
     Args:
         left: (h, w) or (h, w, 3), 8 or 16 bits; rows are epipolar lines.
         right: the same size.
-        config: options.
+        config: options; None for the defaults.
 
     Raises:
         ShapeError: the pictures are no pair.
@@ -125,9 +125,10 @@ def match_stereo(left: Any, right: Any, config: StereoConfig = DEFAULTS) -> Disp
 
 
 def match_with_evidence(
-    left: Any, right: Any, config: StereoConfig = DEFAULTS
+    left: Any, right: Any, config: StereoConfig | None = None
 ) -> tuple[DisparityMap, MatchEvidence]:
     """`match_stereo`, and what its standard deviations were read from."""
+    config = options_of(StereoConfig, config)
     one, two = _grey_pair(left, right)
     low, high = _search_range(one, two, config)
     if config.left_right == "accurate":
@@ -145,8 +146,11 @@ def match_with_evidence(
     evidence = MatchEvidence(
         per_path * mine.steepness, margin, apart, smoothing, mine.spread, roughness(disparity)
     )
+    sigma = disparity_sigma(evidence)
+    if config.max_sigma_px is not None:
+        reason[(reason == StereoReason.OK) & (sigma > config.max_sigma_px)] = StereoReason.UNSURE
     known, nan = reason == StereoReason.OK, np.float32(np.nan)
-    sigma = np.where(known, disparity_sigma(evidence), nan)
+    sigma = np.where(known, sigma, nan)
     return DisparityMap(np.where(known, disparity, nan), sigma, reason), evidence
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from epipole.config import StereoConfig
-from epipole.errors import FileFormatError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.geometry import depth_map_to_point_cloud
 from epipole.io.atomic import atomic_folder, atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
@@ -24,14 +24,29 @@ from epipole.stereo.filling import FilledDisparities, fill_disparities
 from epipole.stereo.matching import DisparityMap, match_stereo
 from epipole.stereo.rectification import Rectification, rectify, within_both
 from epipole.stereo.rows import MatchedPair, quick_warnings
+from epipole.stereo.uncalibrated import UncalibratedRectification, rectify_uncalibrated
 
 REASON_COLORS = np.array(
-    [[255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]], np.uint8
+    [
+        *([255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]),
+        [90, 170, 150],
+    ],
+    np.uint8,
 )
 """Of the values of `StereoReason` in `reasons.png`: white is known."""
 
+_FITTED_WITH = (
+    "window",
+    "brightness_cost",
+    "small_penalty",
+    "edge_penalty",
+    "edge_fade",
+    "median_px",
+    "block_px",
+)
+
 OPTIONAL_FILES = (
-    *("depth.pfm", "sigma_depth.pfm", "cloud.ply"),
+    *("depth.pfm", "sigma_depth.pfm", "cloud.ply", "homographies.json"),
     *("left.png", "right.png", "rig.json", "filled.pfm", "filled_mask.png"),
 )
 """Those of an earlier run with more do not stay beside the disparities of one with less."""
@@ -48,7 +63,7 @@ class StereoResult:
     rig: RectifiedRig | None
     """Of the rectified pair; None: there are disparities but no depth."""
     depths: DepthMap | None
-    rectification: Rectification | None
+    rectification: Rectification | UncalibratedRectification | None
     """None for a pair that came rectified."""
     warnings: tuple[str, ...]
     num_points: int
@@ -72,11 +87,20 @@ def measure_pair(
 
     Raises:
         ShapeError: the pictures are no pair, or not of the calibration's size.
-        ConfigError: left and right are swapped in the calibration, or the range of disparities does not fit.
+        ConfigError: left and right are swapped in the calibration, the range of disparities does not fit, or an uncalibrated
+            pair has a rig.
         DegenerateGeometryError: the pair cannot be rectified.
     """
-    rectification = None
-    if isinstance(rig, StereoRig):
+    rectification: Rectification | UncalibratedRectification | None = None
+    flat: RectifiedRig | None
+    if config.uncalibrated:
+        if rig is not None:
+            raise ConfigError(
+                "uncalibrated means that nothing is known of the cameras: give no calibration with it"
+            )
+        flat, rectification = None, rectify_uncalibrated(left_rgb, right_rgb)
+        left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
+    elif isinstance(rig, StereoRig):
         rig.check_pictures(left_rgb, right_rgb)
         flat = rectified_rig_of(rig)
         if flat is None:
@@ -92,14 +116,20 @@ def measure_pair(
             )
     disparities = match_stereo(left_rgb, right_rgb, config)
     if rectification is not None:
-        disparities = within_both(disparities, rectification)
-    warnings = list(quick_warnings(left_rgb, right_rgb, _matched(disparities, config, flat, rectification)))
+        disparities = within_both(disparities, rectification.left_valid, rectification.right_valid)
+    is_calibrated = isinstance(rectification, Rectification)
+    warnings = list(quick_warnings(left_rgb, right_rgb, _matched(disparities, config, flat, is_calibrated)))
+    warnings += _unfitted(config)
+    if config.uncalibrated:
+        warnings.append(
+            "without a calibration disparities order what lies in a row by depth, no more: nearer is larger if LEFT was taken left of RIGHT"
+        )
     depths, num_points = None, 0
     if flat is not None:
         wrong_px = None
         if isinstance(rig, StereoRig) and rig.covariance is None:
             warnings.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
-        elif isinstance(rig, StereoRig) and rectification is not None:
+        elif isinstance(rig, StereoRig) and isinstance(rectification, Rectification):
             wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
         depths = depth_of(disparities, flat, wrong_px)
         num_points = int(np.isfinite(depths.depth).sum())
@@ -113,17 +143,23 @@ def measure_pair(
     )
 
 
+def _unfitted(config: StereoConfig) -> list[str]:
+    """What is to be said of error bars whose table was fitted with other settings."""
+    default = StereoConfig()
+    changed = [name for name in _FITTED_WITH if getattr(config, name) != getattr(default, name)]
+    if not changed:
+        return []
+    return [f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"]
+
+
 def _matched(
-    disparities: DisparityMap,
-    config: StereoConfig,
-    flat: RectifiedRig | None,
-    rectification: Rectification | None,
+    disparities: DisparityMap, config: StereoConfig, flat: RectifiedRig | None, is_calibrated: bool
 ) -> MatchedPair:
     high = np.inf if config.max_disparity_px is None else float(config.max_disparity_px)
     low = float(config.min_disparity_px)
     if flat is not None and flat.principal_offset_px > 1.0:
         low = min(low, -flat.principal_offset_px)  # axes that meet: far things have negative disparities
-    return MatchedPair(disparities.density, (low, high), rectification is not None)
+    return MatchedPair(disparities.density, (low, high), is_calibrated)
 
 
 def run_stereo(
@@ -143,7 +179,8 @@ def run_stereo(
 def write_stereo(result: StereoResult, out: Path) -> StereoResult:
     """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`; and more where there is more.
 
-    With a rig `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and `right.png`.
+    With a rig `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and `right.png`;
+    of an uncalibrated pair the rectified pair and `homographies.json`.
 
     Raises:
         WorkspaceError: the output folder cannot be used.
@@ -158,13 +195,17 @@ def write_stereo(result: StereoResult, out: Path) -> StereoResult:
             write_pfm(aside / "filled.pfm", result.filled.disparity_px)
             mask = 255 * result.filled.filled_mask.astype(np.uint8)
             write_picture(aside / "filled_mask.png", np.repeat(mask[..., None], 3, axis=2))
+        if result.rectification is not None or depths is not None:
+            write_picture(aside / "left.png", result.left_rgb)
+            write_picture(aside / "right.png", result.right_rgb)
+        if isinstance(result.rectification, UncalibratedRectification):
+            text = json.dumps(_homographies(result.rectification), indent=1)
+            (aside / "homographies.json").write_text(text + "\n", encoding="utf-8")
         if depths is not None and rig is not None:
             write_pfm(aside / "depth.pfm", depths.depth)
             write_pfm(aside / "sigma_depth.pfm", depths.sigma)
             cloud = depth_map_to_point_cloud(depths.depth, rig.K)
             write_points_ply(aside / "cloud.ply", cloud.points_in_cam, result.left_rgb[cloud.mask])
-            write_picture(aside / "left.png", result.left_rgb)
-            write_picture(aside / "right.png", result.right_rgb)
             text = json.dumps(_described(rig, result.rectification), indent=1)
             (aside / "rig.json").write_text(text + "\n", encoding="utf-8")
     return replace(result, out=out)
@@ -213,13 +254,26 @@ def read_stereo(out: Path) -> StereoFiles:
     return files
 
 
-def _described(rig: RectifiedRig, rectification: Rectification | None) -> dict[str, object]:
+def _homographies(found: UncalibratedRectification) -> dict[str, object]:
+    offset = np.abs(found.vertical_px)
+    return {
+        "rectified_from_left_px": found.rectified_from_left_px.tolist(),
+        "rectified_from_right_px": found.rectified_from_right_px.tolist(),
+        "num_matches": len(offset),
+        "vertical_median_px": float(np.median(offset)),
+        "vertical_p95_px": float(np.percentile(offset, 95)),
+    }
+
+
+def _described(
+    rig: RectifiedRig, rectification: Rectification | UncalibratedRectification | None
+) -> dict[str, object]:
     about: dict[str, object] = {
         "K": rig.K.tolist(),
         "baseline": rig.baseline,
         "principal_offset_px": rig.principal_offset_px,
     }
-    if rectification is None:
+    if not isinstance(rectification, Rectification):
         return about
     width, height = rectification.size
     return {

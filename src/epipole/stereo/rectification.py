@@ -10,12 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from epipole.cameras import Camera, CameraModel
-from epipole.config import RansacConfig
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.features import detect_features, match_descriptors
-from epipole.geometry import from_homogeneous, to_homogeneous
-from epipole.geometry.rectification import rectifying_homographies
-from epipole.robust import estimate_fundamental_matrix
 from epipole.scene import StereoRig
 from epipole.stereo.depth import RectifiedRig
 from epipole.stereo.matching import DisparityMap, StereoReason
@@ -181,79 +176,18 @@ def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> t
     return pixels.astype(np.float32).reshape(*shape, 2), inside.reshape(shape)
 
 
-def within_both(disparities: DisparityMap, rectification: Rectification) -> DisparityMap:
+def within_both(
+    disparities: DisparityMap, left_valid: Bool[np.ndarray, "h w"], right_valid: Bool[np.ndarray, "h w"]
+) -> DisparityMap:
     """The disparities of pixels that the left camera sees and whose matches the right one sees; others are OUT_OF_VIEW."""
     height, width = disparities.reason.shape
     matched = np.rint(np.arange(width) - np.nan_to_num(disparities.disparity_px)).astype(np.int64)
     rows = np.arange(height)[:, None]
-    seen = rectification.left_valid & rectification.right_valid[rows, np.clip(matched, 0, width - 1)]
-    outside = ~rectification.left_valid | (~seen & np.isfinite(disparities.disparity_px))
+    seen = left_valid & right_valid[rows, np.clip(matched, 0, width - 1)]
+    outside = ~left_valid | (~seen & np.isfinite(disparities.disparity_px))
     nan = np.float32(np.nan)
     return DisparityMap(
         np.where(outside, nan, disparities.disparity_px),
         np.where(outside, nan, disparities.sigma_px),
         np.where(outside, np.uint8(StereoReason.OUT_OF_VIEW), disparities.reason),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UncalibratedRectification:
-    """Homographies of both pictures after which rows match; nothing in it knows of metres."""
-
-    rectified_from_left_px: Matrix3
-    rectified_from_right_px: Matrix3
-    size: tuple[int, int]
-    vertical_px: Float64[np.ndarray, " n"]
-    """Of the matches it was made from, after it."""
-
-    def apply(self, left: Any, right: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Both pictures, resampled (bilinear); black where a camera saw nothing."""
-        warped = [
-            cv2.warpPerspective(np.ascontiguousarray(picture), matrix, self.size)
-            for picture, matrix in (
-                (left, self.rectified_from_left_px),
-                (right, self.rectified_from_right_px),
-            )
-        ]
-        return warped[0], warped[1]
-
-
-def rectify_uncalibrated(left: Any, right: Any, seed: int = 0) -> UncalibratedRectification:
-    """Rectify two pictures of unknown cameras through their fundamental matrix (Hartley, IJCV 1999).
-
-    Features give matches, these F by the robust loop, F the homographies with the smallest distortion about the middle. Depth cannot come from it:
-    without calibration disparities stand for depths up to a projective change of space.
-
-    Args:
-        left: (h, w) or (h, w, 3) of 8 bits.
-        right: the same size.
-        seed: of the robust loop.
-
-    Raises:
-        DegenerateGeometryError: too few matches, or no homographies do it (forward motion, a plane, pure rotation).
-        ShapeError: the pictures are no pair.
-    """
-    grey = []
-    for name, picture in (("left", left), ("right", right)):
-        array = np.ascontiguousarray(picture)
-        if array.dtype != np.uint8 or array.ndim not in (2, 3):
-            raise ShapeError(f"{name} must be a picture of 8 bits, is {array.shape} of {array.dtype}")
-        grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
-    if grey[0].shape != grey[1].shape:
-        raise ShapeError("both pictures must have one size")
-    one, two = (detect_features(g) for g in grey)
-    pairs = match_descriptors(one.descriptors, two.descriptors)
-    x1, x2 = one.pixels[pairs[:, 0]].astype(np.float64), two.pixels[pairs[:, 1]].astype(np.float64)
-    found = estimate_fundamental_matrix(x1, x2, RansacConfig(seed=seed))
-    if not found.success:
-        raise DegenerateGeometryError(f"the pictures give no fundamental matrix: {found.reason.value}")
-    good = found.inlier_mask
-    height, width = grey[0].shape
-    left_px, right_px = rectifying_homographies(found.model, x1[good], x2[good], (width, height))
-    moved = [
-        from_homogeneous(to_homogeneous(x[good]) @ matrix.T) for x, matrix in ((x1, left_px), (x2, right_px))
-    ]
-    # Disparities positive, the nearest matter of either picture inside: shift the left one to the right.
-    shift = float(np.percentile(moved[1][:, 0] - moved[0][:, 0], 99.5))
-    left_px = np.array([[1.0, 0.0, max(shift, 0.0) + 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]) @ left_px
-    return UncalibratedRectification(left_px, right_px, (width, height), moved[1][:, 1] - moved[0][:, 1])
