@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from epipole.calibration import BoardConfig, corners_on_board, find_board
+from epipole.calibration.board import whole_chessboard
 from epipole.errors import ConfigError
 
 UNIT = 60  # pixels of a square in the drawing
@@ -69,6 +70,16 @@ def test_kalibrs_grids_are_numbered_from_the_bottom():
     matrix, _ = cv2.findHomography(corners_on_board(board)[found.corner, :2], found.pixels)
     moved = cv2.perspectiveTransform(corners_on_board(board)[found.corner, :2][None], matrix)[0]
     assert np.abs(moved - found.pixels).max() < 1.5
+
+
+def test_a_board_larger_than_was_said_is_noticed():
+    flat, _ = drawn(BOARDS[0])
+    blank = np.full_like(flat, 128)
+    for size in ((8, 6), (9, 5), (7, 5)):
+        assert whole_chessboard([flat, blank, flat], BoardConfig(columns=size[0], rows=size[1])) == (9, 6)
+    assert whole_chessboard([flat, blank, blank], BoardConfig(columns=8, rows=6)) is None
+    assert whole_chessboard([flat, flat], BOARDS[0]) is None
+    assert whole_chessboard([], BOARDS[0]) is None
 
 
 def test_nothing_is_found_where_nothing_is(rng):

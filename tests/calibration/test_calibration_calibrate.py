@@ -1,5 +1,7 @@
 """Calibration against exact truth: values, standard deviations, spoiled views and corners, what cannot be known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibration_views import FISHEYE, LENS, OTHER, RIGHT_FROM_LEFT, board_places, views_of
@@ -153,6 +155,27 @@ def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     few = calibrate([views[0][:4]], [SIZE], CONFIG)
     verdict = judge(few, cross_check([views[0][:4]], few))
     assert not verdict.passes and "views are used" in verdict.sentence
+
+
+def test_halves_that_disagree_widen_the_standard_deviations():
+    """Where the model holds chance explains the halves' difference; where it does not, errors are as large as they say."""
+    disagreements = []
+    for seed in range(6):
+        views = seen_by([LENS, OTHER], seed, count=16)
+        check = cross_check(views, calibrate(views, [SIZE] * 2, CONFIG))
+        assert check is not None and check.num_unknowns == 22 and check.widening == 1.0
+        disagreements.append(check.disagreement)
+    assert 0.7 < np.mean(disagreements) < 1.35  # of 6 x 22 unknowns: 1 +- 0.12
+    config = CalibrationConfig(board=BOARD, model="PINHOLE")
+    views = seen_by([LENS], 3, count=24)
+    stiff = calibrate(views, [SIZE], config)
+    check = cross_check(views, stiff)
+    assert check is not None and check.widening > 2.0
+    wide = replace(stiff, uncertainty=stiff.uncertainty.widened(check.widening))
+    np.testing.assert_allclose(wide.params_sigma(0), check.widening * stiff.params_sigma(0))
+    grid = np.array([[320.0, 240.0], [100.0, 80.0]])
+    sigmas = [projection_sigma(c.state, c.uncertainty, 0, grid, 1.0) for c in (wide, stiff)]
+    np.testing.assert_allclose(sigmas[0], check.widening * sigmas[1])
 
 
 def test_what_cannot_be_calibrated_is_said():

@@ -7,6 +7,7 @@ from PIL import Image
 from epipole.calibration.pipeline import pictures_of_cameras, run_calibration
 from epipole.config import BoardConfig, CalibrationConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
+from epipole.io.stereo_folders import pair_folders
 
 
 def saved(path):
@@ -32,8 +33,37 @@ def test_folders_of_sides_and_single_cameras(tmp_path):
     saved(tmp_path / "one" / "a.png")
     assert [len(side) for side in pictures_of_cameras(tmp_path / "one")] == [1]
     saved(tmp_path / "two" / "cam1" / "3.png")
-    with pytest.raises(FileFormatError, match="every left one needs"):
-        pictures_of_cameras(tmp_path / "two")
+    sides = pictures_of_cameras(tmp_path / "two")  # seen by one camera alone
+    assert [[p.name for p in side] for side in sides] == [["1.png", "2.png", "3.png"]] * 2
+    assert not sides[0][2].exists() and sides[1][2].exists()
+    for name in ("cam0/a.png", "cam0/b.png", "cam1/c.png"):
+        saved(tmp_path / "three" / name)
+    with pytest.raises(FileFormatError, match="which belong together"):
+        pictures_of_cameras(tmp_path / "three")
+
+
+def test_folders_are_paired_by_names_but_for_the_sides_words_or_by_order(tmp_path):
+    for side, names in (
+        ("left", ("left1.png", "left3.png")),
+        ("right", ("right1.png", "right2.png", "right3.png")),
+    ):
+        for name in names:
+            saved(tmp_path / side / name)
+    found = pair_folders(tmp_path / "left", tmp_path / "right")
+    assert {(a.name, b.name) for _, (a, b) in found} == {
+        ("left1.png", "right1.png"),
+        ("left3.png", "right3.png"),
+        ("right2.png", "right2.png"),
+    }
+    for side, names in (("a", ("10.png", "20.png", "30.png")), ("b", ("11.png", "20.png", "31.png"))):
+        for name in names:
+            saved(tmp_path / side / name)  # one name in common is chance: order pairs them
+    found = pair_folders(tmp_path / "a", tmp_path / "b")
+    assert [(a.name, b.name) for _, (a, b) in found] == [
+        ("10.png", "11.png"),
+        ("20.png", "20.png"),
+        ("30.png", "31.png"),
+    ]
 
 
 def test_what_cannot_be_used_is_said(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,6 +92,31 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
         grey, np.ascontiguousarray(pixels, np.float32), (half, half), (-1, -1), _REFINE
     )
     return BoardView(np.arange(board.columns * board.rows), refined.reshape(-1, 2).astype(np.float64))
+
+
+def whole_chessboard(
+    pictures: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
+) -> tuple[int, int] | None:
+    """Inner corners of the board that pictures show, columns and rows, where most agree that it is a larger one than was said.
+
+    None as soon as one shows a board of just that size.
+    """
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+    seen: list[tuple[int, int]] = []
+    looked_at = 0
+    for grey in pictures:
+        looked_at += 1
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (board.columns, board.rows), flags)
+        if not found or meta is None:
+            continue
+        rows, columns = sorted(meta.shape) if board.columns >= board.rows else sorted(meta.shape)[::-1]
+        if (columns, rows) == (board.columns, board.rows):
+            return None
+        seen.append((columns, rows))
+    if not seen:
+        return None
+    most = max(sorted(set(seen)), key=seen.count)
+    return most if seen.count(most) > looked_at / 2 else None
 
 
 def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:

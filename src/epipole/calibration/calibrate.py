@@ -84,14 +84,14 @@ class Calibration:
         return np.sqrt(variance)
 
     def rig(self) -> StereoRig:
-        """The first two cameras, with their covariance.
+        """The two cameras, with their covariance.
 
         Raises:
-            ShapeError: a single camera was calibrated.
+            ShapeError: there is one camera, or more than two; of more, `state.cam_from_rig` has the places.
         """
-        if len(self.cameras) < 2:
-            raise ShapeError("a single camera was calibrated: there is no rig")
-        own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.place_of_camera(1, len(self.cameras))]
+        if len(self.cameras) != 2:
+            raise ShapeError(f"a rig has two cameras, {len(self.cameras)} were calibrated")
+        own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.place_of_camera(1, 2)]
         covariance = self.uncertainty.theta[np.ix_(own, own)]
         return StereoRig(self.cameras[0], self.cameras[1], self.state.cam_from_rig[1], covariance)
 

@@ -7,19 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.stats import chi2
 
 from epipole.calibration.board import BoardView
 from epipole.calibration.calibrate import Calibration, calibrate
 from epipole.calibration.coverage import covered_pixels
 from epipole.calibration.observations import Corners, RigState, adjust
 from epipole.calibration.start import place_view
-from epipole.cameras import Camera
+from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import EpipoleError
 from epipole.geometry import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
 
 _ROUNDS = 20
 _LEAST_VIEWS = 6
+_CHANCE = 0.99  # of calibrations whose model holds, so many are left as they are
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,15 @@ class CrossCheck:
     """Of the other half's corners, whose places alone were fitted."""
     difference_px: tuple[float, ...]
     """Median difference of the halves' projections, of every camera, where corners were seen."""
+    disagreement: float
+    """Mean square of the halves' differences in all unknowns over their covariance: 1 where the model holds."""
+    num_unknowns: int
+
+    @property
+    def widening(self) -> float:
+        """How many times larger than the covariance says errors are (Birge 1932); 1 where chance explains the difference."""
+        expected = chi2.ppf(_CHANCE, self.num_unknowns) / self.num_unknowns
+        return float(np.sqrt(self.disagreement)) if self.disagreement > expected else 1.0
 
 
 def projection_difference(
@@ -103,6 +114,7 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
     except EpipoleError:
         return None
     held_out = [_held_out_rms(fitted[k], halves[1 - k]) for k in (0, 1)]
+    disagreement, num_unknowns = _disagreement(fitted[0], fitted[1])
     differences = [
         projection_difference(a, b, covered_pixels(found, c))
         for c, (a, b) in enumerate(zip(fitted[0].cameras, fitted[1].cameras))
@@ -111,7 +123,27 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
         float(np.mean([f.rms_px for f in fitted])),
         float(np.mean(held_out)),
         tuple(float(np.nanmedian(d.distance_px)) for d in differences),
+        disagreement,
+        num_unknowns,
     )
+
+
+def _disagreement(first: Calibration, second: Calibration) -> tuple[float, int]:
+    """(Mahalanobis distance squared over the number of unknowns, that number) of two calibrations of other views."""
+    count = len(first.cameras)
+    apart = np.zeros(len(first.uncertainty.theta))
+    for c, (a, b) in enumerate(zip(first.cameras, second.cameras)):
+        apart[MAX_PARAMS * c : MAX_PARAMS * c + len(a.params)] = b.params - a.params
+        if c:
+            turned = second.state.cam_from_rig[c] @ first.state.cam_from_rig[c].inverse()
+            apart[first.uncertainty.place_of_camera(c, count)] = turned.log()
+    apart[-2:] = second.state.warp - first.state.warp
+    covariance = first.uncertainty.theta + second.uncertainty.theta
+    free = np.diag(covariance) > 0
+    scale = np.sqrt(np.diag(covariance)[free])
+    correlation = covariance[np.ix_(free, free)] / np.outer(scale, scale)
+    whitened = apart[free] / scale
+    return float(whitened @ np.linalg.solve(correlation, whitened) / free.sum()), int(free.sum())
 
 
 def _only_used(views: Sequence[Sequence[BoardView]], found: Calibration) -> list[list[BoardView]]:

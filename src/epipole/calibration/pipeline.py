@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from epipole.calibration.board import BoardView, find_board
+from epipole.calibration.board import BoardView, find_board, whole_chessboard
 from epipole.calibration.calibrate import Calibration, calibrate
 from epipole.calibration.comparison import CrossCheck, cross_check
 from epipole.calibration.verdict import Verdict, judge
@@ -18,8 +18,10 @@ from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceEr
 from epipole.io.atomic import atomic_folder
 from epipole.io.calibration_files import CalibrationFile, write_calibration, write_opencv_yaml
 from epipole.io.photographs import list_photographs, read_grey
+from epipole.io.stereo_folders import pair_folders
 from epipole.workflow import Progress, ProgressCallback, ignore_progress
 
+_LOOKED_AT = 6
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"), ("l", "r"), ("0", "1"))
 
 
@@ -54,7 +56,7 @@ def run_calibration(
             named left01.jpg, right01.jpg.
         out: output folder.
         config: options.
-        right: folder of the right camera's pictures, in the same order.
+        right: folder of the right camera's pictures, of the same names or in the same order.
         progress: called after each picture.
 
     Raises:
@@ -90,7 +92,9 @@ def run_calibration(
     result = calibrate(views, sizes, config)
     progress(Progress("calibrate", 1, 2))
     check = cross_check(views, result)
-    verdict = judge(result, check)
+    if check is not None:
+        result = replace(result, uncertainty=result.uncertainty.widened(check.widening))
+    verdict = judge(result, check, _against(views, pictures, config.board))
     progress(Progress("calibrate", 2, 2))
     content = calibration_file(result)
     with atomic_folder(out) as aside:
@@ -99,26 +103,36 @@ def run_calibration(
     return CalibrationRun(out, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
 
 
+def _against(
+    views: Sequence[Sequence[BoardView]], pictures: Sequence[Sequence[Path]], board: BoardConfig
+) -> list[str]:
+    """Whether the board is larger than was said: a part of it is found as readily, another part in each view."""
+    if board.kind != "chessboard":
+        return []
+    seen = [path for path, view in zip(pictures[0], views[0]) if len(view)][:_LOOKED_AT]
+    size = whole_chessboard((read_grey(path) for path in seen), board)
+    if size is None:
+        return []
+    return [
+        f"the board seems to have {size[0]} x {size[1]} inner corners, not {board.columns} x {board.rows}"
+    ]
+
+
 def calibration_file(found: Calibration) -> CalibrationFile:
     """What is written of a calibration."""
-    covariance = found.rig().covariance if len(found.cameras) > 1 else None
+    covariance = found.rig().covariance if len(found.cameras) == 2 else None
     return CalibrationFile(found.cameras, found.state.cam_from_rig, covariance)
 
 
 def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
-    """Pictures of one camera, or of two in the same order.
+    """Pictures of one camera, or of two in the same order, where some may not exist: views of one camera alone.
 
     Raises:
         FileFormatError: there are none, or left and right do not fit.
     """
     if right is not None:
-        sides = [_pictures(images), _pictures(right)]
-        if len(sides[0]) != len(sides[1]):
-            raise FileFormatError(
-                right,
-                f"it holds {len(sides[1])} pictures and {images} {len(sides[0])}: every left one needs its right one",
-            )
-        return sides
+        pairs = [pair for _, pair in pair_folders(images, right)]
+        return [[a for a, _ in pairs], [b for _, b in pairs]]
     for first, second in _SIDES:
         if (images / first).is_dir() and (images / second).is_dir():
             return pictures_of_cameras(images / first, images / second)
@@ -195,6 +209,6 @@ def _about(found: Calibration, verdict: Verdict) -> dict[str, object]:
         ],
         "board_warp": found.state.warp.tolist(),
     }
-    if len(found.cameras) > 1:
+    if len(found.cameras) == 2:
         about |= {"baseline": found.rig().baseline, "baseline_sigma": found.baseline_sigma()}
     return about

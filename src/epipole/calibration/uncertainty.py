@@ -8,7 +8,7 @@ uncertainty of a projection is that of a point fixed to the boards (mrcal's cros
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -32,6 +32,15 @@ class Uncertainty:
     """Standard deviation of a corner's coordinate."""
     gradient_step: Float64[np.ndarray, " t"]
     """The Gauss-Newton step of theta that is left; zero at the minimum, but for what was held there."""
+
+    def widened(self, factor: float) -> Uncertainty:
+        """With standard deviations so many times as large; the corners' noise stays what it is."""
+        return replace(
+            self,
+            theta=factor**2 * self.theta,
+            theta_and_mean=factor**2 * self.theta_and_mean,
+            mean_place=factor**2 * self.mean_place,
+        )
 
     def place_of_camera(self, camera: int, num_cameras: int) -> slice:
         """Where the motion of a camera (not the first) stands in theta."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,9 +32,16 @@ class Verdict:
     failures: tuple[str, ...]
 
 
-def judge(found: Calibration, check: CrossCheck | None) -> Verdict:
-    """Compare a calibration with what depth and reconstruction need."""
-    failures = []
+def judge(found: Calibration, check: CrossCheck | None, against: Sequence[str] = ()) -> Verdict:
+    """Compare a calibration with what depth and reconstruction need.
+
+    Args:
+        found: with its covariances widened by the check.
+        check: of its halves.
+        against: what else speaks against it.
+    """
+    failures = list(against)
+    widening = 1.0 if check is None else check.widening
     for c, camera in enumerate(found.cameras):
         who = "" if len(found.cameras) == 1 else f"{('left', 'right')[min(c, 1)]} camera: "
         used = sum(state is ViewState.USED for state in found.view_states[c])
@@ -47,7 +55,7 @@ def judge(found: Calibration, check: CrossCheck | None) -> Verdict:
         sigma = _covered_sigma_px(found, c)
         if not sigma <= MOST_SIGMA_PX:
             failures.append(f"{who}projections are known to {sigma:.2f} px only where corners were seen")
-        most = max(MOST_DIFFERENCE * sigma, LEAST_DIFFERENCE_PX)
+        most = max(MOST_DIFFERENCE * sigma / widening, LEAST_DIFFERENCE_PX)
         if check is not None and check.difference_px[c] > most:
             failures.append(
                 f"{who}two halves of the views differ by {check.difference_px[c]:.2f} px (median), more than their "
@@ -65,12 +73,14 @@ def judge(found: Calibration, check: CrossCheck | None) -> Verdict:
         failures.append(
             f"views that were held out lie {check.held_out_rms_px:.2f} px off, those fitted {check.fitted_rms_px:.2f} px"
         )
-    if len(found.cameras) > 1:
+    if len(found.cameras) == 2:
         relative = found.baseline_sigma() / found.rig().baseline
         if relative > MOST_BASELINE_SIGMA:
             failures.append(f"the baseline is known to {100 * relative:.1f} % only")
     worst = max(_covered_sigma_px(found, c) for c in range(len(found.cameras)))
     words = f"corners are {found.rms_px:.2f} px off, projections known to {worst:.2f} px where corners were seen (median)"
+    if widening > 1.0:
+        words += f"; that is {widening:.1f} times what the corners' noise explains, as halves of the views differ by so much"
     if failures:
         return Verdict(False, f"Fail: {'; '.join(failures)}.", tuple(failures))
     return Verdict(True, f"Pass: {words}.", ())

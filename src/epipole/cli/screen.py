@@ -200,7 +200,7 @@ def show_calibration(run: CalibrationRun) -> None:
         for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
-    if len(found.cameras) > 1:
+    if len(found.cameras) == 2:
         console.print(
             f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}",
             highlight=False,

@@ -49,7 +49,7 @@ def render_calibration_page(page: CalibrationPage) -> str:
     for c in range(len(found.cameras)):
         who = f"{_NAMES[c].capitalize()} camera" if len(found.cameras) == 2 else "Camera"
         body.append(section(who, _camera(page, c)))
-    if len(found.cameras) > 1:
+    if len(found.cameras) == 2:
         body.append(section("How the cameras stand", _rig(found)))
     body.append(section("Views", _views(page)))
     return plain_page("Calibration", "".join(body), page.version)
@@ -72,6 +72,13 @@ def _checks(page: CalibrationPage) -> str:
             (f"difference of both halves' projections{_of(found, c)}", f"{d:.3f} px (median)")
             for c, d in enumerate(check.difference_px)
         ]
+        rows.append(
+            (
+                "mean square of both halves' differences in all unknowns, in standard deviations",
+                f"{check.disagreement:.2f}"
+                + (f"; all are widened {check.widening:.2f} times" if check.widening > 1 else ""),
+            )
+        )
     if found.config.refine_warp:
         rows.append(("middle of the board above its edges", ", ".join(f"{w:.3g}" for w in found.state.warp)))
     cells = "".join(f"<tr><td>{a}</td><td>{b}</td></tr>" for a, b in rows)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError
-from epipole.io.photographs import list_photographs
+from epipole.io.stereo_folders import pair_folders
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import is_video
 from epipole.stereo.pipeline import StereoResult
@@ -42,7 +42,7 @@ def is_many(left: Path, right: Path) -> bool:
 
 
 def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
-    """Pairs of two folders, by name where the names agree, else by order; or of stereo video.
+    """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
 
     Raises:
         FileFormatError: there are none, or the folders do not fit.
@@ -55,18 +55,8 @@ def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str,
             raise FileFormatError(
                 folder, "it is no folder, the other one is; give two pictures, folders or videos"
             )
-    names = [list_photographs(folder, ignore=[out]).names for folder in (left, right)]
-    if not names[0] or not names[1]:
-        raise FileFormatError(left if not names[0] else right, "there is no picture in it")
-    if set(names[0]) & set(names[1]):
-        every = sorted({*names[0], *names[1]})  # one that has no partner fails by itself, with words
-        return _by_folder([(left / name, right / name) for name in every], every)
-    if len(names[0]) != len(names[1]):
-        raise FileFormatError(
-            right,
-            f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
-        )
-    return _by_folder([(left / a, right / b) for a, b in zip(names[0], names[1])], names[0])
+    found = pair_folders(left, right, ignore=[out])
+    return _by_folder([pair for _, pair in found], [name for name, _ in found])
 
 
 def run_batch(
