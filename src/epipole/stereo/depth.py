@@ -124,6 +124,14 @@ class DepthMap:
     """The calibration's part of it, which neighbours share: averaging does not lessen it. Zero where nothing is known
     of the calibration's errors."""
 
+    def __repr__(self) -> str:
+        height, width = self.depth.shape
+        known = np.isfinite(self.depth)
+        if not known.any():
+            return f"DepthMap({width} x {height}, nothing known)"
+        near, far = np.percentile(self.depth[known], [1, 99])
+        return f"DepthMap({width} x {height}, {100 * known.mean():.1f} % known, {near:.3g} to {far:.3g})"
+
 
 def depth_of(
     disparities: DisparityMap,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -38,6 +39,11 @@ class Cause(StrEnum):
     DISTORTION = "lens distortion"
     UNCLEAR = "neither rotation nor distortion explains the offsets: blur, rolling shutter, or moving things"
     UNKNOWN = "too few features match to tell"
+
+
+class _Finding(NamedTuple):
+    words: str
+    is_problem: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +111,7 @@ def examine(
     if isinstance(rig, StereoRig):
         for left, right in pairs:
             rig.check_pictures(left, right)
-    problems: list[str] = []
-    notes: list[str] = []
+    findings: list[_Finding] = []
     rectification: Rectification | None = None
     flat = rig if isinstance(rig, RectifiedRig) else None
     if isinstance(rig, StereoRig):
@@ -116,7 +121,7 @@ def examine(
                 rectification = rectify(rig)
                 flat = rectification.rig
         except EpipoleError as error:
-            problems.append(f"the calibration cannot be used: {error}")
+            findings.append(_Finding(f"the calibration cannot be used: {error}", True))
             pairs = ()
     matched = [_match(pair, rectification) for pair in pairs]
     clean = [_without_mistakes(m, flat) for m in matched]
@@ -127,16 +132,15 @@ def examine(
     size = pairs[0][0].shape[1::-1] if len(pairs) else (1, 1)
     size = rectification.size if rectification is not None else size
     fits = _fits(every, flat, size)
-    _say_order(matched, problems)
-    _say_rows(every, fits, len(pairs), problems, notes)
-    _say_steadiness(clean, flat, size, problems, notes)
-    if flat is not None:
-        _say_units(flat, every, problems, notes)
+    findings += [
+        *(_order(matched) + _rows(every, fits, len(pairs)) + _steadiness(clean, flat, size)),
+        *(_units(flat, every) if flat is not None else ()),
+    ]
     offset = every.vertical_px
     enough = len(every) >= _LEAST_MATCHES
     return Diagnosis(
-        tuple(problems),
-        tuple(notes),
+        tuple(f.words for f in findings if f.is_problem),
+        tuple(f.words for f in findings if not f.is_problem),
         len(every),
         float(np.median(np.abs(offset))) if enough else np.nan,
         float(np.percentile(np.abs(offset), 95)) if enough else np.nan,
@@ -232,68 +236,62 @@ def _cause(matches: RowMatches, fits: tuple[float, float]) -> Cause:
     return Cause.UNCLEAR
 
 
-def _say_order(matched: Sequence[RowMatches], problems: list[str]) -> None:
+def _order(matched: Sequence[RowMatches]) -> list[_Finding]:
     if matched and all(is_swapped(m) for m in matched):
-        problems.append("left and right are swapped: features lie farther right in the right picture")
+        return [_Finding("left and right are swapped: features lie farther right in the right picture", True)]
+    return []
 
 
-def _say_rows(
-    matches: RowMatches, fits: tuple[float, float], num_pairs: int, problems: list[str], notes: list[str]
-) -> None:
+def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> list[_Finding]:
+    if not num_pairs:
+        return []
     if len(matches) < _LEAST_MATCHES:
-        if num_pairs:
-            problems.append(
-                f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
-            )
-        return
+        words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
+        return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
-        problems.append("left and right are the same picture")
+        return [_Finding("left and right are the same picture", True)]
     cause = _cause(matches, fits)
     if cause is Cause.NONE:
-        return
+        return []
     offset = np.abs(matches.vertical_px)
     words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); this points at {cause}"
     is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
-    (problems if is_bad else notes).append(words)
+    return [_Finding(words, is_bad)]
 
 
-def _say_steadiness(
-    clean: Sequence[RowMatches],
-    flat: RectifiedRig | None,
-    size: tuple[int, int],
-    problems: list[str],
-    notes: list[str],
-) -> None:
+def _steadiness(
+    clean: Sequence[RowMatches], flat: RectifiedRig | None, size: tuple[int, int]
+) -> list[_Finding]:
     """A rigid rig has the same row trend in every pair; cameras that expose at different times do not."""
     good = [m for m in clean if len(m) >= _LEAST_MATCHES]
     if len(good) < 2:
-        notes.append(
-            "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
-        )
-        return
+        words = "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
+        return [_Finding(words, False)]
     trends = [fit_trend(m.vertical_px, _basis(m, flat, size)[0][:, :3]) for m in good]
     offset = np.array([t.coefficients[0] for t in trends])
     sigma = np.array([t.sigma[0] for t in trends])
     spread = float(np.std(offset, ddof=1))
-    if spread > max(_UNSTEADY_PX, _UNSTEADY_SIGMAS * float(np.median(sigma))):
-        problems.append(
-            f"the vertical offset differs from pair to pair by {spread:.2f} px: the cameras are not synchronous, or the rig bends"
-        )
+    if spread <= max(_UNSTEADY_PX, _UNSTEADY_SIGMAS * float(np.median(sigma))):
+        return []
+    words = f"the vertical offset differs from pair to pair by {spread:.2f} px: the cameras are not synchronous, or the rig bends"
+    return [_Finding(words, True)]
 
 
-def _say_units(flat: RectifiedRig, matches: RowMatches, problems: list[str], notes: list[str]) -> None:
+def _units(flat: RectifiedRig, matches: RowMatches) -> list[_Finding]:
+    out = []
     if flat.baseline > _LARGE_BASELINE:
-        notes.append(
-            f"the baseline is {flat.baseline:g}: if that is in millimetres, depths come in millimetres; if in metres, it is very long"
-        )
+        words = f"the baseline is {flat.baseline:g}: if that is in millimetres, depths come in millimetres; if in metres, it is very long"
+        out.append(_Finding(words, False))
     if flat.baseline < _SMALL_BASELINE:
-        problems.append(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?")
+        out.append(
+            _Finding(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?", True)
+        )
     shifted = matches.disparity_px + flat.principal_offset_px
     if len(matches) >= _LEAST_MATCHES and np.median(shifted) > 0.5:
         depth = flat.focal_px * flat.baseline / np.median(shifted)
-        notes.append(
-            f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
-        )
+        words = f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
+        out.append(_Finding(words, False))
+    return out
 
 
 def _ninths(matches: RowMatches, size: tuple[int, int]) -> Float64[np.ndarray, "3 3"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -91,45 +92,21 @@ def measure_pair(
             pair has a rig.
         DegenerateGeometryError: the pair cannot be rectified.
     """
-    rectification: Rectification | UncalibratedRectification | None = None
-    flat: RectifiedRig | None
-    if config.uncalibrated:
-        if rig is not None:
-            raise ConfigError(
-                "uncalibrated means that nothing is known of the cameras: give no calibration with it"
-            )
-        flat, rectification = None, rectify_uncalibrated(left_rgb, right_rgb)
-        left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
-    elif isinstance(rig, StereoRig):
-        rig.check_pictures(left_rgb, right_rgb)
-        flat = rectified_rig_of(rig)
-        if flat is None:
-            rectification = rectify(rig)
-            flat = rectification.rig
-            left_rgb, right_rgb = rectification.apply(left_rgb, right_rgb)
-    else:
-        flat = rig
-        if left_rgb.shape != right_rgb.shape:
-            (h1, w1), (h2, w2) = left_rgb.shape[:2], right_rgb.shape[:2]
-            raise ShapeError(
-                f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size"
-            )
-    disparities = match_stereo(left_rgb, right_rgb, config)
+    left, right, flat, rectification = _rectified(left_rgb, right_rgb, config, rig)
+    disparities = match_stereo(left, right, config)
     if rectification is not None:
         disparities = within_both(disparities, rectification.left_valid, rectification.right_valid)
     is_calibrated = isinstance(rectification, Rectification)
-    warnings = list(quick_warnings(left_rgb, right_rgb, _matched(disparities, config, flat, is_calibrated)))
-    warnings += _unfitted(config)
-    if config.uncalibrated:
-        warnings.append(
-            "without a calibration disparities order what lies in a row by depth, no more: nearer is larger if LEFT was taken left of RIGHT"
-        )
+    warnings = list(quick_warnings(left, right, _matched(disparities, config, flat, is_calibrated)))
+    warnings += _limits(config, rig)
     depths, num_points = None, 0
     if flat is not None:
         wrong_px = None
-        if isinstance(rig, StereoRig) and rig.covariance is None:
-            warnings.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
-        elif isinstance(rig, StereoRig) and isinstance(rectification, Rectification):
+        if (
+            isinstance(rig, StereoRig)
+            and rig.covariance is not None
+            and isinstance(rectification, Rectification)
+        ):
             wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
         depths = depth_of(disparities, flat, wrong_px)
         num_points = int(np.isfinite(depths.depth).sum())
@@ -137,19 +114,61 @@ def measure_pair(
             warnings.append(
                 "no depth is positive and finite: every disparity plus the principal offset is zero or less"
             )
+    filled = fill_disparities(disparities, left) if config.fill else None
     return StereoResult(
-        *(left_rgb, right_rgb, disparities, flat, depths, rectification, tuple(warnings), num_points),
-        fill_disparities(disparities, left_rgb) if config.fill else None,
+        left, right, disparities, flat, depths, rectification, tuple(warnings), num_points, filled
     )
 
 
-def _unfitted(config: StereoConfig) -> list[str]:
-    """What is to be said of error bars whose table was fitted with other settings."""
+class _RectifiedPair(NamedTuple):
+    left: UInt8[np.ndarray, "h w 3"]
+    right: UInt8[np.ndarray, "h w 3"]
+    rig: RectifiedRig | None
+    rectification: Rectification | UncalibratedRectification | None
+
+
+def _rectified(
+    left: np.ndarray, right: np.ndarray, config: StereoConfig, rig: RectifiedRig | StereoRig | None
+) -> _RectifiedPair:
+    if config.uncalibrated:
+        if rig is not None:
+            raise ConfigError(
+                "uncalibrated means that nothing is known of the cameras: give no calibration with it"
+            )
+        unknown = rectify_uncalibrated(left, right)
+        return _RectifiedPair(*unknown.apply(left, right), None, unknown)
+    if isinstance(rig, StereoRig):
+        rig.check_pictures(left, right)
+        flat = rectified_rig_of(rig)
+        if flat is not None:
+            return _RectifiedPair(left, right, flat, None)
+        rectification = rectify(rig)
+        return _RectifiedPair(*rectification.apply(left, right), rectification.rig, rectification)
+    if left.shape != right.shape:
+        (h1, w1), (h2, w2) = left.shape[:2], right.shape[:2]
+        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+    return _RectifiedPair(left, right, rig, None)
+
+
+def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[str]:
+    """What cannot be said with these settings."""
+    out = []
     default = StereoConfig()
     changed = [name for name in _FITTED_WITH if getattr(config, name) != getattr(default, name)]
-    if not changed:
-        return []
-    return [f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"]
+    if changed:
+        words = (
+            f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"
+        )
+        out.append(words)
+    if config.uncalibrated:
+        words = (
+            "without a calibration disparities order what lies in a row by depth, no more: nearer is larger if LEFT "
+            "was taken left of RIGHT"
+        )
+        out.append(words)
+    if isinstance(rig, StereoRig) and rig.covariance is None:
+        out.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
+    return out
 
 
 def _matched(
