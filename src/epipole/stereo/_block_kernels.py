@@ -54,13 +54,11 @@ def match_blocks(pictures, size, search, half, start, stop, out):
     """Disparities of rows start..stop. Windows are cut off at the picture's borders. out as of `choose_row`."""
     height, width = size[0], size[1]
     first, _, depth = search
+    places = width + depth + abs(first) if out[5].size else 0
     room, rows = width * depth, 2 * half + 1
     ring = np.zeros((rows, room), np.uint8)
     columns, sums, none = np.zeros(room, np.uint16), np.empty(room, np.uint16), np.zeros(room, np.uint16)
-    best, winners = (
-        np.empty(width + depth + abs(first), np.uint16),
-        np.empty(width + depth + abs(first), np.uint16),
-    )
+    best, winners = np.empty(places, np.uint16), np.empty(places, np.uint16)
     spread = out[4]
     for y in range(start - half, stop + half):
         place = ring[(y + rows) % rows]

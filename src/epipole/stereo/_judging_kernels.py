@@ -17,7 +17,7 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
 
     Where a V of two equal slopes through the lowest sum and those beside it has its bottom, -1/2 ... 1/2 from the whole disparity: sums
     of census costs grow linearly from their minimum; a parabola would draw it to the whole numbers. At the ends of the range
-    there is one slope, and the disparity stays whole. out = (disparity, steepness, other's disparity).
+    there is one slope, and the disparity stays whole. out = (disparity, steepness, other's disparity); the other's may be empty.
     """
     disparity, steepness, others = out
     half, one, low = np.float32(0.5), np.float32(1.0), np.float32(first)
@@ -32,8 +32,9 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
                 steep = max(down, up)
                 disparity[y, x] = whole + half * (down - up) / max(steep, one) + low
                 steepness[y, x] = steep
-            there = other[y, x]
-            others[y, x] = np.float32(np.nan) if there == NOBODY else np.float32(there) + low
+            if other.size:
+                there = other[y, x]
+                others[y, x] = np.float32(np.nan) if there == NOBODY else np.float32(there) + low
 
 
 @kernel

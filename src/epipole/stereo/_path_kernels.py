@@ -122,7 +122,7 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
 
     out = (winner, lowest, second, beside, spread, other's winner), spread being how far the two sweeps' own winners lie
     apart; best and winners are scratch, one place for each pixel of the
-    other picture from right to left.
+    other picture from right to left; all three are empty where its winners are not asked for.
     """
     winner, lowest, second, beside, spread, other = out
     first, _, depth = search
@@ -135,9 +135,11 @@ def choose_row(sums, at_row, more, y, width, search, out, best, winners):
         winner[y, x], lowest[y, x], second[y, x], spread[y, x] = k, low, next_low, abs(above - below)
         beside[y, x, 0] = sums[at + k - 1] if k > 0 else NOBODY
         beside[y, x, 1] = sums[at + k + 1] if k + 1 < depth else NOBODY
-        keep_lower(sums, at, best, winners, width - 1 - x + first + shift, depth // LANES)
-    for x in range(width):
-        other[y, x] = winners[width - 1 - x + shift]
+        if len(best):
+            keep_lower(sums, at, best, winners, width - 1 - x + first + shift, depth // LANES)
+    if len(best):
+        for x in range(width):
+            other[y, x] = winners[width - 1 - x + shift]
 
 
 @kernel(allocates=True)
@@ -145,14 +147,12 @@ def match_strip(pictures, grey, size, search, penalties, start, stop, margin, su
     """Disparities of rows start..stop; the paths begin up to `margin` rows beyond them. sums: room for (stop - start) rows."""
     height, width = size[0], size[1]
     first, _, depth = search
+    places = width + depth + abs(first) if out[5].size else 0
     room = width * depth
     paths = np.full(2 * MOST * (width + 2) * (EDGE + depth) + EDGE, 255, np.uint8)
     state = (paths, np.empty((2, MOST, width + 2), np.int64))
     costs, row = np.empty(room, np.uint8), np.empty(room, np.uint16)
-    best, winners = (
-        np.empty(width + depth + abs(first), np.uint16),
-        np.empty(width + depth + abs(first), np.uint16),
-    )
+    best, winners = np.empty(places, np.uint16), np.empty(places, np.uint16)
     begin_paths(paths, state[1], width, depth)
     for y in range(max(start - margin, 0), stop):
         cost_row(pictures, y, size, search, costs)

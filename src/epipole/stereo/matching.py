@@ -101,8 +101,8 @@ class _Winners:
     """Of the V."""
     spread: UInt16[np.ndarray, "h w"]
     """How far apart the winners of the downward and the upward sweep lie."""
-    other: Float32[np.ndarray, "h w"]
-    """Disparities of the other picture read off the same sums, whole; NaN where there is none."""
+    other: Float32[np.ndarray, "h2 w2"]
+    """Disparities of the other picture read off the same sums, whole; NaN where there is none. Empty if not asked for."""
 
 
 def match_stereo(left: Any, right: Any, config: StereoConfig | None = None) -> DisparityMap:
@@ -135,9 +135,10 @@ def match_with_evidence(
         mine, mirrored = _both_winners(one, two, low, high, config)
         theirs = mirrored.disparity[:, ::-1]
     else:
-        mine = _winners(_look(one, config), _look(two, config), low, high, config)
+        mine = _winners(*_look_at_both(one, two, config), low, high, config)
         theirs = mine.other
-    apart, reason = _judge(mine, theirs, low, config, (_is_textureless(one), _is_textureless(two)))
+    blank = _parallel.map_chunks(lambda k, *_: _is_textureless((one, two)[k]), 2, 2)
+    apart, reason = _judge(mine, theirs, low, config, (blank[0], blank[1]))
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
@@ -196,7 +197,7 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
-    found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
+    found = _winners(*_look_at_both(small[0], small[1], config), low, high, config)
     seen = _judge(found, found.other, low, config)[1] == StereoReason.OK
     if not seen.any():
         return left.shape[1] // 4
@@ -209,7 +210,14 @@ def _look(grey: UInt16[np.ndarray, "h w"], config: StereoConfig) -> _Picture:
     return _Picture(census(grey, config.window), _brightness(grey))
 
 
-def _winners(left: _Picture, right: _Picture, low: int, high: int, config: StereoConfig) -> _Winners:
+def _look_at_both(left: np.ndarray, right: np.ndarray, config: StereoConfig) -> tuple[_Picture, _Picture]:
+    one, two = _parallel.map_chunks(lambda k, *_: _look((left, right)[k], config), 2, 2)
+    return one, two
+
+
+def _winners(
+    left: _Picture, right: _Picture, low: int, high: int, config: StereoConfig, *, with_other: bool = True
+) -> _Winners:
     """Disparities of the left picture, from sums along the paths or over blocks."""
     height, width = left.brightness.shape
     count = high - low + 1
@@ -218,14 +226,10 @@ def _winners(left: _Picture, right: _Picture, low: int, high: int, config: Stere
     planes = left.bits.shape[2]
     reversed_bits = np.zeros((height, planes, width + 2 * padding), np.uint8)
     reversed_bits[:, :, padding : padding + width] = right.bits[:, ::-1].transpose(0, 2, 1)
-    out = (
-        np.empty((height, width), np.uint16),
-        np.empty((height, width), np.uint16),
-        np.empty((height, width), np.uint16),
-        np.empty((height, width, 2), np.uint16),
-        np.empty((height, width), np.uint16),
-        np.empty((height, width), np.uint16),
-    )
+    of_other = (height, width) if with_other else (0, 0)
+    winner, lowest, second, spread = (np.empty((height, width), np.uint16) for _ in range(4))
+    beside, other = np.empty((height, width, 2), np.uint16), np.empty(of_other, np.uint16)
+    out = (winner, lowest, second, beside, spread, other)
     size, search = (height, width, planes, padding), (low, count, depth)
     pictures = (
         *(left.bits.reshape(-1), reversed_bits.reshape(-1)),
@@ -243,8 +247,8 @@ def _winners(left: _Picture, right: _Picture, low: int, high: int, config: Stere
         )
     else:
         _match_paths(pictures, left.brightness, size, search, config, num_strips, out)
-    winner, lowest, second, beside, spread, other = out
-    disparity, steepness, others = (np.empty((height, width), np.float32) for _ in range(3))
+    disparity, steepness = (np.empty((height, width), np.float32) for _ in range(2))
+    others = np.empty(of_other, np.float32)
     _by_rows(
         height,
         lambda start, stop, _: judging.bottom_of_v(
@@ -264,9 +268,9 @@ def _both_winners(
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
     if config.search == "full" or is_small:
-        one, two = _look(left, config), _look(right, config)
-        mine = _winners(one, two, low, high, config)
-        return mine, _winners(two.mirrored(), one.mirrored(), low, high, config)
+        one, two = _look_at_both(left, right, config)
+        mine = _winners(one, two, low, high, config, with_other=False)
+        return mine, _winners(two.mirrored(), one.mirrored(), low, high, config, with_other=False)
     size = (width // 2, height // 2)
     half = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     coarse = _both_winners(half[0], half[1], low // 2, -(-high // 2), config)
@@ -294,7 +298,7 @@ def _winners_by_tiles(
         np.empty(left.shape, np.uint16),
         np.empty(left.shape, np.float32),
         np.empty(left.shape, np.uint16),
-        np.full(left.shape, np.nan, np.float32),
+        np.empty((0, 0), np.float32),
     )
     for tile in tiles_of(coarse, (height, width), search):
         (top, bottom), (begin, end), (first, last) = tile.rows, tile.columns, tile.disparities
@@ -303,7 +307,7 @@ def _winners_by_tiles(
         # x - first of the right picture beside x of the left one: the range begins at zero.
         shifted = np.clip(np.arange(x0, x1) - first, 0, width - 1)
         here, there = _look(left[y0:y1, x0:x1], config), _look(right[y0:y1][:, shifted], config)
-        found = _winners(here, there, 0, last - first, config)
+        found = _winners(here, there, 0, last - first, config, with_other=False)
         inside = np.s_[top - y0 : bottom - y0, begin - x0 : end - x0]
         whole = np.s_[top:bottom, begin:end]
         out.disparity[whole] = found.disparity[inside] + np.float32(first)

@@ -123,10 +123,12 @@ def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
     scale = np.float32((_TABLE - 1) / (high - low))
 
     def fill(start: int, stop: int, _: int) -> None:
-        place = (score(cues(evidence, start, stop)) - low) * scale
-        # What no other picture confirms has an infinite difference, and some score that is not finite: the worst.
-        place = np.where(np.isfinite(place), place, np.float32(_TABLE - 1))
-        out[start:stop] = table[np.clip(place, 0, _TABLE - 1).astype(np.intp)]
+        place = score(cues(evidence, start, stop))
+        place -= low
+        place *= scale
+        # What no other picture confirms has an infinite difference and no score; its disparity is not used.
+        np.fmin(np.fmax(place, np.float32(0.0), out=place), np.float32(_TABLE - 1), out=place)
+        table.take(place.astype(np.int32), out=out[start:stop], mode="clip")
 
     _parallel.map_chunks(fill, len(out), -(-len(out) // _ROWS))
     return out
