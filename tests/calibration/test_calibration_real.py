@@ -1,5 +1,7 @@
 """Real boards against OpenCV and against known lenses."""
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -80,7 +82,7 @@ def test_ten_real_views_with_three_spoiled(pair_views):
         assert (difference < 3.0 * found.params_sigma(c)[:2]).all()
 
 
-def test_the_command_on_a_folder_of_pairs(data_dir, tmp_path):
+def test_the_command_on_a_folder_of_pairs(data_dir, tmp_path, pair_views):
     run = api.calibrate(data_dir / "calibration" / "opencv_stereo", tmp_path, CalibrationConfig(board=BOARD))
     assert run.verdict.passes and len(run.calibration.cameras) == 2
     page = (tmp_path / "report.html").read_text()
@@ -89,6 +91,10 @@ def test_the_command_on_a_folder_of_pairs(data_dir, tmp_path):
     theirs = read_stereo_rig(tmp_path / "opencv.yaml")
     ros = read_stereo_rig(tmp_path / "ros_left.yaml", tmp_path / "ros_right.yaml")
     assert ours.covariance is not None and theirs.covariance is None
+    widened = json.loads((tmp_path / "calibration.json").read_text())["about"]["sigmas_widened_by"]
+    assert run.check is not None and widened == run.check.widening > 1.5
+    plain = calibrate(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
+    np.testing.assert_allclose(ours.covariance, widened**2 * plain.rig().covariance, rtol=1e-6)
     for other in (theirs, ros):
         np.testing.assert_allclose(other.left.params, ours.left.params, rtol=1e-9)
         np.testing.assert_allclose(

@@ -98,7 +98,7 @@ def run_calibration(
     progress(Progress("calibrate", 2, 2))
     content = calibration_file(result)
     with atomic_folder(out) as aside:
-        write_calibration(aside / "calibration.json", content, _about(result, verdict))
+        write_calibration(aside / "calibration.json", content, _about(result, verdict, check))
         write_opencv_yaml(aside / "opencv.yaml", content)
     return CalibrationRun(out, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
 
@@ -198,11 +198,12 @@ def _common_size(
     return max(sorted(set(every)), key=every.count)
 
 
-def _about(found: Calibration, verdict: Verdict) -> dict[str, object]:
+def _about(found: Calibration, verdict: Verdict, check: CrossCheck | None) -> dict[str, object]:
     about: dict[str, object] = {
         "verdict": verdict.sentence,
         "rms_px": found.rms_px,
         "corner_noise_px": found.uncertainty.noise_px,
+        "sigmas_widened_by": None if check is None else check.widening,
         "params_sigma": [
             dict(zip(camera.model.param_names, found.params_sigma(c).tolist()))
             for c, camera in enumerate(found.cameras)
