@@ -269,7 +269,7 @@ class StereoConfig:
     """Options of dense stereo matching."""
 
     min_disparity_px: int = 0
-    """Smallest disparity looked for; negative where the principal points or the axes differ."""
+    """Smallest disparity looked for; 0: where the rig says that the principal points differ, that of infinity."""
     max_disparity_px: int | None = None
     """Largest disparity looked for; None: found from the pictures."""
     search: Literal["full", "coarse_to_fine"] = "full"

@@ -1,6 +1,7 @@
 """Calibration files: round trips, the formats of others, and files that are not what they claim."""
 
 import json
+import time
 
 import cv2
 import numpy as np
@@ -235,7 +236,7 @@ def test_kitti_matrices_are_read(data_dir, tmp_path):
     )
     assert read_stereo_rig(raw).left.width == 1226
     raw.write_text(f"P0: {first}\nP1: 1 2 3\n")
-    with pytest.raises(FileFormatError, match="P1 should be 12"):
+    with pytest.raises(FileFormatError, match="P1 is not 3 x 4 numbers"):
         read_stereo_rig(raw, size=(4, 4))
 
 
@@ -253,5 +254,57 @@ def test_middlebury_calibrations_are_read(tmp_path):
     with pytest.raises(FileFormatError, match="the key baseline is missing"):
         read_stereo_rig(path)
     path.write_text(text.replace("193.001", "far"))
-    with pytest.raises(FileFormatError, match="baseline holds something"):
+    with pytest.raises(FileFormatError, match="baseline is not 1 numbers"):
         read_stereo_rig(path)
+
+
+def test_opencvs_own_rectified_matrices_are_not_taken_for_the_cameras(tmp_path):
+    """The sample writes R1, R2, P1, P2 and Q beside R and T."""
+    d = np.array([[-0.3, 0.1, 0.0, 0.0, 0.0]])
+    K = np.array([[500.0, 0, 320], [0, 501, 240], [0, 0, 1]])
+    rotation, translation = (
+        Rigid3.exp(np.array([0, 0, 0, 0.01, 0.02, 0.0])).rotation,
+        np.array([-0.12, 0.002, 0.001]),
+    )
+    rectified = cv2.stereoRectify(K, d, K, d, (640, 480), rotation, translation[:, None])
+    for name, values in (
+        ("intrinsics.yml", {"M1": K, "D1": d, "M2": K, "D2": d}),
+        (
+            "extrinsics.yml",
+            {"R": rotation, "T": translation} | dict(zip(("R1", "R2", "P1", "P2", "Q"), rectified)),
+        ),
+    ):
+        storage = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+        for key, value in values.items():
+            storage.write(key, value)
+        storage.release()
+    rig = read_stereo_rig(tmp_path / "intrinsics.yml", tmp_path / "extrinsics.yml", size=(640, 480))
+    np.testing.assert_allclose(rig.left.params[:5], [500, 501, 320, 240, -0.3])
+    np.testing.assert_allclose(rig.right_from_left.translation, translation)
+    with pytest.raises(FileFormatError, match="M1, D1, M2, D2 missing"):
+        read_stereo_rig(tmp_path / "extrinsics.yml", size=(640, 480))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1 0 0 5 0 1 0 6 0 0 1 7\n0.9 0.1 0 5 -0.1 0.9 0 6 0 0 1 7\n", "no projection"),  # poses
+        ("P0: 1 0 0 0 0 1 0 0 0 0 0 0\nP1: 1 0 0 -1 0 1 0 0 0 0 0 0\n", "no projection"),
+        ("P0: 2 0 0 0 0 2 0 0 0 0 2 0\nP1: 2 0 0 -1 0 2 0 0 0 0 2 0\n", "no projection"),
+        ("P0: 0 0 0 0 0 0 0 0 0 0 1 0\nP1: 0 0 0 0 0 0 0 0 0 0 1 0\n", "focal"),
+        ("5: hi\n", "missing"),
+        ("cam0=[1 0 0; 0 1 0; 0 0 1]\ncam1=\nbaseline=1\nwidth=4\nheight=4\n", "cam1 is not"),
+        ("# of mine\ncam0=[9 0 1; 0 9 1; 0 0 1]\nx=a" + 60_000 * " " + "b\n", "width and height"),
+        ("cam0=[9 0 1; 0 9 1; 0 0 1]\nwidth=1e30\nheight=4\n", "cannot be"),
+        ("T_BS: [0]\nintrinsics: [9, 9, 1, 1]\nresolution: [8, 8]\ncamera_model: omni\n", "model omni"),
+        ("T_BS: [0]\nintrinsics: [9, 9, 1, 1]\nresolution: [1e30, 8]\n", "cannot be"),
+        (f"T_BS: {16 * [0]}\nintrinsics: [9, 9, 1, 1]\nresolution: [8, 8]\n", "no rotation"),
+    ],
+)
+def test_files_of_data_sets_that_are_not_what_they_claim(tmp_path, text, words):
+    path = tmp_path / "calib.txt"
+    path.write_text(text)
+    begin = time.perf_counter()
+    with pytest.raises(FileFormatError, match=words):
+        read_stereo_rig(path, size=(640, 480)) if "width" not in words else read_stereo_rig(path)
+    assert time.perf_counter() - begin < 1.0

@@ -21,7 +21,8 @@ from epipole.geometry.rotation3 import Rotation3, skew
 
 _ROUNDS = 20
 _LEAST_VIEWS = 6
-_CHANCE = 0.99  # of calibrations whose model holds, so many are left as they are
+_LEAST_VIEWS_TO_WIDEN = 10
+_CHANCE = 0.99  # of calibrations with many views whose model holds, so many are left as they are (with ten views 95 to 100 of 100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +56,17 @@ class CrossCheck:
     disagreement: float
     """Mean square of the halves' differences in all unknowns over their covariance: 1 where the model holds."""
     num_unknowns: int
+    num_views: int
+    """Of both halves."""
 
     @property
     def widening(self) -> float:
-        """How many times larger than the covariance says errors are (Birge 1932); 1 where chance explains the difference."""
+        """How many times larger than the covariance says errors are (Birge 1932).
+
+        1 where chance explains the difference, or where the halves have too few views for their covariances to hold.
+        """
+        if self.num_views < _LEAST_VIEWS_TO_WIDEN:
+            return 1.0
         expected = chi2.ppf(_CHANCE, self.num_unknowns) / self.num_unknowns
         return float(np.sqrt(self.disagreement)) if self.disagreement > expected else 1.0
 
@@ -111,10 +119,10 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
     halves = [[[own[v] for v in used[start::2]] for own in kept] for start in (0, 1)]
     try:
         fitted = [calibrate(half, sizes, found.config) for half in halves]
-    except EpipoleError:
+        disagreement, num_unknowns = _disagreement(fitted[0], fitted[1])
+    except (EpipoleError, np.linalg.LinAlgError):
         return None
     held_out = [_held_out_rms(fitted[k], halves[1 - k]) for k in (0, 1)]
-    disagreement, num_unknowns = _disagreement(fitted[0], fitted[1])
     differences = [
         projection_difference(a, b, covered_pixels(found, c))
         for c, (a, b) in enumerate(zip(fitted[0].cameras, fitted[1].cameras))
@@ -125,6 +133,7 @@ def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> Cro
         tuple(float(np.nanmedian(d.distance_px)) for d in differences),
         disagreement,
         num_unknowns,
+        len(used),
     )
 
 

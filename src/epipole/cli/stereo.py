@@ -46,7 +46,7 @@ def run_stereo(
     if workspace is not None or pair is not None:
         if workspace is None or pair is None or len(paths) != 1:
             raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
-        if calibrated.files or options != RigOptions():
+        if calibrated != CalibrationGiven() or options != RigOptions():
             raise ConfigError(
                 "the model says where its cameras are: give no calibration, focal length or baseline"
             )

@@ -12,19 +12,21 @@ import numpy as np
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io._lens_coefficients import camera_of_coefficients
+from epipole.io._lens_coefficients import camera_of_words
+from epipole.io._named_numbers import numbers_of, size_of
 
-_MIDDLEBURY = re.compile(r"^\s*(\w+)\s*=\s*(.+?)\s*$", re.MULTILINE)
-_KITTI = re.compile(r"^(?:P|P_rect_)(\d+)$")
+_KITTI = re.compile(r"(?:P|P_rect_)(\d{1,2})")
+_SAME = 1e-6
 
 
 def named_lines(text: str) -> dict[str, Any] | None:
     """Middlebury's `name=value` lines, or rows of twelve numbers without names (P0, P1 ...); None for other text."""
-    if re.match(r"\s*cam0\s*=", text):
-        return dict(_MIDDLEBURY.findall(text))
-    rows = [line.split() for line in text.splitlines() if line.strip()]
+    lines = [line.strip() for line in text.removeprefix("\ufeff").splitlines() if line.strip()]
+    if any(line.replace(" ", "").startswith("cam0=") for line in lines):
+        parts = (line.partition("=") for line in lines)
+        return {name.strip(): value.strip() for name, equals, value in parts if equals}
     try:
-        matrices = [[float(word) for word in row] for row in rows]
+        matrices = [[float(word) for word in line.split()] for line in lines]
     except ValueError:
         return None
     if not matrices or {len(row) for row in matrices} != {12}:
@@ -38,8 +40,9 @@ def is_euroc(content: Mapping[str, Any]) -> bool:
 
 
 def is_kitti(content: Mapping[str, Any]) -> bool:
-    """Whether it has projection matrices by KITTI's names."""
-    return any(_KITTI.match(key) for key in content)
+    """Whether it has projection matrices by KITTI's names, and nothing of OpenCV's files, whose P1 and P2 are of rectified cameras."""
+    is_opencvs = any(key in content for key in ("M1", "K1", "D1", "R", "T", "Q", "cameraMatrix1"))
+    return not is_opencvs and bool(_matrices(content))
 
 
 def is_middlebury(content: Mapping[str, Any]) -> bool:
@@ -53,17 +56,17 @@ def euroc_cameras(
     """Cameras and their places; T_BS is body_from_cam. The first camera's frame is the rig's."""
     cameras, cams_from_body = [], []
     for path, content in zip(files, contents):
-        fx, fy, cx, cy = _floats(path, content, "intrinsics", 4)
-        width, height = _floats(path, content, "resolution", 2)
+        size = size_of(path, *numbers_of(path, content, "resolution", 2))
         words = str(content.get("distortion_model", "none"))
-        if words not in ("radial-tangential", "radtan", "equidistant", "none"):
-            raise FileFormatError(path, f"the distortion_model {words} is not known")
-        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        d = np.zeros(4) if words == "none" else _floats(path, content, "distortion_coefficients", 4)
+        d = np.zeros(4) if words == "none" else numbers_of(path, content, "distortion_coefficients", 4)
+        model = str(content.get("camera_model", "pinhole"))
         cameras.append(
-            camera_of_coefficients(path, (int(width), int(height)), K, d, is_fisheye=words == "equidistant")
+            camera_of_words(path, size, numbers_of(path, content, "intrinsics", 4), model, words, d)
         )
-        body_from_cam = _floats(path, content, "T_BS", 16).reshape(4, 4)
+        body_from_cam = numbers_of(path, content, "T_BS", 4, 4)
+        rotation = body_from_cam[:3, :3]
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+            raise FileFormatError(path, "T_BS holds no rotation")
         cams_from_body.append(Rigid3.from_matrix(body_from_cam).inverse())
     places = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
     return tuple(cameras), Rigid3(
@@ -76,16 +79,20 @@ def kitti_cameras(
 ) -> tuple[tuple[Camera, ...], Rigid3]:
     """P = K (R | t) of rectified cameras, in which R is 1: t = K^-1 p_4."""
     cameras, offsets = [], []
-    for key in sorted((k for k in content if _KITTI.match(k)), key=lambda k: int(_KITTI.sub(r"\1", k))):
-        P = _floats(path, content, key, 12).reshape(3, 4)
-        sizes = f"S_rect_{key[-2:]}"
-        if sizes in content:
-            width, height = (int(v) for v in _floats(path, content, sizes, 2))
+    for key in _matrices(content):
+        P = numbers_of(path, content, key, 3, 4)
+        if np.abs(P[2, :3] - [0, 0, 1]).max() > _SAME or max(abs(P[1, 0]), abs(P[0, 1])) > _SAME * abs(
+            P[0, 0]
+        ):
+            raise FileFormatError(path, f"{key} is no projection of a rectified camera, K (1 | t)")
+        own_size = f"S_rect_{key[-2:]}"
+        if own_size in content:
+            width_height = size_of(path, *numbers_of(path, content, own_size, 2))
         elif size is not None:
-            width, height = size
+            width_height = size
         else:
             raise FileFormatError(path, "it does not say how large the pictures are: give their size")
-        cameras.append(_pinhole(path, P[:, :3], (width, height)))
+        cameras.append(_pinhole(path, P[:, :3], width_height))
         offsets.append(np.linalg.solve(P[:, :3], P[:, 3]))
     # The frame of P0 is KITTI's reference; ours is the first camera's.
     return tuple(cameras), Rigid3(np.repeat(np.eye(3)[None], len(cameras), 0), np.array(offsets) - offsets[0])
@@ -96,14 +103,18 @@ def middlebury_cameras(
 ) -> tuple[tuple[Camera, ...], Rigid3]:
     """cam0, cam1 and the baseline in millimetres, which is then the unit of depth."""
     if "width" in content and "height" in content:
-        size = (int(_floats(path, content, "width", 1)[0]), int(_floats(path, content, "height", 1)[0]))
+        size = size_of(path, *(numbers_of(path, content, key, 1)[0] for key in ("width", "height")))
     if size is None:
         raise FileFormatError(path, "the keys width and height are missing")
-    cameras = tuple(
-        _pinhole(path, _floats(path, content, key, 9).reshape(3, 3), size) for key in ("cam0", "cam1")
-    )
-    baseline = _floats(path, content, "baseline", 1)[0]
+    cameras = tuple(_pinhole(path, numbers_of(path, content, key, 3, 3), size) for key in ("cam0", "cam1"))
+    baseline = numbers_of(path, content, "baseline", 1)[0]
     return cameras, Rigid3(np.repeat(np.eye(3)[None], 2, 0), np.array([[0.0, 0, 0], [-baseline, 0, 0]]))
+
+
+def _matrices(content: Mapping[str, Any]) -> list[str]:
+    """KITTI's keys in the order of their numbers."""
+    found = {key: match for key in content if (match := _KITTI.fullmatch(str(key)))}
+    return sorted(found, key=lambda key: int(found[key].group(1)))
 
 
 def _pinhole(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
@@ -111,21 +122,3 @@ def _pinhole(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
         return Camera(CameraModel.PINHOLE, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]))
     except EpipoleError as error:
         raise FileFormatError(path, str(error)) from error
-
-
-def _floats(path: Path, content: Mapping[str, Any], key: str, count: int) -> np.ndarray:
-    """The numbers under a key: a list, a matrix with `data`, or words in a line."""
-    if key not in content:
-        raise FileFormatError(path, f"the key {key} is missing")
-    value = content[key]
-    if isinstance(value, Mapping):
-        value = value.get("data", ())
-    if isinstance(value, str):
-        value = re.sub(r"[\[\];,]", " ", value).split()
-    try:
-        array = np.asarray(value, np.float64).ravel()
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(path, f"{key} holds something that is no number") from error
-    if len(array) != count or not np.isfinite(array).all():
-        raise FileFormatError(path, f"{key} should be {count} finite numbers, holds {len(array)}")
-    return array

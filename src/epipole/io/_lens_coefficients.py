@@ -50,3 +50,25 @@ def camera_of_coefficients(
         return Camera(model, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *rest]))
     except ConfigError as error:
         raise FileFormatError(path, str(error)) from error
+
+
+def camera_of_words(
+    path: Path,
+    size: tuple[int, int],
+    intrinsics: np.ndarray,
+    model: str,
+    distortion: str,
+    coefficients: np.ndarray,
+) -> Camera:
+    """The camera of Kalibr's and EuRoC's words: a model, (fx, fy, cx, cy), a distortion and its coefficients.
+
+    Raises:
+        FileFormatError: one of the words is not known, or the numbers make no camera.
+    """
+    if model != "pinhole":
+        raise FileFormatError(path, f"the model {model} is not known")
+    if distortion not in ("radtan", "radial-tangential", "equidistant", "none"):
+        raise FileFormatError(path, f"the distortion {distortion} is not known")
+    fx, fy, cx, cy = intrinsics
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=distortion == "equidistant")

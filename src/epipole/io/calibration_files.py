@@ -21,7 +21,8 @@ from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
 from epipole.io._bytes import file_bytes
-from epipole.io._lens_coefficients import camera_of_coefficients, coefficients_of_camera
+from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
+from epipole.io._named_numbers import numbers_of, size_of
 from epipole.io.atomic import atomic_write
 from epipole.scene import StereoRig
 
@@ -222,7 +223,7 @@ def _parse(path: Path) -> dict[str, Any]:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).splitlines()[0]}") from error
     if not isinstance(content, dict):
         raise FileFormatError(path, "it holds no named values")
-    return content
+    return {str(key): value for key, value in content.items()}
 
 
 def _opencv_storage(path: Path) -> dict[str, Any]:
@@ -248,29 +249,10 @@ def _opencv_storage(path: Path) -> dict[str, Any]:
     return out
 
 
-def _numbers(path: Path, content: Mapping[str, Any], key: str, *shape: int) -> np.ndarray:
-    """A matrix under a key, however it is written."""
-    if key not in content:
-        raise FileFormatError(path, f"the key {key} is missing")
-    value = content[key]
-    if isinstance(value, Mapping):
-        value = value.get("data", value)
-    try:
-        array = np.asarray(value, np.float64)
-        array = array.reshape(shape) if shape else array.ravel()
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(
-            path, f"{key} is no matrix {'x'.join(map(str, shape)) or 'of numbers'}"
-        ) from error
-    if not np.isfinite(array).all():
-        raise FileFormatError(path, f"{key} has values that are not finite")
-    return array
-
-
 def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None) -> tuple[int, int]:
     for width, height in _SIZES:
         if width in content and height in content:
-            return int(content[width]), int(content[height])
+            return size_of(path, *(numbers_of(path, content, key, 1)[0] for key in (width, height)))
     if given is None:
         raise FileFormatError(path, "the keys image_width and image_height are missing")
     return given
@@ -287,7 +269,7 @@ def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None
     if words not in ("", "plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
         raise FileFormatError(path, f"the distortion_model {words} is not known")
     is_fisheye = words in ("equidistant", "fisheye") or bool(content.get("fisheye_model", 0))
-    K, d = _numbers(path, content, prefix, 3, 3), _numbers(path, content, coefficients)
+    K, d = numbers_of(path, content, prefix, 3, 3), numbers_of(path, content, coefficients)
     return camera_of_coefficients(path, _size(path, content, size), K, d, is_fisheye=is_fisheye)
 
 
@@ -296,8 +278,8 @@ def _left_and_right(
 ) -> CalibrationFile:
     """ROS: x_rectified = R x and P of the right camera has -f B in its corner."""
     cameras = tuple(_single(path, content, size) for path, content in zip(files, contents))
-    rotations = [_numbers(p, c, "rectification_matrix", 3, 3) for p, c in zip(files, contents)]
-    projections = [_numbers(p, c, "projection_matrix", 3, 4) for p, c in zip(files, contents)]
+    rotations = [numbers_of(p, c, "rectification_matrix", 3, 3) for p, c in zip(files, contents)]
+    projections = [numbers_of(p, c, "projection_matrix", 3, 4) for p, c in zip(files, contents)]
     offsets = [p[:, 3] / p[0, 0] for p in projections]
     if not np.abs(offsets[1] - offsets[0]).max() > 0:
         raise FileFormatError(files[1], "its projection_matrix has no baseline (entry 1, 4 is zero)")
@@ -321,11 +303,15 @@ def _opencv_pair(path: Path, content: Mapping[str, Any], size: tuple[int, int] |
     shape = _size(path, content, size)
     cameras = tuple(
         camera_of_coefficients(
-            path, shape, _numbers(path, content, k, 3, 3), _numbers(path, content, d), is_fisheye=is_fisheye
+            path,
+            shape,
+            numbers_of(path, content, k, 3, 3),
+            numbers_of(path, content, d),
+            is_fisheye=is_fisheye,
         )
         for k, d in (keys[:2], keys[2:])
     )
-    rotation, translation = _numbers(path, content, "R", 3, 3), _numbers(path, content, "T", 3)
+    rotation, translation = numbers_of(path, content, "R", 3, 3), numbers_of(path, content, "T", 3)
     return CalibrationFile(
         cameras, Rigid3(np.stack([np.eye(3), rotation]), np.stack([np.zeros(3), translation]))
     )
@@ -337,18 +323,13 @@ def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         own = content.get(f"cam{k}")
         if not isinstance(own, Mapping):
             raise FileFormatError(path, f"the key cam{k} is missing")
-        if own.get("camera_model", "pinhole") != "pinhole":
-            raise FileFormatError(path, f"cam{k}: the model {own.get('camera_model')} is not known")
-        fx, fy, cx, cy = _numbers(path, own, "intrinsics", 4)
-        width, height = (int(v) for v in _numbers(path, own, "resolution", 2))
-        K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        words = own.get("distortion_model", "none")
-        if words not in ("radtan", "equidistant", "none"):
-            raise FileFormatError(path, f"cam{k}: the distortion {words} is not known")
-        d = np.zeros(4) if words == "none" else _numbers(path, own, "distortion_coeffs")
-        cameras.append(camera_of_coefficients(path, (width, height), K, d, is_fisheye=words == "equidistant"))
+        size = size_of(path, *numbers_of(path, own, "resolution", 2))
+        words = str(own.get("distortion_model", "none"))
+        d = np.zeros(4) if words == "none" else numbers_of(path, own, "distortion_coeffs")
+        model = str(own.get("camera_model", "pinhole"))
+        cameras.append(camera_of_words(path, size, numbers_of(path, own, "intrinsics", 4), model, words, d))
         if k:
-            places.append(_numbers(path, own, "T_cn_cnm1", 4, 4) @ places[-1])
+            places.append(numbers_of(path, own, "T_cn_cnm1", 4, 4) @ places[-1])
     return CalibrationFile(tuple(cameras), Rigid3.from_matrix(np.stack(places)))
 
 

@@ -135,7 +135,7 @@ def match_with_evidence(
         mine, mirrored = _both_winners(one, two, low, high, config)
         theirs = mirrored.disparity[:, ::-1]
     else:
-        mine = _winners(*_look_at_both(one, two, config), low, high, config)
+        mine = _winners(_look(one, config), _look(two, config), low, high, config)
         theirs = mine.other
     blank = _parallel.map_chunks(lambda k, *_: _is_textureless((one, two)[k]), 2, 2)
     apart, reason = _judge(mine, theirs, low, config, (blank[0], blank[1]))
@@ -197,7 +197,7 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
     size = (max(1, left.shape[1] // _COARSE), max(1, left.shape[0] // _COARSE))
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
-    found = _winners(*_look_at_both(small[0], small[1], config), low, high, config)
+    found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
     seen = _judge(found, found.other, low, config)[1] == StereoReason.OK
     if not seen.any():
         return left.shape[1] // 4
@@ -208,11 +208,6 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: StereoConfig
 def _look(grey: UInt16[np.ndarray, "h w"], config: StereoConfig) -> _Picture:
     grey = np.ascontiguousarray(grey)
     return _Picture(census(grey, config.window), _brightness(grey))
-
-
-def _look_at_both(left: np.ndarray, right: np.ndarray, config: StereoConfig) -> tuple[_Picture, _Picture]:
-    one, two = _parallel.map_chunks(lambda k, *_: _look((left, right)[k], config), 2, 2)
-    return one, two
 
 
 def _winners(
@@ -268,7 +263,7 @@ def _both_winners(
     height, width = left.shape
     is_small = high - low < _FEW_DISPARITIES or min(height, width) < 2 * TILE_PX
     if config.search == "full" or is_small:
-        one, two = _look_at_both(left, right, config)
+        one, two = _look(left, config), _look(right, config)
         mine = _winners(one, two, low, high, config, with_other=False)
         return mine, _winners(two.mirrored(), one.mirrored(), low, high, config, with_other=False)
     size = (width // 2, height // 2)

@@ -93,11 +93,12 @@ def measure_pair(
         DegenerateGeometryError: the pair cannot be rectified.
     """
     left, right, flat, rectification = _rectified(left_rgb, right_rgb, config, rig)
+    config = _down_to_infinity(config, flat)
     disparities = match_stereo(left, right, config)
     if rectification is not None:
         disparities = within_both(disparities, rectification.left_valid, rectification.right_valid)
     is_calibrated = isinstance(rectification, Rectification)
-    warnings = list(quick_warnings(left, right, _matched(disparities, config, flat, is_calibrated)))
+    warnings = list(quick_warnings(left, right, _matched(disparities, config, is_calibrated)))
     warnings += _limits(config, rig)
     depths, num_points = None, 0
     if flat is not None:
@@ -154,7 +155,8 @@ def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[
     """What cannot be said with these settings."""
     out = []
     default = StereoConfig()
-    changed = [name for name in _FITTED_WITH if getattr(config, name) != getattr(default, name)]
+    matters = [name for name in _FITTED_WITH if name != "block_px" or config.method == "block"]
+    changed = [name for name in matters if getattr(config, name) != getattr(default, name)]
     if changed:
         words = (
             f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"
@@ -171,14 +173,16 @@ def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[
     return out
 
 
-def _matched(
-    disparities: DisparityMap, config: StereoConfig, flat: RectifiedRig | None, is_calibrated: bool
-) -> MatchedPair:
+def _down_to_infinity(config: StereoConfig, rig: RectifiedRig | None) -> StereoConfig:
+    """The same with a range that begins where depth ends: where principal points differ far things have negative disparities."""
+    if rig is None or config.min_disparity_px != 0 or rig.principal_offset_px <= 0:
+        return config
+    return replace(config, min_disparity_px=-int(np.ceil(rig.principal_offset_px)))
+
+
+def _matched(disparities: DisparityMap, config: StereoConfig, is_calibrated: bool) -> MatchedPair:
     high = np.inf if config.max_disparity_px is None else float(config.max_disparity_px)
-    low = float(config.min_disparity_px)
-    if flat is not None and flat.principal_offset_px > 1.0:
-        low = min(low, -flat.principal_offset_px)  # axes that meet: far things have negative disparities
-    return MatchedPair(disparities.density, (low, high), is_calibrated)
+    return MatchedPair(disparities.density, (float(config.min_disparity_px), high), is_calibrated)
 
 
 def run_stereo(

@@ -18,6 +18,9 @@ from epipole import _parallel
 
 NUM_CUES = 6
 _ROWS = 64  # at a time: the cues take 24 bytes a pixel
+_MOST_APART_PX = np.float32(
+    1e4
+)  # what no other picture confirms differs by an infinity, of which no score can be made
 _TABLE = 4096  # entries, evenly spaced in the score
 WEIGHTS = np.array(
     [-0.2448, 0.0088, 0.201, 0.0679, 0.096, -0.0324, 0.0281, -0.0087, -0.0445, 0.0119, 0.0412, 0.0435, -0.162]
@@ -90,7 +93,7 @@ def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Fl
     parts = (
         evidence.steepness[rows] + np.float32(4.0),
         evidence.margin[rows] + np.float32(8.0),
-        evidence.left_right_px[rows] + np.float32(0.1),
+        np.minimum(evidence.left_right_px[rows], _MOST_APART_PX) + np.float32(0.1),
         evidence.smoothing_px[rows] + np.float32(0.1),
         evidence.spread[rows].astype(np.float32) + np.float32(1.0),
         evidence.roughness_px[rows] + np.float32(0.05),
@@ -126,8 +129,7 @@ def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
         place = score(cues(evidence, start, stop))
         place -= low
         place *= scale
-        # What no other picture confirms has an infinite difference and no score; its disparity is not used.
-        np.fmin(np.fmax(place, np.float32(0.0), out=place), np.float32(_TABLE - 1), out=place)
+        np.clip(place, np.float32(0.0), np.float32(_TABLE - 1), out=place)
         table.take(place.astype(np.int32), out=out[start:stop], mode="clip")
 
     _parallel.map_chunks(fill, len(out), -(-len(out) // _ROWS))
