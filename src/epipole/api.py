@@ -33,7 +33,7 @@ from epipole.scene import Cameras, Reconstruction, StereoRig
 from epipole.sfm.pipeline import PipelineResult, run_pipeline
 from epipole.sfm.workspace import write_json
 from epipole.stereo import RectifiedRig, rectify
-from epipole.stereo.batch import StereoBatch, is_many, list_pairs, run_batch
+from epipole.stereo.batch import StereoBatch, is_many, list_pairs, read_summary, run_batch, summary_of
 from epipole.stereo.doctor import Diagnosis, examine
 from epipole.stereo.pipeline import REASON_COLORS, StereoFiles, StereoResult, read_stereo, run_stereo
 from epipole.stereo.rectification import is_right_of_left
@@ -384,16 +384,7 @@ def stereo_many(
         lambda one, two, folder: stereo(one, two, folder, config, rig),
         progress,
     )
-    write_json(
-        out / "summary.json",
-        {
-            "version": __version__,
-            "done": [*batch.earlier, *batch.done],
-            "known": batch.known,
-            "warnings": batch.warnings,
-            "problems": batch.problems,
-        },
-    )
+    write_json(out / "summary.json", {"version": __version__, **summary_of(batch, pairs, read_summary(out))})
     return batch
 
 
@@ -547,6 +538,8 @@ def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: b
     out = _path(out)
     if (out / "disparity.pfm").is_file():
         return view_depth(_depth_view(read_stereo(out)), port=port, host=host, block=block)
+    if done := read_summary(out).get("done"):
+        raise FileFormatError(out, f"it holds several pairs: choose one, {out / str(done[0])} for one")
     model = read_colmap_model(find_model(out))
     return open_viewer(model, _picture_loader(out / "images"), port=port, host=host, block=block)
 

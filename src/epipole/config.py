@@ -356,6 +356,17 @@ class StereoConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CalibrationOptions:
+    """Where a calibration is read from."""
+
+    calibration: tuple[Path, ...] = ()
+    """File of both cameras, of epipole, OpenCV, Kalibr, KITTI or Middlebury; or two files (ROS' or EuRoC's left and right,
+    OpenCV's intrinsics and extrinsics). The pair is rectified by it."""
+    cameras: tuple[int, int] | None = None
+    """Left and right camera of a calibration that has more than two, counted from 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RigOptions:
     """What is known of a rectified pair of cameras; with focal length and baseline there is depth."""
 

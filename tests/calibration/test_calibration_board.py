@@ -72,12 +72,17 @@ def test_kalibrs_grids_are_numbered_from_the_bottom():
     assert np.abs(moved - found.pixels).max() < 1.5
 
 
-def test_a_board_larger_than_was_said_is_noticed():
+def test_a_board_larger_than_was_said_is_noticed(data_dir):
     flat, _ = drawn(BOARDS[0])
     blank = np.full_like(flat, 128)
     for size in ((8, 6), (9, 5), (7, 5)):
         assert whole_chessboard([flat, blank, flat], BoardConfig(columns=size[0], rows=size[1])) == (9, 6)
     assert whole_chessboard([flat, blank, blank], BoardConfig(columns=8, rows=6)) is None
+    folder = data_dir / "calibration" / "opencv_stereo"
+    real = [cv2.imread(str(folder / f"left{k:02d}.jpg"), cv2.IMREAD_GRAYSCALE) for k in range(1, 9)]
+    assert whole_chessboard(real, BOARDS[0]) is None
+    for size in ((8, 6), (9, 5), (7, 6)):
+        assert whole_chessboard(real, BoardConfig(columns=size[0], rows=size[1])) == (9, 6)
     assert whole_chessboard([flat, flat], BOARDS[0]) is None
     assert whole_chessboard([], BOARDS[0]) is None
 

@@ -21,8 +21,10 @@ def test_pairs_in_one_folder_are_told_by_their_names(tmp_path, names):
         for name in names:
             saved(tmp_path / name.format(number))
     saved(tmp_path / names[0].format(9))  # without a partner
+    saved(tmp_path / "bright_7.png")  # no side's word
     sides = pictures_of_cameras(tmp_path)
-    assert [[p.name for p in side] for side in sides] == [[n.format(k) for k in (1, 2, 3)] for n in names]
+    assert [[p.name for p in side] for side in sides] == [[n.format(k) for k in (1, 2, 3, 9)] for n in names]
+    assert not sides[1][3].exists()
 
 
 def test_folders_of_sides_and_single_cameras(tmp_path):
@@ -42,28 +44,24 @@ def test_folders_of_sides_and_single_cameras(tmp_path):
         pictures_of_cameras(tmp_path / "three")
 
 
+def paired(folder, left, right):
+    for side, names in (("left", left), ("right", right)):
+        for name in names:
+            saved(folder / side / name)
+    return [(a.name, b.name) for _, (a, b) in pair_folders(folder / "left", folder / "right")]
+
+
 def test_folders_are_paired_by_names_but_for_the_sides_words_or_by_order(tmp_path):
-    for side, names in (
-        ("left", ("left1.png", "left3.png")),
-        ("right", ("right1.png", "right2.png", "right3.png")),
-    ):
-        for name in names:
-            saved(tmp_path / side / name)
-    found = pair_folders(tmp_path / "left", tmp_path / "right")
-    assert {(a.name, b.name) for _, (a, b) in found} == {
-        ("left1.png", "right1.png"),
-        ("left3.png", "right3.png"),
-        ("right2.png", "right2.png"),
-    }
-    for side, names in (("a", ("10.png", "20.png", "30.png")), ("b", ("11.png", "20.png", "31.png"))):
-        for name in names:
-            saved(tmp_path / side / name)  # one name in common is chance: order pairs them
-    found = pair_folders(tmp_path / "a", tmp_path / "b")
-    assert [(a.name, b.name) for _, (a, b) in found] == [
-        ("10.png", "11.png"),
-        ("20.png", "20.png"),
-        ("30.png", "31.png"),
-    ]
+    found = paired(tmp_path / "a", ("left1.png", "left3.png"), ("right1.png", "right2.png", "right3.png"))
+    assert found == [("left1.png", "right1.png"), ("left2.png", "right2.png"), ("left3.png", "right3.png")]
+    # One name in common is chance; two are not, however many others there are.
+    found = paired(tmp_path / "b", ("10.png", "20.png", "30.png"), ("11.png", "20.png", "31.png"))
+    assert found == [("10.png", "11.png"), ("20.png", "20.png"), ("30.png", "31.png")]
+    late = [[f"{k:03d}.png" for k in range(start, start + 9)] for start in (0, 7)]
+    assert paired(tmp_path / "c", *late) == [(name, name) for name in sorted({*late[0], *late[1]})]
+    # Digits and letters beside a word are no part of it.
+    names = [f"image_{k:02d}.png" for k in range(20)]
+    assert paired(tmp_path / "d", names[:5] + names[6:], names) == [(name, name) for name in names]
 
 
 def test_what_cannot_be_used_is_said(tmp_path):

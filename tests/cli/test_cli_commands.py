@@ -15,7 +15,7 @@ from photographs import neighbouring_views, render_to
 
 from epipole.api import _write_picture
 from epipole.cli.main import paths_first
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.calibration_files import CalibrationFile, write_calibration
@@ -206,16 +206,33 @@ def test_calibrate_names_what_is_wrong(tmp_path):
     assert "the board is in none of the" in printed and "Traceback" not in printed
 
 
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ("stereo L R --calibration a b O", "stereo L R O --calibration a b"),
+        ("stereo --fill L R O --calibration a b", "stereo L R O --fill --calibration a b"),
+        ("stereo --calibration a b --cameras 2 3 L R O", "stereo L R O --cameras 2 3 --calibration a b"),
+        ("stereo L R O --calibration a b --cameras 2 3", "stereo L R O --cameras 2 3 --calibration a b"),
+        ("stereo --calibration=m L R O", "stereo L R O --calibration m"),
+        ("stereo --calibration a --calibration b L R O", "stereo L R O --calibration a b"),
+        ("stereo --principal-point 3 4 L R O", "stereo L R O --principal-point 3 4"),
+        ("stereo L --window 7 7 R O --no-fill", "stereo L R O --window 7 7 --no-fill"),
+        ("stereo L R O --min-disparity-px -5", "stereo L R O --min-disparity-px -5"),
+        ("stereo-doctor --strict L R --calibration a b", "stereo-doctor L R --strict --calibration a b"),
+        ("stereo-doctor --calibration a b --json L R", "stereo-doctor L R --json --calibration a b"),
+        ("stereo-doctor --calibration a -- L R", "stereo-doctor L R --calibration a"),
+        ("stereo --help", "stereo --help"),
+    ],
+)
+def test_paths_and_options_in_any_order(given, wanted):
+    assert paths_first(given.split()) == wanted.split()
+
+
 def test_paths_come_before_options_that_would_swallow_them():
     given = ["stereo", "--calibration", "a", "b", "L", "R", "O", "--fill"]
-    assert paths_first(given) == ["stereo", "L", "R", "O", "--calibration", "a", "b", "--fill"]
-    for given in (
-        ["stereo", "L", "R", "O", "--calibration", "a", "b", "--cameras", "2", "3"],
-        ["stereo", "L", "R", "O", "--cameras", "2", "3", "--calibration", "a", "b"],
-    ):
-        assert paths_first(given) == given
-    given = ["stereo", "--calibration", "a", "--cameras", "2", "3", "L", "R", "O"]
-    assert paths_first(given) == ["stereo", "L", "R", "O", "--calibration", "a", "--cameras", "2", "3"]
+    assert paths_first(given) == ["stereo", "L", "R", "O", "--fill", "--calibration", "a", "b"]
+    with pytest.raises(ConfigError, match="needs a file"):
+        paths_first(["stereo", "L", "R", "O", "--calibration"])
     given = ["stereo", "--workspace", "W", "--pair", "A", "B", "OUT"]
     assert paths_first(given) == ["stereo", "OUT", "--workspace", "W", "--pair", "A", "B"]
     given = ["stereo", "L", "R", "O", "--calibration", "F"]

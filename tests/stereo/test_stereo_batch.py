@@ -53,6 +53,10 @@ def test_a_folder_with_a_corrupt_picture_goes_on(tmp_path, pair):
     saved(tmp_path / "right" / "c.png", np.roll(pair.right, 1, axis=1))
     changed = api.stereo_many(tmp_path / "left", tmp_path / "right", out, CONFIG, rig)
     assert changed.done == ("c",) and changed.earlier == ("a", "b")
+    told = json.loads((out / "summary.json").read_text())
+    assert set(told["known"]) == {"a", "b", "c"} and told["pictures"]["a"][1].endswith("right/a.png")
+    with pytest.raises(FileFormatError, match="several pairs"):
+        api.view(out, block=False)
     other = api.stereo_many(
         tmp_path / "left", tmp_path / "right", out, StereoConfig(max_disparity_px=41), rig
     )

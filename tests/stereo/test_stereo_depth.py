@@ -9,7 +9,7 @@ from PIL import Image
 from epipole import api
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RigOptions, StereoConfig
-from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io.depth_maps import read_pfm, read_png16
 from epipole.io.ply import read_points_ply
@@ -17,6 +17,7 @@ from epipole.report.stereo_page import color_map
 from epipole.scene import StereoRig
 from epipole.stereo import DisparityMap, RectifiedRig, StereoReason, depth_of, match_stereo, point_covariances
 from epipole.stereo.depth import rectified_rig_of, rig_from_options
+from epipole.stereo.pipeline import measure_pair
 from epipole.synthetic.stereo_rooms import stereo_room
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.12)
@@ -181,3 +182,42 @@ def test_a_calibration_of_another_size_is_refused(pair_files, tmp_path):
         api.stereo(left, right, tmp_path / "out", StereoConfig(max_disparity_px=40), wrong)
     with pytest.raises(ShapeError, match="its calibration is for"):
         api.examine_stereo(left, right, wrong)
+
+
+def test_far_things_are_found_where_principal_points_differ(tmp_path):
+    """Axes that meet at a point: what lies beyond it has negative disparities, and depth all the same."""
+    pair = stereo_room(3, (320, 240))
+    moved = np.roll(pair.right, 30, axis=1)
+    found = [
+        measure_pair(
+            np.dstack([pair.left] * 3),
+            np.dstack([right] * 3),
+            StereoConfig(),
+            flat_rig(pair, offset_px=offset),
+        )
+        for right, offset in ((pair.right, 0.0), (moved, 30.0))
+    ]
+    inside = np.s_[:, 60:-30]  # what both pairs show
+    known = [np.isfinite(f.depths.depth[inside]) for f in found]
+    assert (found[1].disparities.disparity_px[inside][known[1]] < 0).mean() > 0.2
+    assert known[1].mean() > 0.95 * known[0].mean()
+    both = known[0] & known[1]
+    apart = np.abs(found[1].depths.depth / found[0].depths.depth - 1)[inside][both]
+    assert np.quantile(apart, 0.95) < 0.02
+
+
+def test_nothing_of_the_users_is_lost(pair_files, tmp_path):
+    _, left, right = pair_files
+    config = StereoConfig(max_disparity_px=40)
+    with pytest.raises(WorkspaceError, match=r"is the folder of left\.png"):
+        api.stereo(left, right, tmp_path, config)
+    out = tmp_path / "own"
+    out.mkdir()
+    (out / "cloud.ply").write_text("mine")
+    with pytest.raises(WorkspaceError, match=r"cloud\.ply, which no earlier run"):
+        api.stereo(left, right, out, config)
+    assert (out / "cloud.ply").read_text() == "mine" and left.is_file()
+    (out / "cloud.ply").rename(out / "notes.txt")
+    api.stereo(left, right, out, config)
+    api.stereo(left, right, out, config)  # its own results may go
+    assert (out / "notes.txt").read_text() == "mine"

@@ -5,16 +5,20 @@ import numpy as np
 import pytest
 
 from epipole import api
+from epipole.calibration import BoardConfig, CalibrationConfig, calibrate, find_board
 from epipole.cameras import Camera, CameraModel
 from epipole.config import StereoConfig
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
-from epipole.io.photographs import read_rgb
+from epipole.io.calibration_files import read_stereo_rig
+from epipole.io.photographs import read_grey, read_rgb
 from epipole.scene import StereoRig
 from epipole.stereo import RectifiedRig
 from epipole.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
 from epipole.stereo.pipeline import measure_pair
 from epipole.synthetic.stereo_rooms import stereo_room
+
+BOARD = BoardConfig(columns=9, rows=6, square=0.025)
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +131,28 @@ def test_the_call_on_files(data_dir):
     assert api.examine_stereo(folder / "im2.png", folder / "im6.png").is_healthy
 
 
+def test_pictures_exchanged_under_their_calibration_are_told(data_dir):
+    folder = data_dir / "slam" / "euroc_static" / "mav0"
+    rig = read_stereo_rig(folder / "cam0" / "sensor.yaml", folder / "cam1" / "sensor.yaml")
+    left, right = (read_rgb(sorted((folder / cam / "data").glob("*.png"))[0]) for cam in ("cam0", "cam1"))
+    assert examine([(left, right)], rig).is_healthy
+    assert any("exchanged, their rows match" in p for p in examine([(right, left)], rig).problems)
+
+
+def test_repeated_corners_do_not_spoil_the_rows(data_dir):
+    """Most features of a chessboard match wrongly: that is no fault of the calibration."""
+    folder = data_dir / "calibration" / "opencv_stereo"
+    views = [
+        [find_board(read_grey(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5, 6, 8)]
+        for side in ("left", "right")
+    ]
+    rig = calibrate(views, [(640, 480)] * 2, CalibrationConfig(board=BOARD)).rig()
+    for number in ("02", "03"):
+        pair = [read_rgb(folder / f"{side}{number}.jpg") for side in ("left", "right")]
+        warnings = measure_pair(*pair, StereoConfig(max_disparity_px=127), rig).warnings
+        assert not any("not rectified" in words for words in warnings)
+
+
 def test_a_run_warns_of_what_spoils_it(cones, data_dir):
     left, right = cones
     teddy = read_rgb(data_dir / "stereo" / "middlebury_2003" / "teddy" / "im6.png")
@@ -135,9 +161,10 @@ def test_a_run_warns_of_what_spoils_it(cones, data_dir):
     for pair, words in (
         ((left, right), None),
         ((right, left), "swapped"),
-        ((left, np.roll(right, 5, axis=0)), "5.0 px off their rows"),
+        ((left, np.roll(right, 5, axis=0)), "4.9 px off their rows"),
         ((left, teddy), "the same thing"),
         ((blank, blank), "blank, dark or blurred"),
+        ((left, left), "the same picture"),
     ):
         warnings = measure_pair(*pair, config).warnings
         assert (warnings == ()) if words is None else (len(warnings) == 1 and words in warnings[0])

@@ -14,6 +14,7 @@ from epipole.config import BoardConfig
 
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
+_LEAST_LARGER = 2  # pictures
 _LEAST_SIDE = 64  # pixels: nothing smaller shows a board
 _WINDOW_SHARE = (
     0.4  # half the window over the least distance of two corners: the best of 0.15 to 0.5 on real pairs
@@ -97,15 +98,14 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
 def whole_chessboard(
     pictures: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
 ) -> tuple[int, int] | None:
-    """Inner corners of the board that pictures show, columns and rows, where most agree that it is a larger one than was said.
+    """Inner corners of the board that pictures show, columns and rows, where it is a larger one than was said.
 
-    None as soon as one shows a board of just that size.
+    OpenCV's detector of larger boards sometimes sees a row too many and sometimes none: one picture of a board of just the
+    size says that all is well, and of the others at least two must show more. The smallest size that is seen often counts.
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
-    looked_at = 0
     for grey in pictures:
-        looked_at += 1
         found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (board.columns, board.rows), flags)
         if not found or meta is None:
             continue
@@ -113,10 +113,9 @@ def whole_chessboard(
         if (columns, rows) == (board.columns, board.rows):
             return None
         seen.append((columns, rows))
-    if not seen:
+    if len(seen) < _LEAST_LARGER:
         return None
-    most = max(sorted(set(seen)), key=seen.count)
-    return most if seen.count(most) > looked_at / 2 else None
+    return max(sorted(set(seen)), key=seen.count)
 
 
 def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:

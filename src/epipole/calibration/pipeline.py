@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,10 +18,10 @@ from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceEr
 from epipole.io.atomic import atomic_folder
 from epipole.io.calibration_files import CalibrationFile, write_calibration, write_opencv_yaml
 from epipole.io.photographs import list_photographs, read_grey
-from epipole.io.stereo_folders import pair_folders
+from epipole.io.stereo_folders import pair_folders, pair_within
 from epipole.workflow import Progress, ProgressCallback, ignore_progress
 
-_LOOKED_AT = 6
+_LOOKED_AT = 8
 _SIDES = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"), ("l", "r"), ("0", "1"))
 
 
@@ -89,12 +89,16 @@ def run_calibration(
         views.append(found)
         sizes.append(size)
     progress(Progress("calibrate", 0, 2))
-    result = calibrate(views, sizes, config)
+    against = _against(pictures, config.board)
+    try:
+        result = calibrate(views, sizes, config)
+    except DegenerateGeometryError as error:
+        raise DegenerateGeometryError("; ".join([str(error), *against])) from error
     progress(Progress("calibrate", 1, 2))
     check = cross_check(views, result)
     if check is not None:
         result = replace(result, uncertainty=result.uncertainty.widened(check.widening))
-    verdict = judge(result, check, _against(views, pictures, config.board))
+    verdict = judge(result, check, against)
     progress(Progress("calibrate", 2, 2))
     content = calibration_file(result)
     with atomic_folder(out) as aside:
@@ -103,19 +107,22 @@ def run_calibration(
     return CalibrationRun(out, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
 
 
-def _against(
-    views: Sequence[Sequence[BoardView]], pictures: Sequence[Sequence[Path]], board: BoardConfig
-) -> list[str]:
+def _against(pictures: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
     """Whether the board is larger than was said: a part of it is found as readily, another part in each view."""
     if board.kind != "chessboard":
         return []
-    seen = [path for path, view in zip(pictures[0], views[0]) if len(view)][:_LOOKED_AT]
-    size = whole_chessboard((read_grey(path) for path in seen), board)
+    size = whole_chessboard(_readable(pictures[0][:_LOOKED_AT]), board)
     if size is None:
         return []
     return [
         f"the board seems to have {size[0]} x {size[1]} inner corners, not {board.columns} x {board.rows}"
     ]
+
+
+def _readable(pictures: Sequence[Path]) -> Iterator[np.ndarray]:
+    for path in pictures:
+        with suppress(FileFormatError):
+            yield read_grey(path)
 
 
 def calibration_file(found: Calibration) -> CalibrationFile:
@@ -137,21 +144,8 @@ def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Pa
         if (images / first).is_dir() and (images / second).is_dir():
             return pictures_of_cameras(images / first, images / second)
     every = _pictures(images)
-    pairs = _named_pairs(every)
-    return [[a for a, _ in pairs], [b for _, b in pairs]] if pairs else [every]
-
-
-def _named_pairs(pictures: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """left01.jpg with right01.jpg, scene_cam0.png with scene_cam1.png."""
-    by_name = {p.name.lower(): p for p in pictures}
-    pairs = []
-    for name, path in by_name.items():
-        for first, second in (("left", "right"), ("cam0", "cam1"), ("infra1", "infra2")):
-            other = re.sub(first, second, name, count=1)
-            if other != name and other in by_name and path.parent == by_name[other].parent:
-                pairs.append((path, by_name[other]))
-                break
-    return sorted(pairs)
+    within = pair_within(images)
+    return [[a for a, _ in within], [b for _, b in within]] if within else [every]
 
 
 def _pictures(folder: Path) -> list[Path]:

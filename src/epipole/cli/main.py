@@ -7,14 +7,14 @@ import gc
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
-from epipole.config import CalibrationConfig, ReconstructConfig, RigOptions, StereoConfig
-from epipole.errors import EpipoleError
+from epipole.config import CalibrationConfig, CalibrationOptions, ReconstructConfig, RigOptions, StereoConfig
+from epipole.errors import ConfigError, EpipoleError
 
 Images = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")]
 Out = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
@@ -27,9 +27,18 @@ Paths = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar=
 ANSWER_IS_NO = 3
 """Exit code of a check that ran and did not pass; errors have 1, wrong usage 2."""
 
+_STEREO_FIELDS = {f.name.replace("_", "-"): str(f.type) for f in (*fields(StereoConfig), *fields(RigOptions))}
+_FLAGS = {"json", "strict", *(name for name, kind in _STEREO_FIELDS.items() if kind == "bool")}
+_TWO_VALUES = {
+    "pair",
+    "cameras",
+    *(name for name, kind in _STEREO_FIELDS.items() if kind.startswith("tuple[")),
+}
+
 DEFAULTS = ReconstructConfig()
 STEREO_DEFAULTS = StereoConfig()
 RIG_DEFAULTS = RigOptions()
+NO_CALIBRATION = CalibrationOptions()
 CALIBRATION_DEFAULTS = CalibrationConfig()
 
 
@@ -58,10 +67,10 @@ def stereo(
     paths: Paths,
     config: Annotated[StereoConfig, tyro.conf.arg(name="")] = STEREO_DEFAULTS,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
-    calibration: tuple[Path, ...] = (),
-    cameras: tuple[int, int] | None = None,
+    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
     workspace: Path | None = None,
     pair: tuple[str, str] | None = None,
+    strict: bool = False,
 ) -> None:
     """Disparities of a pair, each with its standard deviation; depth and points where the cameras are known.
 
@@ -72,23 +81,23 @@ def stereo(
         paths: Left picture, whose pixels get the disparities; right picture; output folder.
         config: Options.
         rig: What is known of rectified cameras.
-        calibration: File of both cameras, of epipole, OpenCV, Kalibr, KITTI or Middlebury; or two files (ROS' or EuRoC's
-            left and right, OpenCV's intrinsics and extrinsics). The pair is rectified by it.
-        cameras: Left and right camera of a calibration that has more than two, counted from 0.
+        calibrated: Where a calibration is read from.
         workspace: Output folder of a reconstruction to take two pictures from, in place of LEFT and RIGHT.
         pair: Names of these pictures.
+        strict: Exit with code 3 where a pair of several could not be measured.
     """
-    from epipole.cli.stereo import CalibrationGiven, run_stereo
+    from epipole.cli.stereo import run_stereo
 
-    run_stereo(paths, config, rig, CalibrationGiven(calibration, cameras), (workspace, pair))
+    is_whole = run_stereo(paths, config, rig, calibrated, (workspace, pair))
+    if strict and not is_whole:
+        sys.exit(ANSWER_IS_NO)
 
 
 def stereo_doctor(
     left: Left,
     right: Right,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = RIG_DEFAULTS,
-    calibration: tuple[Path, ...] = (),
-    cameras: tuple[int, int] | None = None,
+    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
     json: bool = False,
     strict: bool = False,
 ) -> None:
@@ -100,14 +109,13 @@ def stereo_doctor(
         left: Left picture, folder or video.
         right: Right picture, folder or video.
         rig: What is known of rectified cameras.
-        calibration: As for `stereo`.
-        cameras: As for `stereo`.
+        calibrated: Where a calibration is read from.
         json: Print JSON.
         strict: Exit with code 3 where something is wrong.
     """
-    from epipole.cli.stereo import CalibrationGiven, run_doctor
+    from epipole.cli.stereo import run_doctor
 
-    is_healthy = run_doctor(left, right, rig, CalibrationGiven(calibration, cameras), as_json=json)
+    is_healthy = run_doctor(left, right, rig, calibrated, as_json=json)
     if strict and not is_healthy:
         sys.exit(ANSWER_IS_NO)
 
@@ -245,41 +253,69 @@ COMMANDS: tuple[Callable[..., None], ...] = (
 
 
 def paths_first(given: list[str]) -> list[str]:
-    """The same with the paths before the options that take several values, which would swallow them."""
-    out: list[str] = []
-    paths: list[str] = []
-    command, rest = given[0], given[1:]
+    """The same with the paths before the options, for those that take several values would swallow them.
+
+    `--calibration` takes one file or two: as many as leave enough paths.
+
+    Raises:
+        ConfigError: `--calibration` has no file.
+    """
+    command, rest = given[0], [part for word in given[1:] for part in _split(word)]
     wanted = 2 if command == "stereo-doctor" else 1 if "--workspace" in rest else 3
-    while rest and not rest[0].startswith("-"):
-        out.append(rest.pop(0))
-    wanted -= len(out)
+    paths: list[str] = []
+    options: list[str] = []
+    files: list[tuple[int, list[str]]] = []  # words after --calibration, and how many paths were before them
     while rest:
         word = rest.pop(0)
-        out.append(word)
-        if word not in ("--pair", "--cameras", "--calibration"):
-            continue
-        end = next((k for k, value in enumerate(rest) if value.startswith("--")), len(rest))
-        values, rest = rest[:end], rest[end:]
-        most = max(1, len(values) - wanted) if word == "--calibration" else 2
-        if len(values) > most:
-            paths += values[most:]
-            values = values[:most]
-        out += values
-    return [command, *paths, *out]
+        if word == "--calibration":
+            end = next((k for k, value in enumerate(rest) if value.startswith("--")), len(rest))
+            if not end:
+                raise ConfigError("--calibration needs a file (an unset variable?)")
+            files.append((len(paths), rest[:end]))
+            rest = rest[end:]
+        elif word == "-h" or (word.startswith("--") and word != "--"):
+            count = _num_values(word)
+            options += [word, *rest[:count]]
+            rest = rest[count:]
+        elif word != "--":
+            paths.append(word)
+    second = len(paths) + sum(len(words) for _, words in files) - wanted - len(files)  # files beyond one each
+    taken: list[str] = []
+    for place, words in reversed(files):
+        count = 2 if second > 0 and len(words) > 1 else 1
+        second -= count - 1
+        taken = words[:count] + taken
+        paths[place:place] = words[count:]
+    return [command, *paths, *options, *(["--calibration", *taken] if files else [])]
+
+
+def _split(word: str) -> list[str]:
+    """`--option=value` as two words."""
+    name, equals, value = word.partition("=")
+    return [name, value] if equals and name.startswith("--") else [word]
+
+
+def _num_values(option: str) -> int:
+    """How many words follow an option of the stereo commands."""
+    name = option.removeprefix("--")
+    if name.removeprefix("no-") in _FLAGS or name in ("help", "-h"):
+        return 0
+    return 2 if name in _TWO_VALUES else 1
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors that are meant for the user become one line and exit code 1."""
-    given = sys.argv[1:] if arguments is None else arguments
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if "" in given:
+        print("epipole: a word of the command is empty (an unset variable?)", file=sys.stderr)
+        sys.exit(2)
     if given[:2] == ["stereo", "doctor"]:
         given = ["stereo-doctor", *given[2:]]
-    if given[:1] in (["stereo"], ["stereo-doctor"]):
-        given = paths_first(given)
     # Modules and kernels are many small objects that stay: to look through them again and again for cycles took
     # an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
     try:
-        _dispatch(given)
+        _dispatch(paths_first(given) if given[:1] in (["stereo"], ["stereo-doctor"]) else given)
     except EpipoleError as error:
         print(f"epipole: {error}", file=sys.stderr)
         sys.exit(1)

@@ -177,6 +177,8 @@ def show_diagnosis(found: Diagnosis) -> None:
         "left after the best extrinsics, after distortion",
         f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
     )
+    if found.calibration_error_px == found.calibration_error_px:
+        table.add_row("of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
     console.print(table)
@@ -202,7 +204,8 @@ def show_calibration(run: CalibrationRun) -> None:
         console.print(table)
     if len(found.cameras) == 2:
         console.print(
-            f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}",
+            f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}"
+            + (" (in squares: give --square)" if found.config.board.square == 1.0 else ""),
             highlight=False,
         )
     if found.config.refine_warp:

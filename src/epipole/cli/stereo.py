@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from epipole.cli.screen import (
     show_stereo,
     waiting_for_kernels,
 )
-from epipole.config import RigOptions, StereoConfig
+from epipole.config import CalibrationOptions, RigOptions, StereoConfig
 from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -23,21 +23,17 @@ if TYPE_CHECKING:
     from epipole.stereo import RectifiedRig
 
 
-class CalibrationGiven(NamedTuple):
-    """What `--calibration` and `--cameras` say."""
-
-    files: tuple[Path, ...] = ()
-    cameras: tuple[int, int] | None = None
+_SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
 
 
 def run_stereo(
     paths: tuple[Path, ...],
     config: StereoConfig,
     options: RigOptions,
-    calibrated: CalibrationGiven,
+    calibrated: CalibrationOptions,
     of_model: tuple[Path | None, tuple[str, str] | None],
-) -> None:
-    """One pair, many pairs, or two pictures of a model.
+) -> bool:
+    """One pair, many pairs, or two pictures of a model; whether all pairs were measured.
 
     Raises:
         ConfigError: what was given does not say which pair.
@@ -46,7 +42,7 @@ def run_stereo(
     if workspace is not None or pair is not None:
         if workspace is None or pair is None or len(paths) != 1:
             raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
-        if calibrated != CalibrationGiven() or options != RigOptions():
+        if calibrated != CalibrationOptions() or options != RigOptions():
             raise ConfigError(
                 "the model says where its cameras are: give no calibration, focal length or baseline"
             )
@@ -55,7 +51,7 @@ def run_stereo(
 
             result = stereo_of_model(workspace, pair[0], pair[1], paths[0], config)
         show_stereo(result)
-        return
+        return True
     if len(paths) != 3:
         raise ConfigError(f"expected LEFT RIGHT OUT, got {len(paths)} paths")
     left, right, out = paths
@@ -67,16 +63,19 @@ def run_stereo(
 
             batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibrated), progress)
         show_batch(batch)
-        return
+        if not (batch.done or batch.earlier):
+            raise ConfigError("no pair could be measured")
+        return not batch.problems
     with waiting_for_kernels():
         from epipole.api import stereo
 
         result = stereo(left, right, out, config, rig_of(left, right, options, calibrated))
     show_stereo(result)
+    return True
 
 
 def run_doctor(
-    left: Path, right: Path, options: RigOptions, calibrated: CalibrationGiven, *, as_json: bool
+    left: Path, right: Path, options: RigOptions, calibrated: CalibrationOptions, *, as_json: bool
 ) -> bool:
     """Examine and print; whether nothing is wrong."""
     with waiting_for_kernels():
@@ -89,6 +88,7 @@ def run_doctor(
         content = asdict(found) | {
             "cause": found.cause.value,
             "vertical_map_px": found.vertical_map_px.tolist(),
+            "calibration_error_px": found.calibration_error_px,
         }
         print(dumps(_without_nan(content), indent=2))
     else:
@@ -108,7 +108,7 @@ def _without_nan(content: object) -> object:
 
 
 def rig_of(
-    left: Path, right: Path, options: RigOptions, calibrated: CalibrationGiven
+    left: Path, right: Path, options: RigOptions, calibrated: CalibrationOptions
 ) -> RectifiedRig | StereoRig | None:
     """What the options and files say of the cameras.
 
@@ -116,19 +116,34 @@ def rig_of(
         ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
         FileFormatError: a calibration cannot be read.
     """
-    from epipole.stereo.depth import rig_from_options
+    from epipole.stereo.depth import rectified_rig_of, rig_from_options
 
-    if calibrated.cameras and not calibrated.files:
+    if calibrated.cameras and not calibrated.calibration:
         raise ConfigError("--cameras chooses two of the cameras of a calibration: give one")
-    if calibrated.files:
-        if options != RigOptions():
-            raise ConfigError("give a calibration, or focal_px and baseline of a rectified pair, not both")
+    if calibrated.calibration:
+        sigmas = {name: getattr(options, name) for name in _SIGMAS}
+        if _without_sigmas(options) != RigOptions():
+            raise ConfigError(
+                "give a calibration, or focal_px, baseline and the like of a rectified pair, not both"
+            )
         from epipole.io.calibration_files import read_stereo_rig
 
-        return read_stereo_rig(*calibrated.files, size=_size_of_first(left), cameras=calibrated.cameras)
+        rig = read_stereo_rig(*calibrated.calibration, size=_size_of_first(left), cameras=calibrated.cameras)
+        if not any(sigmas.values()):
+            return rig
+        flat = rectified_rig_of(rig)
+        if flat is None:
+            raise ConfigError(
+                "standard deviations are for calibrations whose cameras stand side by side already, without covariance"
+            )
+        return replace(flat, **sigmas)
     if options.focal_px is None and options.baseline is None:
         return rig_from_options(options, (1, 1))
     return rig_from_options(options, _size_of_first(left) or _size_of_first(right) or (1, 1))
+
+
+def _without_sigmas(options: RigOptions) -> RigOptions:
+    return replace(options, focal_sigma_px=0.0, baseline_sigma=0.0, principal_offset_sigma_px=0.0)
 
 
 def _size_of_first(path: Path) -> tuple[int, int] | None:

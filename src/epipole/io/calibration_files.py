@@ -67,6 +67,9 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
         return _left_and_right(files, contents, size)
     if all(datasets.is_euroc(content) for content in contents):
         return CalibrationFile(*datasets.euroc_cameras(files, contents))
+    if len(files) == 2 and any(_is_whole(content) for content in contents):
+        whole = files[0 if _is_whole(contents[0]) else 1]
+        raise FileFormatError(whole, "it holds all cameras: give it alone")
     merged: dict[str, Any] = {}
     for content in contents:
         merged |= content
@@ -256,6 +259,11 @@ def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None)
     if given is None:
         raise FileFormatError(path, "the keys image_width and image_height are missing")
     return given
+
+
+def _is_whole(content: Mapping[str, Any]) -> bool:
+    """Whether it is of a format that says all in one file."""
+    return content.get("format") == FORMAT or "cam0" in content or datasets.is_kitti(content)
 
 
 def _is_single(content: Mapping[str, Any]) -> bool:

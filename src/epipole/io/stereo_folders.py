@@ -1,4 +1,4 @@
-"""Which pictures of a left and a right folder belong together."""
+"""Which pictures of a left and a right camera belong together."""
 
 from __future__ import annotations
 
@@ -9,12 +9,17 @@ from pathlib import Path
 from epipole.errors import FileFormatError
 from epipole.io.photographs import list_photographs
 
-_SIDE = re.compile(r"left|right|cam[01]|infra[12]|image_[01]")
-_ENOUGH = 0.5  # of the names of the smaller folder: a chance agreement of a few does not pair the rest
+_LEFT = re.compile(r"(?<![a-z])left(?![a-z])|(?<![a-z0-9])(?:cam0|infra1)(?![0-9])")
+_RIGHT = re.compile(r"(?<![a-z])right(?![a-z])|(?<![a-z0-9])(?:cam1|infra2)(?![0-9])")
+_OTHER = {"left": "right", "cam0": "cam1", "infra1": "infra2"}
+_OTHER |= {there: here for here, there in _OTHER.items()}
+_AGREES = 2  # names that are the same in both folders: one may be chance
+
+Pair = tuple[Path, Path]
 
 
-def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, tuple[Path, Path]]]:
-    """(name, (left picture, right picture)) by names where these agree but for the side's word, else by order.
+def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
+    """(name, (left picture, right picture)): by names; by names but for the side's word; else by order.
 
     A picture without a partner keeps the path at which that was looked for: who reads it learns that there is none.
 
@@ -25,19 +30,51 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
     for folder, own in ((left, names[0]), (right, names[1])):
         if not own:
             raise FileFormatError(folder, "there is no picture in it")
-    keys = [{_SIDE.sub("*", name.lower()): name for name in own} for own in names]
-    common = keys[0].keys() & keys[1].keys()
-    unique = all(len(own) == len(key) for own, key in zip(names, keys))
-    if unique and len(common) >= _ENOUGH * min(len(own) for own in names):
-        every = [
-            (keys[0].get(k, keys[1].get(k, "")), keys[1].get(k, keys[0].get(k, "")))
-            for k in {**keys[0], **keys[1]}
-        ]
-    elif len(names[0]) == len(names[1]):
-        every = list(zip(*names))
-    else:
+    exact = set(names[0]) & set(names[1])
+    if len(exact) >= min(_AGREES, *(-(-len(own) // 2) for own in names)):
+        return [(name, (left / name, right / name)) for name in sorted({*names[0], *names[1]})]
+    by_word = [_by_word(own, side) for own, side in zip(names, (_LEFT, _RIGHT))]
+    all_have_one = all(len(keys) == len(own) for keys, own in zip(by_word, names))
+    if all_have_one and by_word[0].keys() & by_word[1].keys():
+        return _joined(by_word[0], by_word[1], left, right)
+    if len(names[0]) != len(names[1]):
         raise FileFormatError(
             right,
             f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
         )
-    return sorted((a, (left / a, right / b)) for a, b in every)
+    return [(a, (left / a, right / b)) for a, b in zip(*names)]
+
+
+def pair_within(folder: Path) -> list[Pair]:
+    """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
+
+    A picture that has the word but no partner keeps the path at which that was looked for.
+    """
+    names = list_photographs(folder).names
+    sides = [_by_word(names, side) for side in (_LEFT, _RIGHT)]
+    if not sides[0].keys() & sides[1].keys():
+        return []
+    return [pair for _, pair in _joined(sides[0], sides[1], folder, folder)]
+
+
+def _by_word(names: Sequence[str], side: re.Pattern[str]) -> dict[str, str]:
+    """Names that have the side's word, by what they are without it."""
+    return {side.sub("*", name.lower()): name for name in names if side.search(name.lower())}
+
+
+def _joined(lefts: dict[str, str], rights: dict[str, str], left: Path, right: Path) -> list[tuple[str, Pair]]:
+    out = []
+    for key in sorted({*lefts, *rights}):
+        one, two = lefts.get(key), rights.get(key)
+        first, second = one or _for_other_side(two or ""), two or _for_other_side(one or "")
+        out.append((first, (left / first, right / second)))
+    return out
+
+
+def _for_other_side(name: str) -> str:
+    """The same name with the other side's word."""
+    found = _LEFT.search(name.lower()) or _RIGHT.search(name.lower())
+    if found is None:
+        return name
+    word = _OTHER[found.group()]
+    return name[: found.start()] + word + name[found.end() :]

@@ -12,6 +12,7 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
 RIG_UNKNOWNS = 2 * MAX_PARAMS + 6
+_LEAST_BASELINE = 1e-12  # what rounding leaves of none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +44,7 @@ class StereoRig:
             raise ConfigError("right_from_left has values that are not finite")
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
             raise ConfigError("the rotation of right_from_left is none: R R^T is not 1")
-        if not self.baseline > 0:
+        if not self.baseline > _LEAST_BASELINE:
             raise ConfigError("the baseline is zero: both cameras stand at the same place")
 
     @property

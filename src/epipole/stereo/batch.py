@@ -96,6 +96,32 @@ def run_batch(
     return StereoBatch(out, tuple(done), tuple(earlier), problems, warnings, known)
 
 
+def summary_of(
+    batch: StereoBatch, pairs: dict[str, tuple[Path, Path]], before: dict[str, Any]
+) -> dict[str, Any]:
+    """What is kept of many pairs, those of an earlier run with what it said of them."""
+    kept = {
+        part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
+        for part in ("known", "warnings")
+    }
+    return {
+        "done": [*batch.earlier, *batch.done],
+        "known": kept["known"] | batch.known,
+        "warnings": kept["warnings"] | batch.warnings,
+        "problems": batch.problems,
+        "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
+    }
+
+
+def read_summary(out: Path) -> dict[str, Any]:
+    """What an earlier run over many pairs has written of them; empty where there was none."""
+    try:
+        content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def _is_done(folder: Path, settings: dict[str, Any]) -> bool:
     try:
         written = json.loads((folder / "config.json").read_text())

@@ -10,7 +10,7 @@ they add in quadrature. It is the same error for all pixels of a region: averagi
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 from scipy.ndimage import map_coordinates
 
 from epipole.errors import ShapeError
@@ -22,7 +22,7 @@ _SMALL = 1e-2  # of a standard deviation: derivatives are differences over it
 
 
 def calibration_sigma(
-    rig: StereoRig, rectification: Rectification, disparity_px: Float64[np.ndarray, "h w"]
+    rig: StereoRig, rectification: Rectification, disparity_px: Float[np.ndarray, "h w"]
 ) -> Float64[np.ndarray, "h w"]:
     """Standard deviation of each disparity, in pixels, that the calibration's own covariance causes; NaN where unknown.
 

@@ -16,14 +16,20 @@ from epipole.scene import StereoRig
 from epipole.stereo.calibration_error import calibration_sigma
 from epipole.stereo.depth import RectifiedRig, rectified_rig_of
 from epipole.stereo.rectification import Rectification, rectify
-from epipole.stereo.rows import RowMatches, fit_trend, is_swapped, match_features
+from epipole.stereo.rows import (
+    LEAST_FOR_TREND,
+    RowMatches,
+    fit_trend,
+    is_swapped,
+    match_features,
+    row_basis,
+    without_mistakes,
+)
 
 TYPICAL_SIGMA_PX = 0.25
 """Standard deviation of a good disparity, of which the table of depth errors is made."""
 GOOD_PX, BAD_PX = 0.5, 1.0
 """95th percentile and median of the vertical offset up to which rows count as matching."""
-_LEAST_MATCHES = 50
-_KEPT_PX = 3.0  # robust deviations: matches farther from the trend are mistakes
 _EXPLAINS, _LESS = 0.7, 0.9
 _LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
 _UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
@@ -124,7 +130,7 @@ def examine(
             findings.append(_Finding(f"the calibration cannot be used: {error}", True))
             pairs = ()
     matched = [_match(pair, rectification) for pair in pairs]
-    clean = [_without_mistakes(m, flat) for m in matched]
+    clean = [without_mistakes(m, flat) for m in matched]
     every = RowMatches(
         np.concatenate([np.zeros((0, 2)), *(m.left_px for m in clean)]),
         np.concatenate([np.zeros((0, 2)), *(m.right_px for m in clean)]),
@@ -133,11 +139,12 @@ def examine(
     size = rectification.size if rectification is not None else size
     fits = _fits(every, flat, size)
     findings += [
-        *(_order(matched) + _rows(every, fits, len(pairs)) + _steadiness(clean, flat, size)),
+        *_order(matched, pairs, rectification),
+        *(_rows(every, fits, len(pairs)) + _steadiness(clean, flat, size)),
         *(_units(flat, every) if flat is not None else ()),
     ]
     offset = every.vertical_px
-    enough = len(every) >= _LEAST_MATCHES
+    enough = len(every) >= LEAST_FOR_TREND
     return Diagnosis(
         tuple(f.words for f in findings if f.is_problem),
         tuple(f.words for f in findings if not f.is_problem),
@@ -178,42 +185,10 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
     return RowMatches(found.left_px[inside], found.right_px[inside])
 
 
-def _basis(
-    matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray]:
-    """What a small error of the rig does to the rows, and what one of the lenses adds.
-
-    With x, y from the principal point over f: pitch 1 + y^2, yaw x y, roll x, scale y; a wrong direction of the baseline d and y d;
-    wrong radial distortion y r^2, y r^4 in one lens, x y d in both alike.
-    """
-    focal, cx, cy = (flat.focal_px, flat.cx, flat.cy) if flat else (size[0], size[0] / 2, size[1] / 2)
-    x, y = (matches.right_px[:, 0] - cx) / focal, (matches.right_px[:, 1] - cy) / focal
-    d = matches.disparity_px / focal
-    r2 = x * x + y * y
-    rig = np.stack([np.ones_like(x), x, y, x * y, y * y, d, y * d], axis=1)
-    return rig, np.concatenate([rig, np.stack([y * r2, y * r2 * r2, x * y * d], axis=1)], axis=1)
-
-
-def _without_mistakes(matches: RowMatches, flat: RectifiedRig | None) -> RowMatches:
-    if len(matches) < _LEAST_MATCHES:
-        return matches
-    extent = np.maximum(matches.left_px.max(axis=0), matches.right_px.max(axis=0))
-    basis = _basis(matches, flat, (int(extent[0]) + 1, int(extent[1]) + 1))[1]
-    middle = np.median(matches.vertical_px)
-    near = np.abs(matches.vertical_px - middle) < np.maximum(
-        10.0, 5.0 * np.median(np.abs(matches.vertical_px - middle))
-    )
-    if near.sum() < _LEAST_MATCHES:
-        return matches
-    trend = fit_trend(matches.vertical_px[near], basis[near])
-    good = np.abs(matches.vertical_px - basis @ trend.coefficients) < _KEPT_PX * max(trend.rms_px, 0.1)
-    return RowMatches(matches.left_px[good], matches.right_px[good])
-
-
 def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < LEAST_FOR_TREND:
         return np.nan, np.nan
-    rig, lens = _basis(matches, flat, size)
+    rig, lens = row_basis(matches, flat, size)
     return fit_trend(matches.vertical_px, rig).rms_px, fit_trend(matches.vertical_px, lens).rms_px
 
 
@@ -222,7 +197,7 @@ def _rms(matches: RowMatches) -> float:
 
 
 def _cause(matches: RowMatches, fits: tuple[float, float]) -> Cause:
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < LEAST_FOR_TREND:
         return Cause.UNKNOWN
     offset = np.abs(matches.vertical_px)
     if np.percentile(offset, 95) <= GOOD_PX or (
@@ -236,16 +211,30 @@ def _cause(matches: RowMatches, fits: tuple[float, float]) -> Cause:
     return Cause.UNCLEAR
 
 
-def _order(matched: Sequence[RowMatches]) -> list[_Finding]:
+def _order(
+    matched: Sequence[RowMatches],
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]],
+    rectification: Rectification | None,
+) -> list[_Finding]:
     if matched and all(is_swapped(m) for m in matched):
         return [_Finding("left and right are swapped: features lie farther right in the right picture", True)]
-    return []
+    if rectification is None or not matched or _off_px(matched[0]) <= BAD_PX:
+        return []
+    left, right = pairs[0]
+    if left.shape != right.shape or not _off_px(_match((right, left), rectification)) <= GOOD_PX:
+        return []
+    return [_Finding("left and right are swapped: exchanged, their rows match by this calibration", True)]
+
+
+def _off_px(matches: RowMatches) -> float:
+    """Median vertical offset; infinite where little matches."""
+    return float(np.median(np.abs(matches.vertical_px))) if len(matches) >= LEAST_FOR_TREND else np.inf
 
 
 def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> list[_Finding]:
     if not num_pairs:
         return []
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < LEAST_FOR_TREND:
         words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
         return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
@@ -263,11 +252,11 @@ def _steadiness(
     clean: Sequence[RowMatches], flat: RectifiedRig | None, size: tuple[int, int]
 ) -> list[_Finding]:
     """A rigid rig has the same row trend in every pair; cameras that expose at different times do not."""
-    good = [m for m in clean if len(m) >= _LEAST_MATCHES]
+    good = [m for m in clean if len(m) >= LEAST_FOR_TREND]
     if len(good) < 2:
         words = "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
         return [_Finding(words, False)]
-    trends = [fit_trend(m.vertical_px, _basis(m, flat, size)[0][:, :3]) for m in good]
+    trends = [fit_trend(m.vertical_px, row_basis(m, flat, size)[0][:, :3]) for m in good]
     offset = np.array([t.coefficients[0] for t in trends])
     sigma = np.array([t.sigma[0] for t in trends])
     spread = float(np.std(offset, ddof=1))
@@ -287,7 +276,7 @@ def _units(flat: RectifiedRig, matches: RowMatches) -> list[_Finding]:
             _Finding(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?", True)
         )
     shifted = matches.disparity_px + flat.principal_offset_px
-    if len(matches) >= _LEAST_MATCHES and np.median(shifted) > 0.5:
+    if len(matches) >= LEAST_FOR_TREND and np.median(shifted) > 0.5:
         depth = flat.focal_px * flat.baseline / np.median(shifted)
         words = f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
         out.append(_Finding(words, False))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from epipole.config import StereoConfig
-from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import depth_map_to_point_cloud
 from epipole.io.atomic import atomic_folder, atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
@@ -46,6 +47,15 @@ _FITTED_WITH = (
     "block_px",
 )
 
+_MARKS = ("disparity.pfm", "sigma_disparity.pfm", "reasons.png")
+ALWAYS_FILES = (
+    "disparity.pfm",
+    "disparity.png",
+    "sigma_disparity.pfm",
+    "reasons.png",
+    "config.json",
+    "report.html",
+)
 OPTIONAL_FILES = (
     *("depth.pfm", "sigma_depth.pfm", "cloud.ply", "homographies.json"),
     *("left.png", "right.png", "rig.json", "filled.pfm", "filled_mask.png"),
@@ -163,11 +173,9 @@ def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[
         )
         out.append(words)
     if config.uncalibrated:
-        words = (
-            "without a calibration disparities order what lies in a row by depth, no more: nearer is larger if LEFT "
-            "was taken left of RIGHT"
+        out.append(
+            "without a calibration disparities stand for depth up to a projective change of space, which may turn its order"
         )
-        out.append(words)
     if isinstance(rig, StereoRig) and rig.covariance is None:
         out.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
     return out
@@ -185,6 +193,24 @@ def _matched(disparities: DisparityMap, config: StereoConfig, is_calibrated: boo
     return MatchedPair(disparities.density, (float(config.min_disparity_px), high), is_calibrated)
 
 
+def check_output(out: Path, pictures: Sequence[Path]) -> None:
+    """Refuse a folder in which something would be lost.
+
+    Raises:
+        WorkspaceError: a picture lies in it, or a file of a name that is written or removed, of no earlier run.
+    """
+    for picture in pictures:
+        if picture.resolve().parent == out.resolve():
+            raise WorkspaceError(f"{out} is the folder of {picture.name}: choose another for the results")
+    if all((out / name).is_file() for name in _MARKS):
+        return  # an earlier run's, finished or not
+    for name in (*ALWAYS_FILES, *OPTIONAL_FILES):
+        if (out / name).exists():
+            raise WorkspaceError(
+                f"{out} holds {name}, which no earlier run has written: choose another folder"
+            )
+
+
 def run_stereo(
     left: Path, right: Path, out: Path, config: StereoConfig, rig: RectifiedRig | StereoRig | None = None
 ) -> StereoResult:
@@ -196,6 +222,7 @@ def run_stereo(
         ConfigError: rig and options do not fit the pictures.
         WorkspaceError: the output folder cannot be used.
     """
+    check_output(out, (left, right))
     return write_stereo(measure_pair(read_rgb(left), read_rgb(right), config, rig), out)
 
 

@@ -11,9 +11,13 @@ from jaxtyping import Float64, UInt8
 
 from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
+from epipole.stereo.depth import RectifiedRig
 
 _MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are mistakes
 _ROUNDS = 20
+LEAST_FOR_TREND = 50
+_KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
+_SAME_PX = 0.02
 _LEAST_MATCHES = 30
 _SPARSE, _FEW = 0.3, 0.2
 _AGREES_PX, _MOST_BEYOND = 2.0, 0.1
@@ -99,6 +103,9 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
     """
     grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
     matches = match_features(grey[0], grey[1], "orb")
+    if len(matches) and np.median(np.abs(matches.vertical_px)) > _MOST_OFF_PX:
+        # Rows are off, or most matches are mistakes (a chessboard's): better features tell.
+        matches = without_mistakes(match_features(grey[0], grey[1]), None)
     few = f"only {100 * found.density:.1f} % of the pixels are known"
     if len(matches) < _LEAST_MATCHES:
         if found.density > _SPARSE:
@@ -108,8 +115,11 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         return (
             f"{few}, and hardly any feature of one picture is found in the other: do they show the same thing?",
         )
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
+        return ("left and right are the same picture: there is no depth in it",)
     out = []
     low, high = found.search_px
+    span = f"from {low:g} px on" if np.isinf(high) else f"{low:g} to {high:g} px"
     agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
     beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
     if low >= 0 and is_swapped(matches):
@@ -121,7 +131,7 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         )
     elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
         out.append(
-            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities beyond the range looked for, {low:g} to {high:g} px: "
+            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities beyond the range looked for, {span}: "
             "what is known there is wrong"
         )
     offset = float(np.median(np.abs(matches.vertical_px)))
@@ -163,3 +173,36 @@ def fit_trend(offsets: Float64[np.ndarray, " n"], basis: Float64[np.ndarray, "n 
     information = basis[inside].T @ basis[inside]
     sigma = scale * np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0.0))
     return RowTrend(coefficients, sigma, scale)
+
+
+def row_basis(
+    matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a small error of the rig does to the rows, and what one of the lenses adds.
+
+    With x, y from the principal point over f: pitch 1 + y^2, yaw x y, roll x, scale y; a wrong direction of the baseline d and y d;
+    wrong radial distortion y r^2, y r^4 in one lens, x y d in both alike.
+    """
+    focal, cx, cy = (flat.focal_px, flat.cx, flat.cy) if flat else (size[0], size[0] / 2, size[1] / 2)
+    x, y = (matches.right_px[:, 0] - cx) / focal, (matches.right_px[:, 1] - cy) / focal
+    d = matches.disparity_px / focal
+    r2 = x * x + y * y
+    rig = np.stack([np.ones_like(x), x, y, x * y, y * y, d, y * d], axis=1)
+    return rig, np.concatenate([rig, np.stack([y * r2, y * r2 * r2, x * y * d], axis=1)], axis=1)
+
+
+def without_mistakes(matches: RowMatches, flat: RectifiedRig | None) -> RowMatches:
+    """Those within three robust deviations of a trend that errors of the rig and of the lenses explain; all where they are few."""
+    if len(matches) < LEAST_FOR_TREND:
+        return matches
+    extent = np.maximum(matches.left_px.max(axis=0), matches.right_px.max(axis=0))
+    basis = row_basis(matches, flat, (int(extent[0]) + 1, int(extent[1]) + 1))[1]
+    middle = np.median(matches.vertical_px)
+    near = np.abs(matches.vertical_px - middle) < np.maximum(
+        10.0, 5.0 * np.median(np.abs(matches.vertical_px - middle))
+    )
+    if near.sum() < LEAST_FOR_TREND:
+        return matches
+    trend = fit_trend(matches.vertical_px[near], basis[near])
+    good = np.abs(matches.vertical_px - basis @ trend.coefficients) < _KEPT * max(trend.rms_px, 0.1)
+    return RowMatches(matches.left_px[good], matches.right_px[good], matches.num_features)
