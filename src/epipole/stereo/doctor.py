@@ -18,6 +18,7 @@ from epipole.stereo.depth import RectifiedRig, rectified_rig_of
 from epipole.stereo.rectification import Rectification, rectify
 from epipole.stereo.rows import (
     LEAST_FOR_TREND,
+    SAME_PX,
     RowMatches,
     fit_trend,
     is_swapped,
@@ -34,7 +35,6 @@ _EXPLAINS, _LESS = 0.7, 0.9
 _LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
 _UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
 _GRID = 3
-_SAME_PX = 0.02
 
 
 class Cause(StrEnum):
@@ -237,7 +237,7 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if len(matches) < LEAST_FOR_TREND:
         words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
         return [_Finding(words, True)]
-    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
         return [_Finding("left and right are the same picture", True)]
     cause = _cause(matches, fits)
     if cause is Cause.NONE:

@@ -17,7 +17,8 @@ _MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offs
 _ROUNDS = 20
 LEAST_FOR_TREND = 50
 _KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
-_SAME_PX = 0.02
+SAME_PX = 0.02
+"""Features that move by less in the median show the same picture twice."""
 _LEAST_MATCHES = 30
 _SPARSE, _FEW = 0.3, 0.2
 _AGREES_PX, _MOST_BEYOND = 2.0, 0.1
@@ -115,7 +116,7 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
         return (
             f"{few}, and hardly any feature of one picture is found in the other: do they show the same thing?",
         )
-    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < _SAME_PX:
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
         return ("left and right are the same picture: there is no depth in it",)
     out = []
     low, high = found.search_px
