@@ -77,6 +77,10 @@ def test_what_cannot_be_used_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError, match="is a file"):
         run_calibration(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
+    with pytest.raises(WorkspaceError, match="is the folder of the pictures"):
+        run_calibration(tmp_path / "blank", tmp_path / "blank", CalibrationConfig())
+    with pytest.raises(FileFormatError, match="both the left and the right"):
+        run_calibration(tmp_path / "blank", tmp_path / "out", CalibrationConfig(), tmp_path / "blank")
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileFormatError, match="no picture"):
         run_calibration(tmp_path / "empty", tmp_path / "out", CalibrationConfig())

@@ -66,6 +66,8 @@ def run_calibration(
     """
     if out.exists() and not out.is_dir():
         raise WorkspaceError(f"{out} is a file; the output must be a folder")
+    if out.resolve() in (images.resolve(), right and right.resolve()):
+        raise WorkspaceError(f"{out} is the folder of the pictures: choose another for the results")
     pictures = pictures_of_cameras(images, right)
     views: list[list[BoardView]] = []
     sizes: list[tuple[int, int]] = []

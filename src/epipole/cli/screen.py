@@ -50,9 +50,11 @@ def progress_on_screen(*, compiles_much: bool = False) -> Iterator[ProgressCallb
         *(TextColumn("{task.description:<22}"), BarColumn(bar_width=32), MofNCompleteColumn()),
         *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
     )
-    with Bars(*columns, console=Console(stderr=True)) as bars:
+    from epipole import _jit
+
+    console, begin = Console(stderr=True), _jit.compile_seconds()
+    with Bars(*columns, console=console) as bars:
         tasks: dict[str, TaskID] = {}
-        from epipole import _jit
 
         if compiles_much and not _jit.is_compiled():
             bars.console.print(COMPILE_NOTE)
@@ -63,6 +65,8 @@ def progress_on_screen(*, compiles_much: bool = False) -> Iterator[ProgressCallb
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
 
         yield show
+    if not compiles_much:
+        _say_compiling(console, _jit.compile_seconds() - begin)
 
 
 def show_reconstruction(result: ReconstructionResult) -> None:
@@ -116,7 +120,11 @@ def waiting_for_kernels() -> Iterator[None]:
     begin = _jit.compile_seconds()
     with console.status("Working (the first time on a machine kernels are compiled, for some seconds)"):
         yield
-    if (seconds := _jit.compile_seconds() - begin) > 1.0:
+    _say_compiling(console, _jit.compile_seconds() - begin)
+
+
+def _say_compiling(console: Console, seconds: float) -> None:
+    if seconds > 1.0:
         console.print(f"{seconds:.0f} s of this went into compiling kernels; later runs start at once")
 
 
@@ -168,6 +176,18 @@ def show_diagnosis(found: Diagnosis) -> None:
     _print_warnings(console, found.notes)
     table = Table(box=None, show_header=False)
     table.add_row("features that match", str(found.num_matches))
+    if found.vertical_median_px == found.vertical_median_px:
+        _add_rows(table, found)
+    console.print(table)
+    if found.expectations:
+        ranges = Table("depth", "disparity, px", "error from matching", "from calibration", box=None)
+        for e in found.expectations:
+            wrong = f"{e.from_calibration:.3g}" if e.from_calibration == e.from_calibration else "not known"
+            ranges.add_row(f"{e.depth:g}", f"{e.disparity_px:.1f}", f"{e.from_matching:.3g}", wrong)
+        console.print(ranges)
+
+
+def _add_rows(table: Table, found: Diagnosis) -> None:
     table.add_row(
         "vertical offset",
         f"median {found.vertical_median_px:.2f} px, 95 % {found.vertical_p95_px:.2f} px, signed median "
@@ -181,13 +201,6 @@ def show_diagnosis(found: Diagnosis) -> None:
         table.add_row("of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
-    console.print(table)
-    if found.expectations:
-        ranges = Table("depth", "disparity, px", "error from matching", "from calibration", box=None)
-        for e in found.expectations:
-            wrong = f"{e.from_calibration:.3g}" if e.from_calibration == e.from_calibration else "not known"
-            ranges.add_row(f"{e.depth:g}", f"{e.disparity_px:.1f}", f"{e.from_matching:.3g}", wrong)
-        console.print(ranges)
 
 
 def show_calibration(run: CalibrationRun) -> None:

@@ -107,8 +107,7 @@ def measure_pair(
     disparities = match_stereo(left, right, config)
     if rectification is not None:
         disparities = within_both(disparities, rectification.left_valid, rectification.right_valid)
-    is_calibrated = isinstance(rectification, Rectification)
-    warnings = list(quick_warnings(left, right, _matched(disparities, config, is_calibrated)))
+    warnings = list(quick_warnings(left, right, _matched(disparities, config, isinstance(rig, StereoRig))))
     warnings += _limits(config, rig)
     depths, num_points = None, 0
     if flat is not None:
