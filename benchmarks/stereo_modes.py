@@ -20,7 +20,8 @@ from benchmarks.side_by_side import table_of
 from benchmarks.stereo_sigma import QUANTUM_PX, coverage
 from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
 from epipole import _parallel
-from epipole.stereo import DisparityMap, StereoConfig, fill_disparities, match_stereo
+from epipole.stereo import DisparityMap, StereoConfig, match_stereo
+from epipole.stereo.filling import fill_disparities
 from epipole.synthetic.stereo_rooms import stereo_room
 
 ENOUGH_S = 1.0
