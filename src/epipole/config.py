@@ -275,7 +275,7 @@ class StereoConfig:
     search: Literal["full", "coarse_to_fine"] = "full"
     """Try every disparity everywhere; or, in each tile of the picture, those about what a picture of half the size shows there."""
     method: Literal["sgm", "block"] = "sgm"
-    """Semi-global matching along paths; or sums over blocks: faster, with more mistakes where there is little texture."""
+    """Semi-global matching along paths; or sums over blocks: nothing assumed smooth, more mistakes where there is little texture."""
     block_px: int = 9
     """Side of the blocks, odd, at most 15."""
     paths: Literal[4, 8] = 8
