@@ -101,7 +101,7 @@ def whole_chessboard(
     """Inner corners of the board that pictures show, columns and rows, where it is a larger one than was said.
 
     OpenCV's detector of larger boards sometimes sees a row too many and sometimes none: one picture of a board of just the
-    size says that all is well, and of the others at least two must show more. The smallest size that is seen often counts.
+    size says that all is well; else at least two must show more. Of the sizes seen the most frequent counts, of equals the smallest.
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []

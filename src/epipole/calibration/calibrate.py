@@ -20,7 +20,6 @@ from epipole.geometry import Rigid3
 from epipole.scene import StereoRig
 
 _ROBUST_PX = 1.0
-_MAD = 1.4826
 _LEAST_NOISE_PX = 0.02
 _ROUNDS = 6
 _LEAST_SHARE = 0.5  # a view of which fewer of the corners agree is left out
