@@ -19,18 +19,13 @@ from rich.console import Console
 
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
-from epipole.calibration import (
-    BoardConfig,
-    BoardView,
-    CalibrationConfig,
-    calibrate,
-    corners_on_board,
-    find_board,
-    projection_difference,
-)
-from epipole.calibration.coverage import covered_pixels
 from epipole.cameras import Camera, CameraModel
 from epipole.io.photographs import read_grey
+from epipole.pipelines.calibration.board import BoardView, corners_on_board, find_board
+from epipole.pipelines.calibration.calibrate import calibrate_views
+from epipole.pipelines.calibration.comparison import projection_difference
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.coverage import covered_pixels
 
 PAIR = BoardConfig(columns=9, rows=6, square=0.025)
 DESK = BoardConfig(columns=9, rows=6, square=0.04)
@@ -66,7 +61,7 @@ def opencv_pair(connection: Any, pixels: list[list[np.ndarray]]) -> None:
 def our_pair(views: list[list[BoardView]], config: CalibrationConfig) -> dict[str, float]:
     """The same figures, with standard deviations."""
     begin = time.perf_counter()
-    found = calibrate(views, [SIZE] * 2, config)
+    found = calibrate_views(views, [SIZE] * 2, config)
     seconds = time.perf_counter() - begin
     return {
         "rms px": found.rms_px,
@@ -101,7 +96,7 @@ def desk_rows(folder: Path) -> dict[str, dict[str, float]]:
     given = Camera(CameraModel.OPENCV, *DESK_SIZE, params)
     rows = {}
     for model in ("RADIAL", "OPENCV"):
-        found = calibrate([views], [DESK_SIZE], CalibrationConfig(board=DESK, model=model))
+        found = calibrate_views([views], [DESK_SIZE], CalibrationConfig(board=DESK, model=model))
         whole = projection_difference(given, found.cameras[0]).distance_px
         seen = projection_difference(given, found.cameras[0], covered_pixels(found, 0)).distance_px
         rows[model] = {

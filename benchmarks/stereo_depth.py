@@ -19,12 +19,15 @@ from rich.console import Console
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
 from epipole.cameras import Camera, CameraModel
+from epipole.disparity_search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.io.photographs import read_grey
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.depth import depth_of
+from epipole.pipelines.stereo.doctor import examine
 from epipole.robust import point_covariances, triangulate_points
-from epipole.stereo import RectifiedRig, StereoConfig, depth_of, match_stereo
-from epipole.stereo.doctor import examine
+from epipole.scene import RectifiedRig
 from epipole.synthetic.stereo_rooms import stereo_street
 
 STREETS, BINS, NEAR_M, FAR_M = 24, 8, 2.0, 30.0

@@ -20,8 +20,10 @@ from benchmarks.side_by_side import table_of
 from benchmarks.stereo_sigma import QUANTUM_PX, coverage
 from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
 from epipole import _parallel
-from epipole.stereo import DisparityMap, StereoConfig, match_stereo
-from epipole.stereo.filling import fill_disparities
+from epipole.disparity_search import match_stereo
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.filling import fill_disparities
+from epipole.scene import DisparityMap
 from epipole.synthetic.stereo_rooms import stereo_room
 
 ENOUGH_S = 1.0

@@ -20,8 +20,10 @@ from rich.console import Console
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
 from benchmarks.tasks.stereo import StereoTask, stereo_tasks
-from epipole.stereo import StereoConfig, match_stereo, uncertainty
-from epipole.stereo.matching import match_with_evidence
+from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_with_evidence
+from epipole.pipelines.stereo import uncertainty
+from epipole.pipelines.stereo.config import StereoConfig
 from epipole.synthetic.stereo_rooms import stereo_room
 
 QUANTUM_PX = {"cones": 0.25, "teddy": 0.25, "motorcycle": 0.0, "aloe": 1.0}

@@ -9,11 +9,13 @@ import cv2
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
-from epipole.config import FeatureConfig, StereoConfig
+from epipole.config import FeatureConfig
+from epipole.disparity_search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
 from epipole.mapping import bundle_problem_of
 from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
+from epipole.pipelines.stereo.config import StereoConfig
 from epipole.report.plain_page import color_map
 from epipole.robust import (
     RansacConfig,
@@ -23,7 +25,6 @@ from epipole.robust import (
     estimate_relative_pose,
     triangulate_points,
 )
-from epipole.stereo import match_stereo
 from epipole.synthetic import courtyard, courtyard_views, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem
 from epipole.synthetic.stereo_rooms import stereo_room

@@ -9,17 +9,11 @@ import pytest
 
 import epipole
 from epipole import config, errors
-from epipole.config import (
-    FeatureConfig,
-    MapperConfig,
-    MatchConfig,
-    RansacConfig,
-    ReconstructConfig,
-    StereoConfig,
-    options_of,
-)
+from epipole.config import FeatureConfig, MatchConfig, RansacConfig, options_of
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
+from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
+from epipole.pipelines.stereo.config import StereoConfig
 
 OPTIONS = [c for c in vars(config).values() if dataclasses.is_dataclass(c)]
 
@@ -75,7 +69,7 @@ def test_defaults_are_among_the_choices(options: type) -> None:
         (FeatureConfig, "max_features", [0, -5], [1]),
         (FeatureConfig, "max_size_px", [0, 15], [16]),
         (MatchConfig, "max_ratio", [0.0, -0.1, 1.01, np.nan], [1e-3, 1.0]),
-        (MatchConfig, "scout_features", [-1], [0]),
+        (MatchConfig, "preemptive_features", [-1], [0]),
         (MatchConfig, "band_px", [0.0, -1.0, np.nan], [0.1]),
         (RansacConfig, "max_error_px", [0.0, -4.0, np.nan], [1e-6]),
         (RansacConfig, "confidence", [0.0, 1.0, 1.5, np.nan], [0.5]),

@@ -15,7 +15,7 @@ import epipole
 from epipole import _jit
 from epipole._callees import Kernel
 from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel
-from epipole.sfm.warm_up import warm_up
+from epipole.pipelines.sfm.warm_up import warm_up
 
 
 @kernel

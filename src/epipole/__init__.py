@@ -1,31 +1,39 @@
 """epipole takes pixels and gives back space.
 
-`epipole.reconstruct(images, out)` turns a folder of photographs into a 3D model. Everything is imported on
-first use: `import epipole` loads and compiles nothing.
+`epipole.reconstruct(images, out)` turns a folder of photographs into a 3D model; every other job is one call, too.
+Everything is imported on first use: `import epipole` loads and compiles nothing.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from epipole._version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from epipole.api import calibrate as calibrate
-    from epipole.api import evaluate as evaluate
-    from epipole.api import reconstruct as reconstruct
-    from epipole.api import undistort as undistort
+    from epipole.api import *  # noqa: F403 - the names below, for editors and type checkers
 
-__version__ = "0.1.0"
-
-_API = ("reconstruct", "calibrate", "evaluate", "undistort")
-_ROOMS = (
-    *("geometry", "cameras", "image", "features", "solvers", "optim", "robust", "scene", "io"),
-    *("metrics", "synthetic", "workflow", "mapping", "sfm", "stereo", "calibration", "report", "viewer"),
+_JOBS = ("reconstruct", "stereo", "calibrate", "evaluate", "undistort", "convert", "view", "demo")
+_MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo")
+_CONFIGS = ("ReconstructConfig", "StereoConfig", "CalibrationConfig", "BoardConfig")
+_RESULTS = (
+    *("ReconstructionResult", "StereoResult", "StereoBatch", "Diagnosis", "CalibrationRun", "Evaluation"),
+    *("DemoResult", "ViewerHandle"),
 )
-__all__ = [*_API, "__version__"]  # noqa: PLE0604 - the names are strings
+_ROOMS = (
+    *("api", "cameras", "config", "disparity_search", "errors", "features", "geometry", "image", "io"),
+    *("mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
+    *("synthetic", "viewer"),
+)
+__all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings
 
 
 def __getattr__(name: str) -> Any:
-    if name in _API:
-        return getattr(import_module("epipole.api"), name)
     if name in _ROOMS:
         return import_module(f"epipole.{name}")
+    if name in __all__:
+        return getattr(import_module("epipole.api"), name)
     raise AttributeError(f"module 'epipole' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

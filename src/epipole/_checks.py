@@ -1,10 +1,11 @@
 """Checks at the public border: shapes, finiteness, kernels' memory layout, with messages that name the argument."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 
 
 def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> np.ndarray:
@@ -52,3 +53,14 @@ def require_same_length(**arrays: np.ndarray) -> int:
     if len(set(lengths.values())) > 1:
         raise ShapeError("lengths differ: " + ", ".join(f"{k} has {v}" for k, v in lengths.items()))
     return next(iter(lengths.values()))
+
+
+def as_path(given: str | Path) -> Path:
+    """A path that was really given: an empty word would be the present folder.
+
+    Raises:
+        ConfigError: it is empty.
+    """
+    if str(given) == "":
+        raise ConfigError("a path is empty")
+    return Path(given)

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -19,6 +19,9 @@ _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 _num_threads: int | None = None
 _inside = threading.local()
+_blas_lock = threading.Lock()
+_blas_depth = 0
+_blas_limit: Any = None
 
 
 def available_cpus() -> int:
@@ -44,6 +47,11 @@ def set_num_threads(count: int | None) -> None:
         if _pool is not None:
             _pool.shutdown(wait=True)
             _pool = None
+
+
+def asked_threads() -> int | None:
+    """What `set_num_threads` was last given."""
+    return _num_threads
 
 
 def _shared_pool() -> ThreadPoolExecutor:
@@ -115,16 +123,35 @@ def map_items(work: Callable[[int], Result], num_items: int) -> list[Result]:
     return map_chunks(lambda start, _stop, _chunk: work(start), num_items, num_items)
 
 
-def run_inline_here() -> None:
-    """Mark this thread as a worker: parallel work inside it runs inline."""
+@contextmanager
+def inline_here() -> Iterator[None]:
+    """Parallel work that this thread calls inside runs inline, as in a worker."""
+    before = getattr(_inside, "worker", False)
     _inside.worker = True
+    try:
+        yield
+    finally:
+        _inside.worker = before
 
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster."""
-    with _blas_libraries().limit(limits=1, user_api="blas"):
+    """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster.
+
+    The setting is the process's: of threads that overlap the first one in sets it, the last one out puts it back.
+    """
+    global _blas_depth, _blas_limit  # noqa: PLW0603 - BLAS's setting is global, too
+    with _blas_lock:
+        if _blas_depth == 0:
+            _blas_limit = _blas_libraries().limit(limits=1, user_api="blas")
+        _blas_depth += 1
+    try:
         yield
+    finally:
+        with _blas_lock:
+            _blas_depth -= 1
+            if _blas_depth == 0:
+                _blas_limit.restore_original_limits()
 
 
 @cache

@@ -6,22 +6,16 @@ import numpy as np
 import pytest
 from calibration_views import FISHEYE, LENS, OTHER, RIGHT_FROM_LEFT, board_places, views_of
 
-from epipole.calibration import (
-    BoardConfig,
-    BoardView,
-    CalibrationConfig,
-    ViewState,
-    calibrate,
-    corners_on_board,
-    cross_check,
-    projection_difference,
-    projection_sigma,
-)
-from epipole.calibration.observations import warp_shapes
-from epipole.calibration.verdict import judge
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.pipelines.calibration.board import BoardView, corners_on_board
+from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
+from epipole.pipelines.calibration.comparison import cross_check, projection_difference
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.observations import warp_shapes
+from epipole.pipelines.calibration.uncertainty import projection_sigma
+from epipole.pipelines.calibration.verdict import judge
 
 BOARD = BoardConfig(columns=9, rows=6, square=0.025)
 CONFIG = CalibrationConfig(board=BOARD)
@@ -35,7 +29,7 @@ def seen_by(cameras, seed, count=20, noise_px=0.1, **more):
 
 
 def test_exact_corners_give_the_exact_camera():
-    found = calibrate(seen_by([LENS], 0, noise_px=0.0), [SIZE], CONFIG)
+    found = calibrate_views(seen_by([LENS], 0, noise_px=0.0), [SIZE], CONFIG)
     np.testing.assert_allclose(found.cameras[0].params, LENS.params, rtol=1e-5, atol=1e-6)
     assert found.rms_px < 1e-5
 
@@ -45,7 +39,7 @@ def test_fisheye_is_found():
     rng = np.random.default_rng(1)
     places = board_places(rng, 30, (0.12, 0.4), spread=1.2)
     views = views_of([FISHEYE], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng)
-    found = calibrate(views, [SIZE], config)
+    found = calibrate_views(views, [SIZE], config)
     assert np.nanmedian(projection_difference(FISHEYE, found.cameras[0]).distance_px) < 0.15
 
 
@@ -53,7 +47,9 @@ def test_standard_deviations_are_those_of_repeated_calibrations():
     """Normalised errors of all parameters and of the rig's motion over 30 calibrations: the mean square is one."""
     squares = []
     for seed in range(30):
-        found = calibrate(seen_by([LENS, OTHER], 100 + seed, count=12, noise_px=0.2), [SIZE, SIZE], CONFIG)
+        found = calibrate_views(
+            seen_by([LENS, OTHER], 100 + seed, count=12, noise_px=0.2), [SIZE, SIZE], CONFIG
+        )
         rig = found.rig()
         estimated = np.flatnonzero(np.diag(rig.covariance))  # the rest is padding
         known = rig.covariance[np.ix_(estimated, estimated)]
@@ -76,7 +72,7 @@ def test_projected_uncertainty_is_that_of_repeated_calibrations():
         places = board_places(rng, 12)
         rng = np.random.default_rng(500 + seed)
         views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng, 0.2)
-        found = calibrate(views, [SIZE], CONFIG)
+        found = calibrate_views(views, [SIZE], CONFIG)
         # A point of the truth, carried with every board, seen by the camera that was found.
         points = 5.0 * LENS.unproject(at)
         moved = np.mean(
@@ -96,7 +92,7 @@ def test_projected_uncertainty_is_that_of_repeated_calibrations():
 def test_three_spoiled_views_of_ten_are_found_and_the_rest_used():
     views = seen_by([LENS, OTHER], 3, count=10)
     rng = np.random.default_rng(5)
-    clean = calibrate(
+    clean = calibrate_views(
         [[v for k, v in enumerate(own) if k not in (1, 4, 7)] for own in views], [SIZE] * 2, CONFIG
     )
     views[0][1] = BoardView(
@@ -104,7 +100,7 @@ def test_three_spoiled_views_of_ten_are_found_and_the_rest_used():
     )
     views[1][4] = BoardView(views[1][4].corner, rng.permutation(views[1][4].pixels))
     views[1][7] = views[1][8]  # the right camera took this one later: the board had moved
-    found = calibrate(views, [SIZE] * 2, CONFIG)
+    found = calibrate_views(views, [SIZE] * 2, CONFIG)
     assert found.view_states[0][1] is ViewState.OFF
     assert found.view_states[1][4] in (ViewState.OFF, ViewState.NO_PLACE)
     assert ViewState.OFF in (found.view_states[0][7], found.view_states[1][7])
@@ -125,7 +121,7 @@ def test_wrong_corners_are_left_out_one_by_one():
             wrong = rng.choice(len(view), 3, replace=False)
             pixels[wrong] += rng.choice([-1, 1], (3, 2)) * rng.uniform(2, 30, (3, 2))
         spoiled.append(BoardView(view.corner, pixels))
-    found, clean = calibrate([spoiled], [SIZE], CONFIG), calibrate(views, [SIZE], CONFIG)
+    found, clean = calibrate_views([spoiled], [SIZE], CONFIG), calibrate_views(views, [SIZE], CONFIG)
     assert 0.9 < found.used_mask.mean() < 0.96
     assert (np.abs(found.cameras[0].params - clean.cameras[0].params) < clean.params_sigma(0)).all()
 
@@ -137,8 +133,8 @@ def test_a_bent_board_is_straightened():
     rng = np.random.default_rng(4)
     places = board_places(rng, 40, tilt=0.9)
     views = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng, shape=shape)
-    stiff = calibrate(views, [SIZE], CONFIG)
-    found = calibrate(views, [SIZE], CalibrationConfig(board=BOARD, refine_warp=True))
+    stiff = calibrate_views(views, [SIZE], CONFIG)
+    found = calibrate_views(views, [SIZE], CalibrationConfig(board=BOARD, refine_warp=True))
     sigma = np.sqrt(np.diag(found.uncertainty.theta)[-2:])
     assert (np.abs(found.state.warp - warp) < 4.0 * sigma).all() and (sigma < 1e-4).all()
     assert found.rms_px < 0.2 < 1.2 * stiff.rms_px
@@ -147,12 +143,12 @@ def test_a_bent_board_is_straightened():
 
 def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     views = seen_by([LENS], 12, count=30)
-    found = calibrate(views, [SIZE], CONFIG)
+    found = calibrate_views(views, [SIZE], CONFIG)
     check = cross_check(views, found)
     assert check is not None and check.held_out_rms_px < 1.2 * check.fitted_rms_px
     assert check.difference_px[0] < 1.0
     assert judge(found, check).passes
-    few = calibrate([views[0][:4]], [SIZE], CONFIG)
+    few = calibrate_views([views[0][:4]], [SIZE], CONFIG)
     verdict = judge(few, cross_check([views[0][:4]], few))
     assert not verdict.passes and "views are used" in verdict.sentence
 
@@ -162,13 +158,13 @@ def test_halves_that_disagree_widen_the_standard_deviations():
     disagreements = []
     for seed in range(6):
         views = seen_by([LENS, OTHER], seed, count=16)
-        check = cross_check(views, calibrate(views, [SIZE] * 2, CONFIG))
+        check = cross_check(views, calibrate_views(views, [SIZE] * 2, CONFIG))
         assert check is not None and check.num_unknowns == 22 and check.widening == 1.0
         disagreements.append(check.disagreement)
     assert 0.7 < np.mean(disagreements) < 1.35  # of 6 x 22 unknowns: 1 +- 0.12
     config = CalibrationConfig(board=BOARD, model="PINHOLE")
     views = seen_by([LENS], 3, count=24)
-    stiff = calibrate(views, [SIZE], config)
+    stiff = calibrate_views(views, [SIZE], config)
     check = cross_check(views, stiff)
     assert check is not None and check.widening > 2.0
     wide = replace(stiff, uncertainty=stiff.uncertainty.widened(check.widening))
@@ -181,17 +177,17 @@ def test_halves_that_disagree_widen_the_standard_deviations():
 def test_what_cannot_be_calibrated_is_said():
     views = seen_by([LENS], 0)
     with pytest.raises(DegenerateGeometryError, match="at least 3"):
-        calibrate([views[0][:2]], [SIZE], CONFIG)
+        calibrate_views([views[0][:2]], [SIZE], CONFIG)
     with pytest.raises(ShapeError, match="of every instant"):
-        calibrate([views[0], views[0][:3]], [SIZE, SIZE], CONFIG)
+        calibrate_views([views[0], views[0][:3]], [SIZE, SIZE], CONFIG)
     with pytest.raises(ShapeError, match="corners that the board has not"):
-        calibrate([[BoardView(np.array([99]), np.zeros((1, 2)))] * 4], [SIZE], CONFIG)
+        calibrate_views([[BoardView(np.array([99]), np.zeros((1, 2)))] * 4], [SIZE], CONFIG)
     flat = Rigid3(np.eye(3), np.array([-0.1, -0.06, 0.5]))
     rng = np.random.default_rng(0)
     places = [Rigid3(flat.rotation, flat.translation + np.array([0.02 * k, 0.01 * k, 0.0])) for k in range(6)]
     frontal = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], places, BOARD, rng)
     try:
-        found = calibrate(frontal, [SIZE], CONFIG)
+        found = calibrate_views(frontal, [SIZE], CONFIG)
     except DegenerateGeometryError:
         return
     assert not judge(found, cross_check(frontal, found)).passes
@@ -217,7 +213,7 @@ def test_a_lens_with_k3_is_found_with_it_only():
     )
     rng = np.random.default_rng(3)
     views = views_of([lens], [Rigid3(np.eye(3), np.zeros(3))], board_places(rng, 30), BOARD, rng, 0.05)
-    found = calibrate(views, [SIZE], CalibrationConfig(board=BOARD, model="FULL_OPENCV"))
+    found = calibrate_views(views, [SIZE], CalibrationConfig(board=BOARD, model="FULL_OPENCV"))
     sigma = found.params_sigma(0)
     assert (sigma[9:] == 0).all() and (found.cameras[0].params[9:] == 0).all()
     assert (np.abs(found.cameras[0].params - lens.params)[:9] < 4.0 * sigma[:9]).all()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from epipole.calibration.pipeline import pictures_of_cameras, run_calibration
-from epipole.config import BoardConfig, CalibrationConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.stereo_folders import pair_folders
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.run import calibrate, pictures_of_cameras
 
 
 def saved(path):
@@ -73,15 +73,15 @@ def test_what_cannot_be_used_is_said(tmp_path):
     ):
         config = CalibrationConfig(board=BoardConfig(kind=kind, columns=7, rows=5))
         with pytest.raises(DegenerateGeometryError, match=words):
-            run_calibration(tmp_path / "blank", tmp_path / "out", config)
+            calibrate(tmp_path / "blank", tmp_path / "out", config)
     (tmp_path / "file").write_text("")
     with pytest.raises(WorkspaceError, match="is a file"):
-        run_calibration(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
+        calibrate(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
     with pytest.raises(WorkspaceError, match="is the folder of the pictures"):
-        run_calibration(tmp_path / "blank", tmp_path / "blank", CalibrationConfig())
+        calibrate(tmp_path / "blank", tmp_path / "blank", CalibrationConfig())
     with pytest.raises(FileFormatError, match="both the left and the right"):
-        run_calibration(tmp_path / "blank", tmp_path / "out", CalibrationConfig(), tmp_path / "blank")
+        calibrate(tmp_path / "blank", tmp_path / "out", CalibrationConfig(), tmp_path / "blank")
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileFormatError, match="no picture"):
-        run_calibration(tmp_path / "empty", tmp_path / "out", CalibrationConfig())
+        calibrate(tmp_path / "empty", tmp_path / "out", CalibrationConfig())
     assert not (tmp_path / "out").exists()

@@ -7,19 +7,14 @@ import numpy as np
 import pytest
 
 from epipole import api
-from epipole.calibration import (
-    BoardConfig,
-    BoardView,
-    CalibrationConfig,
-    ViewState,
-    calibrate,
-    find_board,
-    projection_difference,
-)
-from epipole.calibration.coverage import covered_pixels
 from epipole.cameras import Camera, CameraModel
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
 from epipole.io.photographs import read_grey
+from epipole.pipelines.calibration.board import BoardView, find_board
+from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
+from epipole.pipelines.calibration.comparison import projection_difference
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.coverage import covered_pixels
 
 SIZE = (640, 480)
 BOARD = BoardConfig(columns=9, rows=6, square=0.025)
@@ -52,9 +47,9 @@ def opencv_stereo(views):
 def test_a_real_pair_is_no_worse_than_opencvs(pair_views):
     rms, k1, _, k2, _, _, translation, *_ = opencv_stereo(pair_views)
     every = CalibrationConfig(board=BOARD, outlier_factor=1e6, max_view_factor=1e6)
-    same = calibrate(pair_views, [SIZE] * 2, every)
+    same = calibrate_views(pair_views, [SIZE] * 2, every)
     assert same.used_mask.all() and same.rms_px <= 1.01 * rms
-    found = calibrate(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
+    found = calibrate_views(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
     assert found.rms_px <= 1.01 * rms
     assert abs(found.rig().baseline - np.linalg.norm(translation)) < found.baseline_sigma()
     for c, matrix in enumerate((k1, k2)):
@@ -62,9 +57,9 @@ def test_a_real_pair_is_no_worse_than_opencvs(pair_views):
 
 
 def test_ten_real_views_with_three_spoiled(pair_views):
-    whole = calibrate(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
+    whole = calibrate_views(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
     views = [list(own[:10]) for own in pair_views]
-    clean = calibrate(
+    clean = calibrate_views(
         [[v for k, v in enumerate(own) if k not in (2, 5, 8)] for own in views],
         [SIZE] * 2,
         CalibrationConfig(board=BOARD),
@@ -73,7 +68,7 @@ def test_ten_real_views_with_three_spoiled(pair_views):
     views[0][2] = BoardView(views[0][2].corner, views[0][2].pixels[::-1].copy())
     views[1][5] = views[1][6]
     views[1][8] = BoardView(views[1][8].corner, views[1][8].pixels + rng.normal(0, 5, (54, 2)))
-    found = calibrate(views, [SIZE] * 2, CalibrationConfig(board=BOARD))
+    found = calibrate_views(views, [SIZE] * 2, CalibrationConfig(board=BOARD))
     left_out = {k for k in range(10) if any(found.view_states[c][k] is not ViewState.USED for c in (0, 1))}
     assert left_out == {2, 5, 8}
     assert abs(found.rig().baseline - clean.rig().baseline) < 2.0 * clean.baseline_sigma()
@@ -93,7 +88,7 @@ def test_the_command_on_a_folder_of_pairs(data_dir, tmp_path, pair_views):
     assert ours.covariance is not None and theirs.covariance is None
     widened = json.loads((tmp_path / "calibration.json").read_text())["about"]["sigmas_widened_by"]
     assert run.check is not None and widened == run.check.widening > 1.5
-    plain = calibrate(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
+    plain = calibrate_views(pair_views, [SIZE] * 2, CalibrationConfig(board=BOARD))
     np.testing.assert_allclose(ours.covariance, widened**2 * plain.rig().covariance, rtol=1e-6)
     for other in (theirs, ros):
         np.testing.assert_allclose(other.left.params, ours.left.params, rtol=1e-9)
@@ -115,9 +110,9 @@ def test_a_known_wide_lens(data_dir):
     )
     known = Camera(CameraModel.OPENCV, 752, 480, params)
     # The given lens has two radial coefficients of the radius in pixels: so has ours for the whole picture.
-    radial = calibrate([views], [(752, 480)], CalibrationConfig(board=board, model="RADIAL"))
+    radial = calibrate_views([views], [(752, 480)], CalibrationConfig(board=board, model="RADIAL"))
     assert np.nanmedian(projection_difference(known, radial.cameras[0]).distance_px) < 0.5
-    found = calibrate([views], [(752, 480)], CalibrationConfig(board=board))
+    found = calibrate_views([views], [(752, 480)], CalibrationConfig(board=board))
     assert found.rms_px < 0.06
     seen = projection_difference(known, found.cameras[0], covered_pixels(found, 0))
     assert np.nanmedian(seen.distance_px) < 0.5

@@ -3,7 +3,7 @@
 import pytest
 
 from epipole.api import evaluate, reconstruct
-from epipole.config import ReconstructConfig
+from epipole.pipelines.sfm.config import ReconstructConfig
 
 K_HALF_SIZE = "1379.74,1382.08,760.345,503.405"
 

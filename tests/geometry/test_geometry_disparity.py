@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, ShapeError
-from epipole.geometry import depth_error, depth_map_to_point_cloud, depth_to_disparity, disparity_to_depth
+from epipole.geometry import depth_error, depth_to_disparity, disparity_to_depth
+from epipole.scene import depth_map_to_point_cloud
 
 
 def test_worked_numbers():

@@ -13,9 +13,9 @@ from photographs import CAMERA, neighbouring_views, render_to
 from PIL import Image
 
 from epipole.api import reconstruct
-from epipole.config import PairingConfig, ReconstructConfig
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.geometry import Rigid3, Rotation3
+from epipole.pipelines.sfm.config import PairingConfig, ReconstructConfig
 
 
 def copied(rendered: Path, folder: Path, count: int = 6) -> Path:
@@ -172,7 +172,7 @@ def test_masks_remove_features(rendered, tmp_path):
 KILLED_IN = """
 import os, signal, sys
 import epipole.api as api
-import epipole.sfm.pipeline as pipeline
+import epipole.pipelines.sfm.pipeline as pipeline
 
 stage, images, out = sys.argv[1:]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from epipole import reconstruct
-from epipole.config import ReconstructConfig
 from epipole.errors import ConfigError, FileFormatError
+from epipole.pipelines.sfm.config import ReconstructConfig
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
+from epipole.pipelines.sfm.focal import estimate_focals, singular_value_disagreement
 from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
-from epipole.sfm.focal import estimate_focals, singular_value_disagreement
 
 GUESS = 1000.0
 

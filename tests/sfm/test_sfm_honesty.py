@@ -1,7 +1,7 @@
 """What a result says of itself."""
 
 from epipole import reconstruct
-from epipole.config import MapperConfig, ReconstructConfig
+from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 
 
 def test_a_model_tells_how_far_it_agrees_with_its_matches(rendered, tmp_path):
@@ -11,7 +11,7 @@ def test_a_model_tells_how_far_it_agrees_with_its_matches(rendered, tmp_path):
 
 
 def test_a_model_that_disagrees_is_kept_with_a_warning(rendered, tmp_path):
-    strict = MapperConfig(sound_end_share=0.9999, restarts=0)
+    strict = MapperConfig(min_final_agreement=0.9999, restarts=0)
     result = reconstruct(rendered, tmp_path / "out", ReconstructConfig(mapper=strict))
     assert result.model.is_registered().all()
     assert any("of its own matches" in warning for warning in result.warnings)

@@ -9,14 +9,14 @@ from PIL import Image
 
 from epipole import api
 from epipole.cameras import Camera
-from epipole.config import StereoConfig
+from epipole.disparity_search import match_stereo
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model
 from epipole.io.depth_maps import read_pfm
-from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
-from epipole.stereo import RectifiedRig, match_stereo
-from epipole.stereo.batch import list_pairs
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.pairs import list_pairs
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks
 from epipole.synthetic.stereo_rooms import stereo_room
 
 CONFIG = StereoConfig(max_disparity_px=40, max_frames=3)

@@ -8,16 +8,17 @@ from PIL import Image
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
-from epipole.config import RigOptions, StereoConfig
+from epipole.disparity_search import match_stereo
 from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io.depth_maps import read_pfm, read_png16
 from epipole.io.ply import read_points_ply
+from epipole.pipelines.stereo.config import RigOptions, StereoConfig
+from epipole.pipelines.stereo.depth import depth_of, point_covariances
+from epipole.pipelines.stereo.pair import measure_pair
+from epipole.pipelines.stereo.rigs import rectified_rig_of, rig_from_options
 from epipole.report.stereo_page import color_map
-from epipole.scene import StereoRig
-from epipole.stereo import DisparityMap, RectifiedRig, StereoReason, depth_of, match_stereo, point_covariances
-from epipole.stereo.depth import rectified_rig_of, rig_from_options
-from epipole.stereo.pipeline import measure_pair
+from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 from epipole.synthetic.stereo_rooms import stereo_room
 
 RIG = RectifiedRig(800.0, 319.5, 239.5, 0.12)

@@ -5,17 +5,18 @@ import numpy as np
 import pytest
 
 from epipole import api
-from epipole.calibration import BoardConfig, CalibrationConfig, calibrate, find_board
 from epipole.cameras import Camera, CameraModel
-from epipole.config import StereoConfig
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
 from epipole.io.calibration_files import read_stereo_rig
 from epipole.io.photographs import read_grey, read_rgb
-from epipole.scene import StereoRig
-from epipole.stereo import RectifiedRig
-from epipole.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
-from epipole.stereo.pipeline import measure_pair
+from epipole.pipelines.calibration.board import find_board
+from epipole.pipelines.calibration.calibrate import calibrate_views
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
+from epipole.pipelines.stereo.pair import measure_pair
+from epipole.scene import RectifiedRig, StereoRig
 from epipole.synthetic.stereo_rooms import stereo_room
 
 BOARD = BoardConfig(columns=9, rows=6, square=0.025)
@@ -146,7 +147,7 @@ def test_repeated_corners_do_not_spoil_the_rows(data_dir):
         [find_board(read_grey(folder / f"{side}{k:02d}.jpg"), BOARD) for k in (1, 2, 3, 5, 6, 8)]
         for side in ("left", "right")
     ]
-    rig = calibrate(views, [(640, 480)] * 2, CalibrationConfig(board=BOARD)).rig()
+    rig = calibrate_views(views, [(640, 480)] * 2, CalibrationConfig(board=BOARD)).rig()
     for number in ("02", "03"):
         pair = [read_rgb(folder / f"{side}{number}.jpg") for side in ("left", "right")]
         warnings = measure_pair(*pair, StereoConfig(max_disparity_px=127), rig).warnings

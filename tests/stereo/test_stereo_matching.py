@@ -5,12 +5,13 @@ import pytest
 from PIL import Image
 
 from epipole import _parallel
-from epipole.config import StereoConfig
+from epipole.disparity_search import match_stereo
+from epipole.disparity_search._path_kernels import NEVER
 from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
-from epipole.stereo import StereoReason, match_stereo
-from epipole.stereo import matching as stereo_matching
-from epipole.stereo._path_kernels import NEVER
+from epipole.pipelines.stereo import matching as stereo_matching
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.scene import StereoReason
 
 
 def texture(rng, height, width):

@@ -5,14 +5,16 @@ import numpy as np
 import pytest
 
 from epipole import api
-from epipole.config import StereoConfig
+from epipole.disparity_search import _path_kernels as path_kernels
+from epipole.disparity_search import match_stereo
+from epipole.disparity_search.coarse_to_fine import tiles_of
 from epipole.errors import ConfigError, ShapeError
 from epipole.io.depth_maps import read_pfm
-from epipole.stereo import StereoReason, _block_kernels, _filling_kernels, match_stereo
-from epipole.stereo import _path_kernels as path_kernels
-from epipole.stereo import matching as stereo_matching
-from epipole.stereo.coarse_to_fine import tiles_of
-from epipole.stereo.filling import fill_disparities
+from epipole.pipelines.stereo import _block_kernels, _filling_kernels
+from epipole.pipelines.stereo import matching as stereo_matching
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.filling import fill_disparities
+from epipole.scene import StereoReason
 from epipole.synthetic.stereo_rooms import stereo_room
 
 

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera, CameraModel
+from epipole.disparity_search import match_stereo
+from epipole.disparity_search.rectification import rectify, within_both
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.pipelines.stereo.calibration_error import calibration_sigma
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.depth import depth_of
+from epipole.pipelines.stereo.pair import measure_pair
 from epipole.scene import StereoRig
-from epipole.stereo import StereoConfig, depth_of, match_stereo, rectify
-from epipole.stereo.calibration_error import calibration_sigma
-from epipole.stereo.pipeline import measure_pair
-from epipole.stereo.rectification import within_both
 from epipole.synthetic.courtyard import look_at
 from epipole.synthetic.render import render
 from epipole.synthetic.stereo_rooms import _room

@@ -8,10 +8,11 @@ import pytest
 from PIL import Image
 
 from epipole import api
-from epipole.config import StereoConfig
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, ShapeError
 from epipole.io.photographs import read_rgb
-from epipole.stereo import RectifiedRig, rectify_uncalibrated
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.uncalibrated import rectify_uncalibrated
+from epipole.scene import RectifiedRig
 from epipole.synthetic.stereo_rooms import stereo_room
 
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from epipole.config import StereoConfig
+from epipole.disparity_search import match_stereo
 from epipole.errors import ConfigError
-from epipole.stereo import StereoReason, match_stereo, uncertainty
+from epipole.pipelines.stereo import uncertainty
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.scene import StereoReason
 from epipole.synthetic.stereo_rooms import stereo_room
 
 

@@ -11,11 +11,10 @@ from PIL import Image
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
-from epipole.config import StereoConfig
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3
-from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
-from epipole.stereo import RectifiedRig
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks
 from epipole.synthetic.stereo_rooms import stereo_room
 from epipole.viewer import DepthView, view
 from epipole.viewer.depth_room import DepthRoom

@@ -1,9 +1,7 @@
 """Rotations, rigid motions, similarities; points and lines; two-view algebra; triangulation; alignment."""
 
 from epipole.geometry.alignment import align_points as align_points
-from epipole.geometry.disparity import PointCloud as PointCloud
 from epipole.geometry.disparity import depth_error as depth_error
-from epipole.geometry.disparity import depth_map_to_point_cloud as depth_map_to_point_cloud
 from epipole.geometry.disparity import depth_to_disparity as depth_to_disparity
 from epipole.geometry.disparity import disparity_to_depth as disparity_to_depth
 from epipole.geometry.epipolar import choose_by_cheirality as choose_by_cheirality

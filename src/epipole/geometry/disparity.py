@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from epipole._checks import as_float_array
-from epipole.errors import ConfigError, ShapeError
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PointCloud:
-    """Points of a depth map."""
-
-    points_in_cam: Float64[np.ndarray, "n 3"]
-    mask: Bool[np.ndarray, "h w"]
-    """The pixels they belong to, row by row."""
-
-    def __len__(self) -> int:
-        return len(self.points_in_cam)
+from epipole.errors import ConfigError
 
 
 def disparity_to_depth(
@@ -78,30 +65,6 @@ def depth_error(
     _check(focal_px, baseline)
     z = as_float_array(depth, "depth")
     return z * z / (focal_px * baseline) * np.abs(as_float_array(disparity_error_px, "disparity_error_px"))
-
-
-def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:
-    """The points (Z (x - cx) / fx, Z (y - cy) / fy, Z) of a depth map.
-
-    Args:
-        depth: (h, w); pixels that are NaN, infinite or not positive give no point.
-        K: (3, 3) of the camera, without skew.
-
-    Raises:
-        ShapeError: the arrays do not fit.
-    """
-    z = as_float_array(depth, "depth")
-    matrix = as_float_array(K, "K", 3, 3, finite=True)
-    if z.ndim != 2:
-        raise ShapeError(f"depth must be (h, w), got {z.shape}")
-    with np.errstate(invalid="ignore"):
-        mask = np.isfinite(z) & (z > 0)
-    y, x = np.nonzero(mask)
-    seen = z[mask]
-    points = np.stack(
-        [seen * (x - matrix[0, 2]) / matrix[0, 0], seen * (y - matrix[1, 2]) / matrix[1, 1], seen], axis=1
-    )
-    return PointCloud(points, mask)
 
 
 def _check(focal_px: float, baseline: float) -> None:

@@ -23,7 +23,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     """
     target = Path(path).resolve()
     part = _name_beside(target)
-    with _reporting(path):
+    with reporting(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield part
@@ -48,7 +48,7 @@ def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]
     exists = target.is_dir()
     # Inside a folder that exists: its parent may be read-only, or another disk.
     part = _name_beside(target / "folder") if exists else _name_beside(target)
-    with _reporting(path):
+    with reporting(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             part.mkdir()
@@ -77,12 +77,16 @@ def _move_files(source: Path, target: Path, stale: Sequence[str]) -> None:
 
 
 @contextmanager
-def _reporting(path: str | Path) -> Iterator[None]:
-    """Turn the system's errors of writing into one clear line."""
+def reporting(path: str | Path, what: str = "write") -> Iterator[None]:
+    """Turn the system's errors into one clear line: cannot write PATH, and why.
+
+    Raises:
+        WorkspaceError: an OSError was raised inside.
+    """
     try:
         yield
     except EpipoleError:
         raise
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
-        raise WorkspaceError(f"cannot write {path}: {reason}") from error
+        raise WorkspaceError(f"cannot {what} {path}: {reason}") from error

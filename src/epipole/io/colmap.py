@@ -174,3 +174,16 @@ def _point_columns(reconstruction: Reconstruction, is_written: np.ndarray) -> Po
         track_image_ids=tracks.image[seen].astype(np.int64) + 1,
         track_keypoints=tracks.keypoint[seen].astype(np.int64),
     )
+
+
+def find_model(path: str | Path) -> Path:
+    """The folder of the COLMAP model inside a workspace, or the folder itself if it is one.
+
+    Raises:
+        FileFormatError: there is none.
+    """
+    path = Path(path)
+    for folder in (path, path / "sparse" / "0", path / "sparse"):
+        if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
+            return folder
+    raise FileFormatError(path, "holds no model (no cameras.bin or cameras.txt, nor sparse/0)")

@@ -67,6 +67,13 @@ def is_video(path: Path | str) -> bool:
     return Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file()
 
 
+def frame_size(path: Path | str) -> tuple[int, int] | None:
+    """Width and height of a video's frames; None where the file does not tell."""
+    capture = cv2.VideoCapture(str(path))
+    size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+    return size if min(size) > 0 else None
+
+
 def extract_frames(
     video: Path | str,
     folder: Path | str,

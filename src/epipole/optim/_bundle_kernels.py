@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole._lane_kernels import (
+from epipole._simd_kernels import (
     add_product,
     add_rows,
     add_two_rows,

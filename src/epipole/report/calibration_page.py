@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from epipole.calibration.calibrate import Calibration, ViewState
-from epipole.calibration.comparison import CrossCheck
-from epipole.calibration.coverage import coverage
-from epipole.calibration.uncertainty import projection_sigma
-from epipole.calibration.verdict import Verdict
+from epipole.pipelines.calibration.calibrate import Calibration, ViewState
+from epipole.pipelines.calibration.comparison import CrossCheck
+from epipole.pipelines.calibration.coverage import coverage
+from epipole.pipelines.calibration.uncertainty import projection_sigma
+from epipole.pipelines.calibration.verdict import Verdict
 from epipole.report.charts import draw_curves, draw_histogram, histogram_of, nice_ticks, svg, tick_text
 from epipole.report.markup import escape, number, plural
 from epipole.report.plain_page import color_map, figure, notes_list, picture_uri, plain_page, section

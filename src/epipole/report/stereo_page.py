@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from epipole.report.charts import draw_histogram, histogram_of
 from epipole.report.markup import number
 from epipole.report.plain_page import color_map, figure, notes_list, picture_uri, plain_page, section, span
-from epipole.stereo import DepthMap, DisparityMap, RectifiedRig, StereoReason
+from epipole.scene import DepthMap, DisparityMap, RectifiedRig, StereoReason
 
 _REASONS = {
     StereoReason.OK: "known",

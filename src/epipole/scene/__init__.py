@@ -1,12 +1,18 @@
-"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph."""
+"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps and clouds of pixels."""
 
 from epipole.scene.cameras import Cameras as Cameras
+from epipole.scene.depth_maps import DepthMap as DepthMap
+from epipole.scene.depth_maps import DisparityMap as DisparityMap
+from epipole.scene.depth_maps import StereoReason as StereoReason
 from epipole.scene.frames import Frames as Frames
 from epipole.scene.frames import Rigs as Rigs
 from epipole.scene.frames import unregistered as unregistered
 from epipole.scene.images import Images as Images
+from epipole.scene.point_cloud import PointCloud as PointCloud
+from epipole.scene.point_cloud import depth_map_to_point_cloud as depth_map_to_point_cloud
 from epipole.scene.points import Points as Points
 from epipole.scene.points import Tracks as Tracks
 from epipole.scene.reconstruction import Reconstruction as Reconstruction
+from epipole.scene.rectified_rig import RectifiedRig as RectifiedRig
 from epipole.scene.stereo_rig import StereoRig as StereoRig
 from epipole.scene.view_graph import ViewGraph as ViewGraph

@@ -1,0 +1,93 @@
+"""Options of the disparity search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from epipole.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class DisparityConfig:
+    """Options of dense stereo matching."""
+
+    min_disparity_px: int = 0
+    """Smallest disparity looked for; 0: where the rig says that the principal points differ, that of infinity."""
+    max_disparity_px: int | None = None
+    """Largest disparity looked for; None: found from the pictures."""
+    search: Literal["full", "coarse_to_fine"] = "full"
+    """Try every disparity everywhere; or, in each tile of the picture, those about what a picture of half the size shows there."""
+    method: Literal["sgm", "block"] = "sgm"
+    """Semi-global matching along paths; or sums over blocks: nothing assumed smooth, more mistakes where there is little texture."""
+    block_px: int = 9
+    """Side of the blocks, odd, at most 15."""
+    paths: Literal[4, 8] = 8
+    """Along how many directions costs are summed; four take a fifth less time."""
+    window: tuple[int, int] = (5, 5)
+    """Width and height of the census window, odd."""
+    brightness_cost: int = 0
+    """Up to so many bits are added for a difference of brightness, one for every two grey levels: for pairs of equal exposure."""
+    small_penalty: int = 20
+    """P1: for a change of disparity by one between neighbours, in bits of the census."""
+    edge_penalty: float = 6.0
+    """A larger change costs P1 (1 + edge_penalty exp(-difference of brightness / edge_fade))."""
+    edge_fade: float = 10.0
+    left_right: Literal["accurate", "fast"] = "accurate"
+    """Check against the other picture's own disparities, or (half the time) against those read off the same sums."""
+    max_left_right_px: float = 1.25
+    """Disparities of the two pictures that differ by more are occluded."""
+    min_margin: float = 0.0
+    """The second lowest sum must exceed the lowest by this share of it; else the pixel is ambiguous."""
+    max_sigma_px: float | None = None
+    """Disparities with a larger standard deviation are left out; None: all are kept."""
+    min_region_px: int = 40
+    """Smaller regions of one smooth disparity are speckles."""
+    median_px: Literal[0, 3, 5] = 5
+    """Side of the median filter; 0: none."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        allowed = {
+            "search": ("full", "coarse_to_fine"),
+            "method": ("sgm", "block"),
+            "paths": (4, 8),
+            "left_right": ("accurate", "fast"),
+            "median_px": (0, 3, 5),
+        }
+        for name, values in allowed.items():
+            if getattr(self, name) not in values:
+                raise ConfigError(
+                    f"{name} must be one of {', '.join(map(str, values))}, got {getattr(self, name)}"
+                )
+        if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
+            raise ConfigError(
+                f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"
+            )
+        if (
+            any(side < 1 or side % 2 == 0 for side in self.window)
+            or not 2 < self.window[0] * self.window[1] <= 121
+        ):
+            raise ConfigError(f"window must have odd sides and at most 121 pixels, is {self.window}")
+        if self.block_px < 1 or self.block_px % 2 == 0 or self.block_px > 15:
+            raise ConfigError(f"block_px must be odd and at most 15, is {self.block_px}")
+        if self.brightness_cost < 0:
+            raise ConfigError("brightness_cost must not be negative")
+        bits = self.window[0] * self.window[1] - 1 + self.brightness_cost
+        largest = self.small_penalty * (1.0 + self.edge_penalty)
+        if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
+            raise ConfigError(
+                f"the cost's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
+            )
+        if self.search == "coarse_to_fine" and self.left_right == "fast":
+            raise ConfigError(
+                "coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side"
+            )
+        if self.max_sigma_px is not None and not self.max_sigma_px > 0:
+            raise ConfigError(f"max_sigma_px must be positive, is {self.max_sigma_px}")
+        if not self.max_left_right_px > 0 or not self.min_margin >= 0 or self.min_region_px < 0:
+            raise ConfigError("max_left_right_px must be positive, min_margin and min_region_px not negative")

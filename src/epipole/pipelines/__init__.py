@@ -1,0 +1,1 @@
+"""Whole jobs, one folder each: options, method, files, page, viewer scene and command."""

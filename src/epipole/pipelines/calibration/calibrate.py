@@ -1,0 +1,272 @@
+"""Calibration from views of a board: cameras, their places in a rig, and how well they are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole.cameras import MAX_PARAMS, Camera, camera_model_named
+from epipole.config import options_of
+from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid3
+from epipole.pipelines.calibration.board import BoardView, corners_on_board
+from epipole.pipelines.calibration.config import CalibrationConfig
+from epipole.pipelines.calibration.observations import Corners, RigState, adjust
+from epipole.pipelines.calibration.start import place_view, start_camera, start_rig
+from epipole.pipelines.calibration.uncertainty import Uncertainty, uncertainty_of
+from epipole.scene import StereoRig
+
+_ROBUST_PX = 1.0
+_LEAST_NOISE_PX = 0.02
+_ROUNDS = 6
+_LEAST_SHARE = 0.5  # a view of which fewer of the corners agree is left out
+
+
+class ViewState(StrEnum):
+    """What became of a picture."""
+
+    USED = "used"
+    NO_BOARD = "no board found"
+    NO_PLACE = "its corners fit no place of the board"
+    OFF = "its corners lie far off: another board, a wrong order, or a moved camera"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """The result; lengths are in the unit of the board's squares."""
+
+    state: RigState
+    config: CalibrationConfig
+    corners: Corners
+    """All that were found."""
+    used_mask: Bool[np.ndarray, " k"]
+    residuals_px: Float64[np.ndarray, "k 2"]
+    """Projected minus found; NaN for views without a place."""
+    view_states: tuple[tuple[ViewState, ...], ...]
+    """[camera][view]"""
+    uncertainty: Uncertainty
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras, calibrated."""
+        return self.state.cameras
+
+    @property
+    def board(self) -> Float64[np.ndarray, "n 3"]:
+        """The flat board's corners."""
+        return corners_on_board(self.config.board)
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the corners used, as OpenCV gives it."""
+        return float(np.sqrt((self.residuals_px[self.used_mask] ** 2).sum(axis=1).mean()))
+
+    def view_rms_px(self, camera: int) -> Float64[np.ndarray, " v"]:
+        """The same for each view; of all its corners where it was left out, NaN where it has no place."""
+        out = np.full(self.corners.num_views, np.nan)
+        for view in range(len(out)):
+            rows = self.corners.of_view(camera, view)
+            taken = rows[self.used_mask[rows]]
+            rows = taken if len(taken) else rows
+            squares = (self.residuals_px[rows] ** 2).sum(axis=1)
+            if np.isfinite(squares).any():
+                out[view] = np.sqrt(np.nanmean(squares))
+        return out
+
+    def params_sigma(self, camera: int) -> Float64[np.ndarray, " p"]:
+        """Standard deviations of a camera's parameters."""
+        first = MAX_PARAMS * camera
+        variance = np.diag(self.uncertainty.theta)[first : first + len(self.cameras[camera].params)]
+        return np.sqrt(variance)
+
+    def rig(self) -> StereoRig:
+        """The two cameras, with their covariance.
+
+        Raises:
+            ShapeError: there is one camera, or more than two; of more, `state.cam_from_rig` has the places.
+        """
+        if len(self.cameras) != 2:
+            raise ShapeError(f"a rig has two cameras, {len(self.cameras)} were calibrated")
+        own = np.r_[: 2 * MAX_PARAMS, self.uncertainty.place_of_camera(1, 2)]
+        covariance = self.uncertainty.theta[np.ix_(own, own)]
+        return StereoRig(self.cameras[0], self.cameras[1], self.state.cam_from_rig[1], covariance)
+
+    def baseline_sigma(self) -> float:
+        """Standard deviation of the distance between the first two cameras."""
+        # The centre seen from the other camera is translation t; |t| changes with the translation part of xi along t.
+        rig = self.rig()
+        toward = rig.right_from_left.translation / rig.baseline
+        own = self.uncertainty.place_of_camera(1, len(self.cameras))
+        return float(np.sqrt(toward @ self.uncertainty.theta[own, own][:3, :3] @ toward))
+
+    def __repr__(self) -> str:
+        used = sum(state is ViewState.USED for states in self.view_states for state in states)
+        total = sum(len(states) for states in self.view_states)
+        return (
+            f"Calibration({len(self.cameras)} cameras, {used} of {total} pictures, rms {self.rms_px:.3f} px)"
+        )
+
+
+def calibrate_views(
+    views: Sequence[Sequence[BoardView]],
+    sizes: Sequence[tuple[int, int]],
+    config: CalibrationConfig | None = None,
+) -> Calibration:
+    """Calibrate one camera, or several that are held in place to each other, from views of a board.
+
+    Every camera is begun alone (a grid of focal lengths, each view's homography), the rig from the views that agree most. Then
+    all is adjusted under Cauchy's loss; corners and whole views that lie off are left out; the rest is fitted by plain
+    least squares until nothing changes.
+
+    Args:
+        views: [camera][instant]; empty where the board was not found.
+        sizes: width and height of each camera's pictures.
+        config: options.
+
+    Raises:
+        DegenerateGeometryError: too few views, or they leave something open.
+        ShapeError: the views do not fit together.
+    """
+    config = options_of(CalibrationConfig, config)
+    board = corners_on_board(config.board)
+    corners = Corners.of(views)
+    if len(corners) and corners.corner.max() >= len(board):
+        raise ShapeError("a view has corners that the board has not")
+    state = _start(corners, board, sizes, config)
+    state, _ = adjust(state, corners, board, robust_px=_ROBUST_PX)
+    state, used = _settle(state, corners, board, config)
+    known = uncertainty_of(state, corners.select(used), board, with_warp=config.refine_warp)
+    if config.refine_warp:
+        for _ in range(_ROUNDS):
+            step = known.gradient_step[-2:]
+            bent_state = replace(state, warp=state.warp + step)
+            state, _ = adjust(bent_state, corners.select(used), board)
+            known = uncertainty_of(state, corners.select(used), board, with_warp=True)
+            if (np.abs(step) < 1e-3 * np.sqrt(np.diag(known.theta)[-2:])).all():
+                break
+    residuals = state.residuals(corners, board)
+    return Calibration(state, config, corners, used, residuals, _states(corners, used, residuals), known)
+
+
+def _start(
+    corners: Corners, board: np.ndarray, sizes: Sequence[tuple[int, int]], config: CalibrationConfig
+) -> RigState:
+    """Every camera by itself, then their places to each other, then every view from the cameras that see it."""
+    model = camera_model_named(config.model)
+    alone: list[tuple[Camera, Rigid3]] = []
+    for c, size in enumerate(sizes):
+        camera, places = start_camera(corners, c, board, model, size)
+        own = corners.select(corners.camera == c)
+        single = replace(own, camera=np.zeros(len(own), np.int64), num_cameras=1)
+        begin = RigState((camera,), Rigid3.identity(1), places, np.zeros(2))
+        found, _ = adjust(begin, single, board, robust_px=_ROBUST_PX)
+        alone.append((found.cameras[0], found.rig_from_board))
+    first_from_board = alone[0][1]
+    rotation, translation = np.eye(3)[None], np.zeros((1, 3))
+    places_rotation, places_translation = (
+        first_from_board.rotation.copy(),
+        first_from_board.translation.copy(),
+    )
+    for _, places in alone[1:]:
+        motion = start_rig(first_from_board, places)
+        rotation = np.concatenate([rotation, motion.rotation[None]])
+        translation = np.concatenate([translation, motion.translation[None]])
+        from_other = motion.inverse() @ places
+        missing = ~np.isfinite(places_translation).all(axis=1)
+        places_rotation[missing] = from_other.rotation[missing]
+        places_translation[missing] = from_other.translation[missing]
+    return RigState(
+        tuple(camera for camera, _ in alone),
+        Rigid3(rotation, translation),
+        Rigid3(places_rotation, places_translation),
+        np.zeros(2),
+    )
+
+
+def _settle(
+    state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig
+) -> tuple[RigState, np.ndarray]:
+    """Plain least squares over the corners that agree, which are judged anew after each fit."""
+    used = _agreeing(state, corners, board, config)
+    for _ in range(_ROUNDS):
+        state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)
+        state = _with_all_places(state, corners, board)
+        now = _agreeing(state, corners, board, config)
+        if (now == used).all():
+            break
+        used = now
+    state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)
+    return _with_all_places(state, corners, board), used
+
+
+def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig) -> np.ndarray:
+    """Corners within `outlier_factor` robust deviations, of views that are not far worse than the median view."""
+    distance = np.linalg.norm(state.residuals(corners, board), axis=1)
+    distance = np.where(np.isfinite(distance), distance, np.inf)
+    key = corners.camera * corners.num_views + corners.view
+    middles = np.full(corners.num_cameras * corners.num_views, np.nan)
+    for k in np.unique(key):
+        middles[k] = np.median(distance[key == k])
+    finite = middles[np.isfinite(middles)]
+    if not len(finite):
+        raise DegenerateGeometryError("no view of the board could be placed")
+    typical = max(float(np.median(finite)), _LEAST_NOISE_PX)
+    is_good_view = middles <= config.max_view_factor * typical
+    good = is_good_view[key]
+    # Median of a Rayleigh distribution: 1.1774 standard deviations of a coordinate.
+    sigma = max(float(np.median(distance[good])) / 1.1774, _LEAST_NOISE_PX)
+    agreeing = good & (distance <= config.outlier_factor * sigma)
+    for k in np.unique(key[good]):
+        own = key == k
+        if agreeing[own].mean() < _LEAST_SHARE:
+            agreeing[own] = False
+    return agreeing
+
+
+def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
+    """Without the places of views of which nothing is used."""
+    rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
+    unseen = np.bincount(corners.view[used], minlength=corners.num_views) == 0
+    rotation[unseen], translation[unseen] = np.nan, np.nan
+    if (~unseen).sum() < 3:
+        raise DegenerateGeometryError(
+            f"only {int((~unseen).sum())} views agree with each other; at least 3 are needed"
+        )
+    return replace(state, rig_from_board=Rigid3(rotation, translation))
+
+
+def _with_all_places(state: RigState, corners: Corners, board: np.ndarray) -> RigState:
+    """With the place of every view that some camera sees: those left out may agree with a better camera."""
+    rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
+    for view in np.flatnonzero(~np.isfinite(translation).all(axis=1)):
+        for c, camera in enumerate(state.cameras):
+            rows = corners.of_view(c, int(view))
+            found = (
+                place_view(camera, corners.pixels[rows], board[corners.corner[rows]]) if len(rows) else None
+            )
+            if found is not None:
+                place = state.cam_from_rig[c].inverse() @ found[0]
+                rotation[view], translation[view] = place.rotation, place.translation
+                break
+    return replace(state, rig_from_board=Rigid3(rotation, translation))
+
+
+def _states(corners: Corners, used: np.ndarray, residuals: np.ndarray) -> tuple[tuple[ViewState, ...], ...]:
+    out = []
+    for c in range(corners.num_cameras):
+        states = []
+        for view in range(corners.num_views):
+            rows = corners.of_view(c, view)
+            if not len(rows):
+                states.append(ViewState.NO_BOARD)
+            elif used[rows].any():
+                states.append(ViewState.USED)
+            else:
+                placed = np.isfinite(residuals[rows]).any()
+                states.append(ViewState.OFF if placed else ViewState.NO_PLACE)
+        out.append(tuple(states))
+    return tuple(out)

@@ -1,0 +1,86 @@
+"""`epipole calibrate`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole.pipelines.calibration.config import CalibrationConfig
+
+if TYPE_CHECKING:
+    from epipole.pipelines.calibration.files import CalibrationRun
+
+DEFAULTS = CalibrationConfig()
+
+
+def calibrate(
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    config: Annotated[CalibrationConfig, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes] = DEFAULTS,
+    right: Path | None = None,
+    strict: bool = False,
+) -> None:
+    """Calibrate a camera, or a pair of cameras, from pictures of a chessboard, ChArUco board or AprilTag grid.
+
+    A pair's pictures lie in sub-folders left and right, or are named left01.jpg and right01.jpg.
+
+    Args:
+        images: Folder of pictures.
+        out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]put folder.
+        config: Board and options.
+        right: Folder of the right camera's pictures, where it is not found by name.
+        strict: Exit with code 3 where the calibration fails its checks; it is written all the same.
+    """
+    from epipole.screen import ANSWER_IS_NO, progress_on_screen
+
+    with progress_on_screen({"board": "Looking for the board", "calibrate": "Calibrating"}) as progress:
+        from epipole.pipelines.calibration.run import calibrate as run
+
+        result = run(images, out, config, right, progress)
+    show_calibration(result)
+    if strict and not result.verdict.passes:
+        sys.exit(ANSWER_IS_NO)
+
+
+def show_calibration(run: CalibrationRun) -> None:
+    """The verdict, the cameras, and where the report is."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from epipole.screen import print_warnings
+
+    console, found = Console(), run.calibration
+    console.print(
+        run.verdict.sentence, style="green" if run.verdict.passes else "yellow", highlight=False, markup=False
+    )
+    for c, camera in enumerate(found.cameras):
+        who = f"{('left', 'right')[c]} " if len(found.cameras) == 2 else ""
+        table = Table(f"{who}{camera.model.name}", "value", "standard deviation", box=None)
+        for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
+            table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
+        console.print(table)
+    if len(found.cameras) == 2:
+        console.print(
+            f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}"
+            + (" (in squares: give --square)" if found.config.board.square == 1.0 else ""),
+            highlight=False,
+        )
+    if found.config.refine_warp:
+        bend = ", ".join(f"{w:.3g}" for w in found.state.warp)
+        console.print(f"middle of the board above its edges, across and down: {bend}", highlight=False)
+    print_warnings(console, run.problems.values())
+    for c, states in enumerate(found.view_states):
+        left_out = [
+            f"{path.name}: {state.value}"
+            for path, state in zip(run.pictures[c], states)
+            if state.value != "used" and str(path) not in run.problems
+        ]
+        print_warnings(console, left_out)
+    console.print(
+        f"calibration  {run.out / 'calibration.json'}\nreport       {run.out / 'report.html'}",
+        highlight=False,
+        markup=False,
+    )

@@ -1,0 +1,83 @@
+"""What a calibration leaves in its folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole.disparity_search.rectification import rectify
+from epipole.errors import EpipoleError
+from epipole.io.calibration_files import CalibrationFile, write_calibration, write_opencv_yaml, write_ros_yaml
+from epipole.pipelines.calibration.calibrate import Calibration
+from epipole.pipelines.calibration.comparison import CrossCheck
+from epipole.pipelines.calibration.verdict import Verdict
+from epipole.scene import StereoRig
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationRun:
+    """What `calibrate` has found and written."""
+
+    out: Path
+    calibration: Calibration
+    check: CrossCheck | None
+    verdict: Verdict
+    pictures: tuple[tuple[Path, ...], ...]
+    """[camera][view]"""
+    problems: dict[str, str]
+    """Pictures that could not be read, and why."""
+
+    def __repr__(self) -> str:
+        return f"CalibrationRun({self.calibration!r}, {self.verdict.sentence!r}, in {self.out})"
+
+
+def write_results(found: CalibrationRun, folder: Path) -> None:
+    """As JSON with covariances, and for OpenCV and ROS."""
+    content = calibration_file(found.calibration)
+    about = _about(found.calibration, found.verdict, found.check)
+    write_calibration(folder / "calibration.json", content, about)
+    write_opencv_yaml(folder / "opencv.yaml", content)
+    if len(found.calibration.cameras) == 1:
+        write_ros_yaml(folder / "ros.yaml", found.calibration.cameras[0], "camera")
+    else:
+        _write_ros_pair(folder, found.calibration.rig())
+
+
+def _write_ros_pair(out: Path, rig: StereoRig) -> None:
+    """ROS asks for rectification; a pair that cannot be rectified goes without its files."""
+    try:
+        rectified = rectify(rig)
+    except EpipoleError:
+        return
+    flat = rectified.rig
+    for name, camera, rotation, offset in (
+        ("left", rig.left, rectified.rectified_from_left, 0.0),
+        ("right", rig.right, rectified.rectified_from_right, -flat.focal_px * flat.baseline),
+    ):
+        projection = np.column_stack([flat.K, [offset, 0.0, 0.0]])
+        write_ros_yaml(out / f"ros_{name}.yaml", camera, name, rotation, projection)
+
+
+def calibration_file(found: Calibration) -> CalibrationFile:
+    """What is written of a calibration."""
+    covariance = found.rig().covariance if len(found.cameras) == 2 else None
+    return CalibrationFile(found.cameras, found.state.cam_from_rig, covariance)
+
+
+def _about(found: Calibration, verdict: Verdict, check: CrossCheck | None) -> dict[str, object]:
+    about: dict[str, object] = {
+        "verdict": verdict.sentence,
+        "rms_px": found.rms_px,
+        "corner_noise_px": found.uncertainty.noise_px,
+        "sigmas_widened_by": None if check is None else check.widening,
+        "params_sigma": [
+            dict(zip(camera.model.param_names, found.params_sigma(c).tolist()))
+            for c, camera in enumerate(found.cameras)
+        ],
+        "board_warp": found.state.warp.tolist(),
+    }
+    if len(found.cameras) == 2:
+        about |= {"baseline": found.rig().baseline, "baseline_sigma": found.baseline_sigma()}
+    return about

@@ -1,0 +1,193 @@
+"""Pictures of a board to calibrated cameras on disk: the job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.io.photographs import list_photographs, read_grey
+from epipole.io.stereo_folders import pair_folders, pair_within
+from epipole.pipelines.calibration.board import BoardView, find_board, whole_chessboard
+from epipole.pipelines.calibration.calibrate import calibrate_views
+from epipole.pipelines.calibration.comparison import cross_check
+from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.files import CalibrationRun, write_results
+from epipole.pipelines.calibration.page import render_page
+from epipole.pipelines.calibration.verdict import judge
+from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
+
+_LOOKED_AT = 8
+_SIDES = (("left", "right"), ("cam0", "cam1"), ("image_0", "image_1"), ("l", "r"), ("0", "1"))
+
+
+def calibrate(
+    images: str | Path,
+    out: str | Path,
+    config: CalibrationConfig | None = None,
+    right: str | Path | None = None,
+    progress: ProgressCallback = ignore_progress,
+) -> CalibrationRun:
+    """Calibrate a camera, or a pair, from pictures of a board, with a report.
+
+    Writes `calibration.json` (with covariances), `opencv.yaml`, ROS' `ros.yaml` (of a pair `ros_left.yaml` and
+    `ros_right.yaml`) and `report.html`.
+
+    Args:
+        images: folder of pictures; of a pair's: sub-folders left and right, or files left01.jpg and right01.jpg.
+        out: output folder, made if missing.
+        config: board and options.
+        right: folder of the right camera's pictures, of the same names or in the same order.
+        progress: called with the progress.
+
+    Raises:
+        FileFormatError: there are no pictures, or the two folders do not fit.
+        DegenerateGeometryError: the board is seen too seldom, or the views leave something open.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, images = options_of(CalibrationConfig, config), as_path(images)
+    others = () if right is None else (as_path(right),)
+    job = Job(
+        kind="calibrate",
+        inputs=(images, *others),
+        settings={"config": asdict(config)},
+        progress=progress,
+    )
+    with open_run(job, as_path(out)) as run:
+        found = _measure(pictures_of_cameras(images, *others), run, config)
+        with run.folder.publish("calibration") as aside:
+            write_results(found, aside)
+        run.folder.write_text("report.html", render_page(found))
+        run.finish()
+        return found
+
+
+def _measure(pictures: list[list[Path]], run: Run, config: CalibrationConfig) -> CalibrationRun:
+    """Find the board in every picture, calibrate, and check."""
+    views, sizes, problems = _look_at_all(pictures, run, config)
+    run.report("calibrate", 0, 2)
+    against = _against(pictures, config.board)
+    try:
+        result = calibrate_views(views, sizes, config)
+    except DegenerateGeometryError as error:
+        raise DegenerateGeometryError("; ".join([str(error), *against])) from error
+    run.report("calibrate", 1, 2)
+    check = cross_check(views, result)
+    if check is not None:
+        result = replace(result, uncertainty=result.uncertainty.widened(check.widening))
+    verdict = judge(result, check, against)
+    run.report("calibrate", 2, 2)
+    return CalibrationRun(run.root, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
+
+
+def _look_at_all(
+    pictures: list[list[Path]], run: Run, config: CalibrationConfig
+) -> tuple[list[list[BoardView]], list[tuple[int, int]], dict[str, str]]:
+    """Views of the board and the picture size of each camera, and what is wrong with single pictures."""
+    views: list[list[BoardView]] = []
+    sizes: list[tuple[int, int]] = []
+    problems: dict[str, str] = {}
+    total, done = sum(len(p) for p in pictures), 0
+    for own in pictures:
+        found, shapes = [], []
+        for path in own:
+            view, shape = _look(path, config, problems)
+            found.append(view)
+            shapes.append(shape)
+            done += 1
+            run.report("board", done, total)
+        size = _common_size(found, shapes, own, config.board)
+        for k, shape in enumerate(shapes):
+            if shape is not None and shape != size:
+                problems[str(own[k])] = (
+                    f"{own[k].name}: it is {shape[0]} x {shape[1]} pixels, the others {size[0]} x {size[1]}"
+                )
+                found[k] = BoardView(np.zeros(0, np.int64), np.zeros((0, 2)))
+        views.append(found)
+        sizes.append(size)
+    return views, sizes, problems
+
+
+def _against(pictures: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
+    """Whether the board is larger than was said: a part of it is found as readily, another part in each view."""
+    if board.kind != "chessboard":
+        return []
+    size = whole_chessboard(_readable(pictures[0][:_LOOKED_AT]), board)
+    if size is None:
+        return []
+    return [
+        f"the board seems to have {size[0]} x {size[1]} inner corners, not {board.columns} x {board.rows}"
+    ]
+
+
+def _readable(pictures: Sequence[Path]) -> Iterator[np.ndarray]:
+    for path in pictures:
+        with suppress(FileFormatError):
+            yield read_grey(path)
+
+
+def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Path]]:
+    """Pictures of one camera, or of two in the same order, where some may not exist: views of one camera alone.
+
+    Raises:
+        FileFormatError: there are none, or left and right do not fit.
+    """
+    if right is not None:
+        pairs = [pair for _, pair in pair_folders(images, right)]
+        return [[a for a, _ in pairs], [b for _, b in pairs]]
+    for first, second in _SIDES:
+        if (images / first).is_dir() and (images / second).is_dir():
+            return pictures_of_cameras(images / first, images / second)
+    every = _pictures(images)
+    within = pair_within(images)
+    return [[a for a, _ in within], [b for _, b in within]] if within else [every]
+
+
+def _pictures(folder: Path) -> list[Path]:
+    names = list_photographs(folder).names
+    if not names:
+        raise FileFormatError(folder, "there is no picture in it")
+    return [folder / name for name in names]
+
+
+def _look(
+    path: Path, config: CalibrationConfig, problems: dict[str, str]
+) -> tuple[BoardView, tuple[int, int] | None]:
+    try:
+        grey = read_grey(path)
+    except FileFormatError as error:
+        problems[str(path)] = str(error)
+        return BoardView(np.zeros(0, np.int64), np.zeros((0, 2))), None
+    return find_board(grey, config.board), (grey.shape[1], grey.shape[0])
+
+
+def _asked_for(board: BoardConfig) -> str:
+    size = f"{board.columns} x {board.rows}"
+    if board.kind == "chessboard":
+        return f"a chessboard of {size} inner corners was asked for"
+    what = "a ChArUco board of squares" if board.kind == "charuco" else "a grid of AprilTags"
+    return f"{what}, {size}, dictionary {board.dictionary_name}, was asked for"
+
+
+def _common_size(
+    found: Sequence[BoardView],
+    shapes: Sequence[tuple[int, int] | None],
+    pictures: Sequence[Path],
+    board: BoardConfig,
+) -> tuple[int, int]:
+    """The size of most pictures with a board (of most pictures where there is none)."""
+    with_board = [s for s, view in zip(shapes, found) if s is not None and len(view)]
+    every = with_board or [s for s in shapes if s is not None]
+    if not every:
+        raise FileFormatError(pictures[0].parent, "none of its pictures can be read")
+    if not with_board:
+        raise DegenerateGeometryError(
+            f"the board is in none of the {len(pictures)} pictures of {pictures[0].parent}: {_asked_for(board)}"
+        )
+    return max(sorted(set(every)), key=every.count)

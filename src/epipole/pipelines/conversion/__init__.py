@@ -1,0 +1,1 @@
+"""Conversion: models in the formats of other programs."""

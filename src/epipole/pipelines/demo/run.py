@@ -1,0 +1,103 @@
+"""The demo: photographs of a made-up courtyard, treated as any user's folder, compared with the exact truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError
+from epipole.geometry import Rigid3
+from epipole.io.photographs import write_jpeg_with_exif
+from epipole.metrics import CameraErrors, camera_errors
+from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
+from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
+from epipole.synthetic import courtyard, courtyard_views, render
+
+WIDTH, HEIGHT, FOCAL_35MM = 960, 640, 28.0
+NOISE_SIGMA = 2.0
+MAX_RELATIVE_ERROR = 1e-3
+"""Of the places of the cameras; the demo fails with more."""
+
+
+def demo_camera() -> Camera:
+    """The camera of the demo: a 28 mm lens with a little barrel distortion."""
+    focal_px = FOCAL_35MM / 36.0 * WIDTH
+    return Camera(
+        CameraModel.SIMPLE_RADIAL,
+        WIDTH,
+        HEIGHT,
+        np.array([focal_px, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, -0.05]),
+    )
+
+
+def render_photographs(folder: Path, num_views: int, progress: ProgressCallback) -> Rigid3:
+    """Write JPEGs with EXIF; returns the true cams_from_world."""
+    scene, views, camera = courtyard(), courtyard_views(num_views), demo_camera()
+    for n in range(num_views):
+        picture = render(scene, camera, views[n], noise_sigma=NOISE_SIGMA, seed=n)
+        write_jpeg_with_exif(folder / photograph_name(n), picture.rgb, focal_35mm=FOCAL_35MM)
+        progress(Progress("render", n + 1, num_views))
+    return views
+
+
+def photograph_name(n: int) -> str:
+    """File name of the n-th view."""
+    return f"courtyard_{n + 1:03d}.jpg"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoResult:
+    """The reconstruction of the demo, and how far it is from the truth."""
+
+    reconstruction: ReconstructionResult
+    num_views: int
+    num_placed: int
+    errors: CameraErrors
+    size_m: float
+    """Of the path of the cameras."""
+
+    @property
+    def relative_error(self) -> float:
+        """Mean error of the places over the size."""
+        return self.errors.mean_position / self.size_m
+
+    @property
+    def success(self) -> bool:
+        """Whether all pictures were placed, as exactly as they should be."""
+        return self.num_placed == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
+
+
+def demo(
+    out: str | Path = "demo", num_views: int = 24, progress: ProgressCallback = ignore_progress
+) -> DemoResult:
+    """Render photographs of a made-up courtyard, reconstruct them as any user's, and compare with the exact truth.
+
+    Raises:
+        WorkspaceError: the folder holds something that is no demo.
+        ConfigError: fewer than two views are asked for.
+    """
+    if num_views < 2:
+        raise ConfigError(f"num_views must be at least 2, got {num_views}")
+    job = Job(kind="demo", inputs=(), settings={"views": num_views}, progress=progress)
+    with open_run(job, as_path(out)) as run:
+        photographs, model = run.root / "photographs", run.root / "model"
+        with run.stage("render"), run.folder.publish("photographs") as aside:
+            truth = render_photographs(aside / "photographs", num_views, progress)
+        result = reconstruct(photographs, model, progress=progress)
+        run.finish()
+        return _compare(result, truth)
+
+
+def _compare(result: ReconstructionResult, truth: Rigid3) -> DemoResult:
+    model = result.model
+    rows = {name: i for i, name in enumerate(model.images.name)}
+    registered = model.is_registered()
+    names = [photograph_name(n) for n in range(len(truth))]
+    found = [n for n, name in enumerate(names) if name in rows and registered[rows[name]]]
+    estimated = model.cams_from_world()[[rows[names[n]] for n in found]]
+    size = float(np.linalg.norm(np.ptp(truth.centers(), axis=0)))
+    return DemoResult(result, len(truth), len(found), camera_errors(estimated, truth[found]), size)

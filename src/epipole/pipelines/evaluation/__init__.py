@@ -1,0 +1,1 @@
+"""Evaluation: results against a known truth."""

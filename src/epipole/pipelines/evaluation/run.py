@@ -1,0 +1,73 @@
+"""The job: a model's cameras against known ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.geometry import Rigid3
+from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.truth import read_truth
+from epipole.metrics import camera_errors, relative_pose_auc
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """How far a model's cameras are from known ones."""
+
+    num_truth: int
+    num_registered: int
+    """Of the known cameras."""
+    position_mean: float
+    """After the best similarity, in the truth's unit."""
+    position_median: float
+    position_max: float
+    rotation_mean_deg: float
+    rotation_max_deg: float
+    auc: dict[int, float]
+    """Area under the recall curve of relative pose errors over all pairs, up to 1, 3 and 5 degrees."""
+
+
+def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
+    """Compare a model's cameras with known ones.
+
+    Args:
+        out: a workspace or a COLMAP model.
+        truth: a COLMAP model, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
+
+    Raises:
+        FileFormatError: one of them cannot be read, or they share no pictures.
+        DegenerateGeometryError: fewer than two known cameras are registered.
+    """
+    model, known = read_colmap_model(find_model(as_path(out))), read_truth(as_path(truth))
+    row = {name: i for i, name in enumerate(model.images.name)}
+    cams_from_world, is_registered = model.cams_from_world(), model.is_registered()
+    rotation, translation = np.full((len(known.names), 3, 3), np.nan), np.full((len(known.names), 3), np.nan)
+    for n, name in enumerate(known.names):
+        if name in row and is_registered[row[name]]:
+            rotation[n] = cams_from_world.rotation[row[name]]
+            translation[n] = cams_from_world.translation[row[name]]
+    found = np.isfinite(translation).all(axis=1)
+    if not found.any():
+        raise FileFormatError(
+            Path(truth), "none of its pictures is registered in the model; do the names agree?"
+        )
+    if found.sum() < 2:
+        raise DegenerateGeometryError("only one known camera is registered; errors need at least two")
+    estimated = Rigid3(rotation, translation)
+    errors = camera_errors(estimated, known.cams_from_world)
+    auc = relative_pose_auc(estimated, known.cams_from_world, found, (1, 3, 5))
+    return Evaluation(
+        len(known.names),
+        int(found.sum()),
+        errors.mean_position,
+        errors.median_position,
+        errors.max_position,
+        errors.mean_rotation_deg,
+        errors.max_rotation_deg,
+        {degrees: float(value) for degrees, value in zip((1, 3, 5), auc)},
+    )

@@ -1,0 +1,77 @@
+"""`epipole reconstruct`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole.pipelines.sfm.config import ReconstructConfig
+
+if TYPE_CHECKING:
+    from epipole.pipelines.sfm.run import ReconstructionResult
+
+DEFAULTS = ReconstructConfig()
+STAGES = {
+    "video": "Taking frames",
+    "read": "Reading headers",
+    "features": "Finding features",
+    "compile": "Compiling kernels",
+    "match": "Matching pairs",
+    "verify": "Verifying pairs",
+    "map": "Placing images",
+}
+
+
+def reconstruct(
+    images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    config: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = DEFAULTS,
+) -> None:
+    """Make a 3D model from photographs. A new user needs no option.
+
+    Args:
+        images: Folder of photographs (sub-folders too), or a video file.
+        out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]put folder; a stopped run continues there.
+        config: Options.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen(STAGES, compiles_much=True) as progress:
+        from epipole.pipelines.sfm.run import reconstruct as run
+
+        result = run(images, out, config, progress)
+    show_reconstruction(result)
+
+
+def show_reconstruction(result: ReconstructionResult) -> None:
+    """Print what was made and where it is."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from epipole.screen import print_warnings
+
+    console, model, summary = Console(), result.model, result.summary
+    table = Table(box=None, show_header=False)
+    table.add_row("images placed", f"{summary['num_registered']} of {summary['num_images']}")
+    table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
+    table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px")
+    scale = "metres, from GPS" if summary["is_metric"] else "unknown: pictures alone cannot tell"
+    table.add_row("scale", scale)
+    times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())
+    table.add_row("time", f"{summary['seconds']:.1f} s ({times})")
+    if summary["compile_seconds"] > 1:
+        table.add_row(
+            "", f"of which compiling kernels, once on this machine: {summary['compile_seconds']:.0f} s"
+        )
+    console.print(table)
+    print_warnings(console, result.warnings)
+    for name, reason in list(result.reasons.items())[:10]:
+        console.print(f"  {name}: {reason}", highlight=False, markup=False)
+    console.print(
+        f"model   {result.out / 'sparse' / '0'}\nreport  {result.out / 'report.html'}",
+        highlight=False,
+        markup=False,
+    )
+    console.print(f"look    epipole view {result.out}", highlight=False, markup=False)

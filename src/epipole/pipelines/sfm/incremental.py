@@ -1,0 +1,310 @@
+"""Incremental structure-from-motion: the algorithm, without files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from epipole.config import RansacConfig
+from epipole.geometry import Rigid3
+from epipole.mapping import (
+    Freedom,
+    MatchConsistency,
+    ModelBuilder,
+    PositionPriors,
+    Snapshot,
+    adjust_all,
+    adjust_around,
+    refine_resection,
+    resect_image,
+)
+from epipole.optim import BundleConfig, Loss
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.robust import PairKind
+from epipole.scene import ViewGraph
+
+MAX_PROBES = 8
+"""Starts grown and judged at most."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """Why an image could not be placed."""
+
+    image: int
+    num_points_in_sight: int
+    num_inliers: int
+
+
+class IncrementalMapper:
+    """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016)."""
+
+    def __init__(self, model: ModelBuilder, view_graph: ViewGraph, config: MapperConfig) -> None:
+        self.model, self.view_graph, self.config = model, view_graph, config
+        self.consistency = MatchConsistency(model, view_graph)
+        self.rejections: dict[int, Rejection] = {}
+        self._started: set[int] = set()
+        self.priors: PositionPriors | None = None
+        self._ransac = RansacConfig(
+            max_error_px=config.resection_max_error_px,
+            min_inliers=config.resection_min_inliers,
+            min_inlier_ratio=config.resection_min_ratio,
+            min_iterations=30,
+            max_iterations=5000,
+            seed=config.seed,
+        )
+        self._angle = np.deg2rad(config.min_angle_deg)
+
+    def run(self, usable: np.ndarray, progress: Progress | None = None) -> bool:
+        """Map the usable images (mask); False if no pair of them can start a model.
+
+        A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths,
+        nearly parallel views): others are tried, and the model that explains most matches is kept.
+        """
+        best: tuple[int, Snapshot] | None = None
+        for _ in range(1 + self.config.restarts):
+            if not self.start(usable):
+                break
+            self.grow(usable, int(usable.sum()), progress)
+            self.adjust_globally(rounds=self.config.final_rounds)
+            self.finish()
+            explained = self.consistency.num_explained(self.model)
+            if best is None or explained > best[0]:
+                best = (explained, self.model.snapshot())
+            if self.consistency.overall(self.model) >= self.config.min_final_agreement:
+                break
+        if best is None:
+            return False
+        self.model.restore(best[1])
+        return True
+
+    def finish(self) -> None:
+        """Adjust with a loss that ignores what is left of wrong matches, and again without those it gave up.
+
+        Not earlier: a loss that falls back cannot pull a bent chain of images together when a loop closes.
+        """
+        last = BundleConfig(
+            loss=Loss[self.config.final_loss.upper()],
+            loss_scale_px=self.config.final_scale_px,
+            max_iterations=50,
+            function_tolerance=1e-5,
+        )
+        for _ in range(2):
+            adjust_all(self.model, last, self._freedom(), self.priors)
+            self.model.filter(self.config.max_error_px, self._angle)
+
+    def grow(self, usable: np.ndarray, limit: int, progress: Progress | None = None) -> None:
+        """Place images one by one until `limit` are registered or none fits any more."""
+        size_at_global = int(self.model.registered.sum())
+        while self.model.registered.sum() < limit and (image := self.register_next(usable)) is not None:
+            self.triangulate_around(image)
+            count = int(self.model.registered.sum())
+            if count >= self.config.global_growth * size_at_global:
+                self.adjust_globally(rounds=1)
+                size_at_global = count
+            else:
+                adjust_around(
+                    self.model, image, self.config.local_images, self._local_bundle(), self._freedom()
+                )
+                self.model.filter(self.config.max_error_px, self._angle)
+            self._take_out_if_wrong(image)
+            if progress is not None:
+                progress(int(self.model.registered.sum()), int(usable.sum()))
+
+    def start(self, usable: np.ndarray) -> bool:
+        """Start from the pair whose model, grown to a few images, agrees with the matches.
+
+        Pairs are tried in falling order of inliers and angle. The first sound model is kept; if none is sound,
+        the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
+        """
+        best_share, best_edge, probes = 0.0, -1, 0
+        for edge in self._ranked_starts(usable)[: self.config.start_trials]:
+            if probes == MAX_PROBES or not self._probe(int(edge), usable):
+                if probes == MAX_PROBES:
+                    break
+                continue
+            probes += 1
+            self._started |= {int(self.view_graph.image1[edge]), int(self.view_graph.image2[edge])}
+            share = self.consistency.overall(self.model)
+            if share >= self.config.min_match_agreement:
+                return True
+            if share > best_share:
+                best_share, best_edge = share, int(edge)
+        if best_edge >= 0 and self._probe(best_edge, usable):
+            return True
+        self.model.clear()
+        return False
+
+    def _probe(self, edge: int, usable: np.ndarray) -> bool:
+        self.rejections.clear()
+        if not self._start_from(edge):
+            return False
+        self.grow(usable, min(self.config.probe_images, int(usable.sum())))
+        return True
+
+    def _ranked_starts(self, usable: np.ndarray) -> np.ndarray:
+        g = self.view_graph
+        tells_depth = np.isin(g.kind, (PairKind.GENERAL, PairKind.UNCALIBRATED, PairKind.PLANAR))
+        fits = tells_depth & usable[g.image1] & usable[g.image2] & np.isfinite(g.median_angle_rad)
+        wanted = np.deg2rad(self.config.start_angle_deg)
+        preference = np.where(g.kind == PairKind.PLANAR, 0.5, 1.0) * np.minimum(
+            g.median_angle_rad / wanted, 1.0
+        )
+        for least in (
+            self.config.start_min_inliers,
+            self.config.start_min_inliers // 2,
+            self._ransac.min_inliers,
+        ):
+            candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
+            if len(candidates):
+                break
+        # Another start shall differ from those before.
+        known = np.isin(g.image1, list(self._started)) & np.isin(g.image2, list(self._started))
+        candidates = candidates[~known[candidates]]
+        return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
+
+    def _take_out_if_wrong(self, image: int) -> None:
+        """Take out an image that sees its own matches as different points: it stands in the wrong place."""
+        if not self.model.registered[image] or self.model.registered.sum() <= 3:
+            return
+        if self.consistency.of_image(self.model, image) < self.config.image_share:
+            in_sight = self._num_rows_in_sight(image)
+            self.model.deregister(image)
+            self.rejections[image] = Rejection(image, in_sight, 0)
+
+    def _num_rows_in_sight(self, image: int) -> int:
+        return int(self.model.has_point()[self.model.row_component[self.model.rows_of_image[image]]].sum())
+
+    def _start_from(self, edge: int) -> bool:
+        g, model = self.view_graph, self.model
+        model.clear()
+        first, second = int(g.image1[edge]), int(g.image2[edge])
+        model.register(first, Rigid3.identity())
+        model.register(second, g.cam2_from_cam1[edge])
+        components = self._components_of(np.array([first, second]))
+        model.triangulate(components, self.config.max_error_px, self._angle)
+        if len(np.unique(model.row_point[model.row_point >= 0])) < 20:
+            return False
+        adjust_all(model, self._global_bundle(), Freedom(focal=False, distortion=False))
+        model.filter(self.config.max_error_px, self._angle)
+        model.triangulate(components, self.config.max_error_px, self._angle)
+        adjust_all(model, self._global_bundle(), Freedom(focal=False, distortion=False))
+        model.filter(self.config.max_error_px, self._angle)
+        num_points = len(np.unique(model.row_point[model.row_point >= 0]))
+        return num_points >= max(20, min(self.config.start_min_inliers, int(0.3 * g.num_inliers()[edge])))
+
+    def register_next(self, usable: np.ndarray) -> int | None:
+        """Place the image that sees most of the model, well spread; None when none of them fits."""
+        for image in self._ranked_candidates(usable):
+            if self._register(int(image)):
+                self.rejections.pop(int(image), None)
+                return int(image)
+        return None
+
+    def _ranked_candidates(self, usable: np.ndarray) -> np.ndarray:
+        model = self.model
+        waiting = np.flatnonzero(usable & ~model.registered)
+        seen = model.has_point()[model.row_component]
+        scores = np.zeros(len(waiting))
+        for n, image in enumerate(waiting):
+            rows = model.rows_of_image[image]
+            rows = rows[seen[rows]]
+            # An image is tried again only when it sees more of the model than when it failed.
+            before = self.rejections.get(int(image))
+            stale = before is not None and len(rows) <= 1.1 * before.num_points_in_sight
+            if len(rows) >= self.config.resection_min_inliers and not stale:
+                camera = model.cameras[int(model.camera_of_image[image])]
+                scores[n] = spread_score(model.row_pixel[rows], camera.width, camera.height)
+            elif before is None:
+                self.rejections[int(image)] = Rejection(int(image), len(rows), 0)
+        order = np.argsort(-scores, kind="stable")
+        return waiting[order[scores[order] > 0]]
+
+    def _register(self, image: int) -> bool:
+        model, camera_index = self.model, int(self.model.camera_of_image[image])
+        guessed = not (
+            model.cameras.is_focal_trusted[camera_index] or model.cameras.is_constant[camera_index]
+        )
+        used = model.camera_of_image[model.registered]
+        search_focal = guessed and camera_index not in used
+        estimate, camera, rows = resect_image(
+            model, image, replace(self._ransac, seed=self._ransac.seed + image), search_focal=search_focal
+        )
+        if not estimate.success or estimate.num_inliers < self.config.resection_min_ratio * len(
+            np.unique(rows)
+        ):
+            self.rejections[image] = Rejection(image, self._num_rows_in_sight(image), estimate.num_inliers)
+            return False
+        if search_focal:
+            params = model.params.copy()
+            params[camera_index] = camera.padded_params()
+            model.set_params(params)
+        rows, points = model.points_in_sight(image)
+        refined = refine_resection(model.points[points], model.row_pixel[rows], estimate, camera, focal=False)
+        model.register(image, estimate.model if refined is None else refined[0])
+        return True
+
+    def triangulate_around(self, image: int) -> None:
+        """Extend the points an image sees and make new ones from its unused matches."""
+        components = self._components_of(np.array([image]))
+        self.model.extend(components, self.config.max_error_px)
+        self.model.triangulate(components, self.config.max_error_px, self._angle)
+
+    def adjust_globally(self, rounds: int) -> None:
+        """Adjust everything, filter, triangulate again; repeat until little changes, `rounds` times at most."""
+        model, config = self.model, self.config
+        everything = np.arange(len(model.components))
+        for turn in range(max(rounds, 1)):
+            adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
+            dropped = model.filter(config.max_error_px, self._angle)
+            self._drop_lost_images()
+            if turn == rounds - 1 or rounds == 0:
+                break
+            added = model.extend(everything, config.max_error_px)
+            added += model.triangulate(everything, config.max_error_px, self._angle)
+            if dropped + added < config.settled_share * (model.row_point >= 0).sum():
+                break
+
+    def _drop_lost_images(self) -> None:
+        counts = np.bincount(
+            self.model.row_image[self.model.row_point >= 0], minlength=len(self.model.registered)
+        )
+        for image in np.flatnonzero(self.model.registered & (counts < self.config.min_observations)):
+            self.rejections[int(image)] = Rejection(int(image), int(counts[image]), int(counts[image]))
+            self.model.deregister(int(image))
+
+    def _components_of(self, images: np.ndarray) -> np.ndarray:
+        rows = np.concatenate([self.model.rows_of_image[i] for i in images])
+        return np.unique(self.model.row_component[rows])
+
+    def _freedom(self) -> Freedom:
+        return Freedom(focal=self.config.refine_focal, distortion=self.config.refine_distortion)
+
+    def _local_bundle(self) -> BundleConfig:
+        return BundleConfig(loss=Loss.SOFT_L1, max_iterations=10, function_tolerance=1e-4)
+
+    def _global_bundle(self) -> BundleConfig:
+        return BundleConfig(
+            loss=Loss.SOFT_L1,
+            loss_scale_px=self.config.loss_scale_px,
+            max_iterations=30,
+            function_tolerance=1e-5,
+        )
+
+
+def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:
+    """How many points an image sees and how evenly: cells hit on finer and finer grids, 4^level each.
+
+    The visibility pyramid of Schoenberger and Frahm (CVPR 2016, section 4.2).
+    """
+    score = 0.0
+    for level in range(1, levels + 1):
+        cells = 1 << level
+        x = np.clip(pixels[:, 0] * cells / width, 0, cells - 1).astype(int)
+        y = np.clip(pixels[:, 1] * cells / height, 0, cells - 1).astype(int)
+        score += len(np.unique(y * cells + x)) * 4.0**level
+    return score

@@ -1,0 +1,144 @@
+"""The mapping stage: models from a view graph, largest first, upright, and in metres where GPS allows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from epipole.io.exif import gps_to_enu
+from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
+from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
+from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.robust import PairKind
+from epipole.runs import Progress, ProgressCallback
+from epipole.scene import Cameras, Reconstruction, ViewGraph
+
+GPS_OUTLIER_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mapped:
+    """The models, and why images are in none of them."""
+
+    models: tuple[Reconstruction, ...]
+    """Largest first; each lists all images."""
+    rejections: dict[int, Rejection]
+    gps_residuals_m: tuple[np.ndarray | None, ...]
+    """Of each model: distance of each image from its GPS fix; None where the model is not in metres."""
+    agreements: tuple[float, ...]
+    """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
+
+
+def map_images(
+    images: ImageSet,
+    cameras: Cameras,
+    view_graph: ViewGraph,
+    keypoints: Sequence[np.ndarray],
+    colors: Sequence[np.ndarray] | None,
+    config: MapperConfig,
+    progress: ProgressCallback,
+) -> Mapped:
+    """Map as many components as the pictures have."""
+    starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
+    components = connect_matches(view_graph, starts)
+    positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
+    remaining = np.ones(len(images), bool)
+    found: list[tuple[Reconstruction, np.ndarray | None, float]] = []
+    rejections: dict[int, Rejection] = {}
+    while remaining.sum() >= 2 and len(found) < config.max_models:
+        builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
+        mapper = IncrementalMapper(builder, view_graph, config)
+        if not mapper.run(remaining, lambda done, total: progress(Progress("map", done, total))):
+            break
+        residuals = _put_in_place(mapper, positions, config)
+        rejections.update({i: r for i, r in mapper.rejections.items() if not found})
+        if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
+            break
+        agreement = mapper.consistency.overall(builder)
+        found.append((builder.freeze(images.names, colors, images.timestamps_s), residuals, agreement))
+        remaining &= ~builder.registered
+    found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
+    models, residuals_m, agreements = zip(*found) if found else ((), (), ())
+    return Mapped(tuple(models), rejections, tuple(residuals_m), tuple(agreements))
+
+
+def _put_in_place(
+    mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig
+) -> np.ndarray | None:
+    """Upright; in metres, east-north-up, when GPS agrees: then the fixes join a last adjustment."""
+    model = mapper.model
+    upright = upright_from_world(model.registered_places(), model.living_points())
+    reach = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
+    aligned = align_to_gps(model.center, upright, positions_enu, reach, config.seed)
+    if aligned is None:
+        model.move(upright)
+        return None
+    model.move(aligned.enu_from_world)
+    mapper.priors = PositionPriors(
+        np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m
+    )
+    mapper.adjust_globally(rounds=2)
+    mapper.finish()
+    return np.linalg.norm(model.center - positions_enu, axis=1)
+
+
+def reasons_in_words(
+    images: ImageSet, mapped: Mapped, view_graph: ViewGraph, keypoints: Sequence[np.ndarray], min_inliers: int
+) -> dict[str, str]:
+    """Why each image that has no place has none, in words."""
+    placed = np.zeros(len(images), bool)
+    for model in mapped.models:
+        placed |= model.is_registered()
+    out = dict(images.left_out)
+    for image in np.flatnonzero(~placed):
+        out[images.names[image]] = _reason(
+            int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers
+        )
+    return out
+
+
+def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int, min_inliers: int) -> str:
+    if num_features == 0:
+        return "no features: the picture is blank, too dark or too blurred"
+    if num_features < 2 * min_inliers:
+        return f"only {num_features} features: too little texture"
+    edges = np.flatnonzero((view_graph.image1 == image) | (view_graph.image2 == image))
+    if len(edges) == 0:
+        return f"{num_features} features, but no other picture shares enough of them: no overlap"
+    kinds = view_graph.kind[edges]
+    if (kinds == PairKind.NO_MOTION).all():
+        return "the same picture as another: without a change of place there is no depth"
+    if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
+        return "the camera only turned towards its neighbours: without a change of place there is no depth"
+    rejection = mapped.rejections.get(image)
+    if not mapped.models:
+        return "no pair of pictures could start a model: too few matches, or seen under too narrow an angle"
+    if rejection is None or rejection.num_points_in_sight == 0:
+        return "its matches lead to no point of the model"
+    if rejection.num_inliers == 0:
+        return f"sees only {rejection.num_points_in_sight} points of the model; at least {min_inliers} are needed"
+    return f"of {rejection.num_points_in_sight} points of the model in sight only {rejection.num_inliers} agree on a place"
+
+
+def no_model_reason(view_graph: ViewGraph, num_images: int) -> str:
+    """Why there is no model at all, in words, with advice."""
+    if num_images < 2:
+        return "one picture cannot give depth; take at least two from different places"
+    if len(view_graph) == 0:
+        return (
+            "no two pictures share enough features; take pictures that overlap by half or more, "
+            "sharp and of textured surfaces"
+        )
+    kinds = view_graph.kind
+    if (kinds == PairKind.NO_MOTION).all():
+        return "the pictures are the same; take them from different places"
+    if np.isin(kinds, (PairKind.ROTATION, PairKind.NO_MOTION)).all():
+        return (
+            "the camera only turned: pure rotation shows no parallax, and no depth can be had from it; "
+            "move sideways between pictures"
+        )
+    return "no pair of pictures has enough matches under a wide enough angle to start a model"

@@ -1,0 +1,272 @@
+"""Structure-from-motion from a folder of photographs (or a video) to models, stage by stage.
+
+Every stage turns what the one before has left into files of units, so that a stopped run goes on from them:
+pictures, features, matches, two-view geometries, models.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from epipole import _jit
+from epipole.errors import ConfigError, NoModelError
+from epipole.io.video import extract_frames, is_video
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
+from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units
+from epipole.pipelines.sfm.database_stage import match_units as given_match_units
+from epipole.pipelines.sfm.feature_stage import feature_units
+from epipole.pipelines.sfm.focal import estimate_focals
+from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
+from epipole.pipelines.sfm.match_stage import PairWork, load_view_graph, match_units, verification_units
+from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs
+from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
+from epipole.pipelines.sfm.warm_up import warm_up
+from epipole.runs import Run, Unit, load
+from epipole.scene import Cameras, ViewGraph
+
+FOCAL_CORRECTION = 0.1
+"""A trusted focal length that changes by more in mapping was wrong: matching starts again with the better one."""
+UNITS, FRAMES, DATABASE = "work", "work/frames", "database.db"
+"""Inside the output folder."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Matches, geometries and models under one idea of the cameras."""
+
+    images: ImageSet
+    features: tuple[Unit, ...]
+    keypoints: tuple[np.ndarray, ...]
+    matches: tuple[Unit, ...]
+    cameras: Cameras
+    view_graph: ViewGraph
+    notes: tuple[str, ...]
+    mapped: Mapped
+
+    def worth(self) -> tuple[int, int]:
+        """Images and observations of the largest model."""
+        if not self.mapped.models:
+            return 0, 0
+        return int(self.mapped.models[0].is_registered().sum()), len(self.mapped.models[0].tracks.image)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Detected:
+    """What matching starts from."""
+
+    features: tuple[Unit, ...]
+    keypoints: tuple[np.ndarray, ...]
+    colors: tuple[np.ndarray, ...]
+    database: DatabaseSource | None
+    given: dict[tuple[int, int], np.ndarray]
+    """Matches of the database; empty where they are to be found."""
+    pairs: np.ndarray
+    """(p, 2), the pairs of images to compare."""
+
+
+def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
+    """From pictures to models: read, detect, match, verify and map.
+
+    Args:
+        source: folder of photographs, or a video file.
+        run: where the units are kept, who does them, who is told.
+        config: options.
+
+    Raises:
+        NoModelError: there are no usable pictures; the message says why. No model at all is no error here.
+        ConfigError: options that do not fit the pictures.
+    """
+    compiling = threading.Thread(target=warm_up, name="epipole-compile", daemon=True)
+    compiling.start()
+    with run.stage("read"):
+        images = _read(source, run, config)
+        database, images = _open_database(images, run, config)
+    with run.stage("features"):
+        images, features = _detect(images, run, config, database)
+        keypoints, colors = _keypoints(features)
+    with run.stage("compile"):
+        _wait_for(compiling, run)
+    with run.stage("match"):
+        given = database.matches(images.names) if database is not None else {}
+        pairs = _choose_pairs(images, features, config, given)
+    detected = _Detected(features, keypoints, colors, database, given, pairs)
+    solution = _match_and_map(images, detected, run, config)
+    if (corrected := _corrected_cameras(solution)) is not None:
+        again = _match_and_map(replace(images, cameras=corrected), detected, run, config, "-again")
+        solution = max(solution, again, key=Solution.worth)
+    return solution
+
+
+def _match_and_map(
+    images: ImageSet, detected: _Detected, run: Run, config: ReconstructConfig, suffix: str = ""
+) -> Solution:
+    """Matches of all pairs, their geometries, and models, with the cameras as they are taken to be."""
+    todo = PairWork(
+        detected.pairs,
+        detected.features,
+        *(images.cameras, images.camera_of_image, config.matching, config.verification),
+    )
+    with run.stage("match"):
+        matches = _matches(todo, detected, run.root / UNITS / f"matches{suffix}")
+        run.do(matches, "match")
+    with run.stage("verify"):
+        folder = run.root / UNITS / f"geometry{suffix}"
+        view_graph = _verify(todo, matches, folder, run)
+        cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
+        if found:  # focal lengths were guessed: again with those that the pairs agree on
+            again = folder.with_name(f"{folder.name}-calibrated")
+            view_graph = _verify(replace(todo, cameras=cameras), matches, again, run)
+    with run.stage("map"):
+        mapped = map_images(
+            images,
+            cameras,
+            view_graph,
+            detected.keypoints,
+            detected.colors,
+            config.mapper,
+            run.job.progress,
+        )
+    notes = tuple(
+        f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves"
+        for c in found
+    )
+    return Solution(
+        *(images, detected.features, detected.keypoints, tuple(matches), cameras, view_graph, notes, mapped)
+    )
+
+
+def _matches(todo: PairWork, detected: _Detected, folder: Path) -> list[Unit]:
+    if detected.database is None or not detected.given:
+        return match_units(todo, folder)
+    asked = {pair: detected.given[pair] for pair in _in_order(todo.pairs)}
+    return given_match_units(detected.database, asked, folder)
+
+
+def _verify(todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run) -> ViewGraph:
+    units = verification_units(todo, folder, matches)
+    run.do(units, "verify")
+    return load_view_graph(units)
+
+
+def _wait_for(compiling: threading.Thread, run: Run) -> None:
+    if _jit.is_compiled():
+        compiling.join()
+        return
+    run.report("compile", 0, 1)
+    compiling.join()
+    run.report("compile", 1, 1)
+
+
+def _corrected_cameras(found: Solution) -> Cameras | None:
+    """The cameras as mapping found them, where a trusted focal length was wrong and images are missing; else None.
+
+    Such a focal length has spoiled matches and geometries before any model could correct it.
+    """
+    first = found.images.cameras
+    if not found.mapped.models:
+        return None
+    model = found.mapped.models[0]
+    used = np.zeros(len(first), bool)
+    used[model.camera_of_image[model.is_registered()]] = True
+    ratio = model.cameras.params[:, 0] / first.params[:, 0]
+    wrong = used & first.is_focal_trusted & ~first.is_constant & (np.abs(np.log(ratio)) > FOCAL_CORRECTION)
+    if not wrong.any() or model.is_registered().sum() < 5 or model.is_registered().all():
+        return None
+    return replace(first, params=np.where(wrong[:, None], model.cameras.params, first.params))
+
+
+def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
+    if is_video(source):
+        folder = run.root / FRAMES
+        frames = extract_frames(
+            source,
+            folder,
+            max_frames=config.max_frames,
+            progress=lambda done, total: run.report("video", done, total),
+        )
+        times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
+        return read_image_set(folder, config, timestamps_s=times, progress=run.job.progress)
+    if not source.is_dir():
+        raise NoModelError(f"{source} is neither a folder of photographs nor a video")
+    ignore = (run.root, *((config.masks,) if config.masks else ()))
+    return read_image_set(source, config, ignore=ignore, progress=run.job.progress)
+
+
+def _open_database(
+    images: ImageSet, run: Run, config: ReconstructConfig
+) -> tuple[DatabaseSource | None, ImageSet]:
+    """The database to start from, where one is given, and the pictures that it knows."""
+    if config.database is None:
+        return None, images
+    if config.database.resolve() == (run.root / DATABASE).resolve():
+        raise ConfigError(f"{config.database} is where this run writes its own; copy it elsewhere first")
+    return open_source(config.database, images, keep_cameras=config.camera_params is not None)
+
+
+def _detect(
+    images: ImageSet, run: Run, config: ReconstructConfig, database: DatabaseSource | None
+) -> tuple[ImageSet, tuple[Unit, ...]]:
+    """Features of every picture, found or from the database; damaged pictures leave the set."""
+    folder = run.root / UNITS / "features"
+    if database is None:
+        units = feature_units(images, folder, config.features, config.masks)
+    else:
+        units = given_feature_units(database, images, folder, config.features.max_size_px)
+    run.do(units, "features")
+    failures = {}
+    for i, unit in enumerate(units):
+        if why := str(load(unit.path, "failure")["failure"]):
+            failures[i] = why
+    images = images.without(failures)
+    if len(images) == 0:
+        reason = next(iter(images.left_out.values()))
+        raise NoModelError(f"none of the pictures can be read ({reason})")
+    if len(images) < 2:
+        left_out = "".join(f"; {name}: {why}" for name, why in list(images.left_out.items())[:3])
+        raise NoModelError(f"only one usable picture, and one picture cannot give depth{left_out}")
+    return images, tuple(u for i, u in enumerate(units) if i not in failures)
+
+
+def _keypoints(features: Sequence[Unit]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    stored = [load(unit.path, "pixels", "colors") for unit in features]
+    return tuple(s["pixels"].astype(np.float64) for s in stored), tuple(s["colors"] for s in stored)
+
+
+def _choose_pairs(
+    images: ImageSet,
+    features: Sequence[Unit],
+    config: ReconstructConfig,
+    given: dict[tuple[int, int], np.ndarray],
+) -> np.ndarray:
+    """The pairs to work on; of those with given matches, where there are any, the ones asked for."""
+    asked = read_pairs(config.pairs, images.names) if config.pairs is not None else None
+    if given:
+        kept = sorted(given) if asked is None else [p for p in _in_order(asked) if p in given]
+        return np.array(kept, np.int32).reshape(-1, 2)
+    if asked is not None:
+        return asked
+    descriptors = _Descriptors([u.path for u in features])
+    return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
+
+
+def _in_order(pairs: np.ndarray) -> list[tuple[int, int]]:
+    return sorted({(int(min(pair)), int(max(pair))) for pair in pairs})
+
+
+class _Descriptors(Sequence[np.ndarray]):
+    """Descriptors read from disk when asked for: exhaustive pairing asks for none."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._paths = paths
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        return load(self._paths[index], "descriptors")["descriptors"]

@@ -1,0 +1,145 @@
+"""`epipole stereo` and `epipole stereo-doctor`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from epipole.errors import ConfigError
+from epipole.pipelines.stereo.config import CalibrationOptions, RigOptions, StereoConfig
+from epipole.screen import ANSWER_IS_NO, progress_on_screen, waiting_for_kernels
+
+Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
+Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+MoreRight = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
+MoreOut = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+
+DEFAULTS = StereoConfig()
+NO_RIG, NO_CALIBRATION = RigOptions(), CalibrationOptions()
+
+
+def stereo(
+    left: Left,
+    right: MoreRight = None,
+    out: MoreOut = None,
+    config: Annotated[StereoConfig, tyro.conf.arg(name="")] = DEFAULTS,
+    rig: Annotated[RigOptions, tyro.conf.arg(name="")] = NO_RIG,
+    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
+    workspace: Path | None = None,
+    pair: tuple[str, str] | None = None,
+    strict: bool = False,
+) -> None:
+    """Disparities of a pair, each with its standard deviation; depth and points where the cameras are known.
+
+    LEFT and RIGHT are two pictures, two folders, or two videos (twice the same one: both pictures side by side).
+    Without a calibration they count as rectified. With --workspace and --pair there is OUT alone.
+
+    Args:
+        left: Left picture, whose pixels get the disparities.
+        right: Right picture.
+        out: Output folder.
+        config: Options.
+        rig: What is known of rectified cameras.
+        calibrated: Where a calibration is read from.
+        workspace: Output folder of a reconstruction to take two pictures from, in place of LEFT and RIGHT.
+        pair: Names of these pictures.
+        strict: Exit with code 3 where a pair of several could not be measured.
+    """
+    paths = [path for path in (left, right, out) if path is not None]
+    if workspace is not None or pair is not None:
+        if workspace is None or pair is None or len(paths) != 1:
+            raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
+        if calibrated != NO_CALIBRATION or rig != NO_RIG:
+            raise ConfigError(
+                "the model says where its cameras are: give no calibration, focal length or baseline"
+            )
+        _measure_of_model(workspace, pair, left, config)
+        return
+    if right is None or out is None:
+        raise ConfigError(f"expected LEFT RIGHT OUT, got {len(paths)} paths")
+    is_whole = _measure(left, right, out, config, rig, calibrated)
+    if strict and not is_whole:
+        sys.exit(ANSWER_IS_NO)
+
+
+def stereo_doctor(
+    left: Left,
+    right: Right,
+    rig: Annotated[RigOptions, tyro.conf.arg(name="")] = NO_RIG,
+    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
+    json: bool = False,
+    strict: bool = False,
+) -> None:
+    """What is wrong with a stereo pair: swapped, rows that do not match and why, not synchronous, odd units.
+
+    Also the depth error to expect at each range. `epipole stereo doctor` is the same.
+
+    Args:
+        left: Left picture, folder or video.
+        right: Right picture, folder or video.
+        rig: What is known of rectified cameras.
+        calibrated: Where a calibration is read from.
+        json: Print JSON.
+        strict: Exit with code 3 where something is wrong.
+    """
+    with waiting_for_kernels():
+        from epipole.pipelines.stereo.rigs import rig_of
+        from epipole.pipelines.stereo.run import examine_stereo
+
+        found = examine_stereo(left, right, rig_of(left, right, rig, calibrated))
+    from epipole.pipelines.stereo.tables import as_json, show_diagnosis
+
+    if json:
+        print(as_json(asdict(found) | {"calibration_error_px": found.calibration_error_px}))
+    else:
+        show_diagnosis(found)
+    if strict and not found.is_healthy:
+        sys.exit(ANSWER_IS_NO)
+
+
+def _measure(
+    left: Path,
+    right: Path,
+    out: Path,
+    config: StereoConfig,
+    options: RigOptions,
+    calibrated: CalibrationOptions,
+) -> bool:
+    """One pair, or many; whether all were measured."""
+    from epipole.io.video import is_video
+
+    if not (left.is_dir() or right.is_dir() or is_video(left) or is_video(right)):
+        with waiting_for_kernels():
+            from epipole.pipelines.stereo.rigs import rig_of
+            from epipole.pipelines.stereo.run import stereo as run
+
+            result = run(left, right, out, config, rig_of(left, right, options, calibrated))
+        from epipole.pipelines.stereo.tables import show_stereo
+
+        show_stereo(result)
+        return True
+    with progress_on_screen({"pairs": "Measuring pairs"}) as progress:
+        from epipole.pipelines.stereo.rigs import rig_of
+        from epipole.pipelines.stereo.run import stereo_many
+
+        batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibrated), progress)
+    from epipole.pipelines.stereo.tables import show_batch
+
+    show_batch(batch)
+    if not (batch.done or batch.earlier):
+        raise ConfigError("no pair could be measured")
+    return not batch.problems
+
+
+def _measure_of_model(workspace: Path, pair: tuple[str, str], out: Path, config: StereoConfig) -> None:
+    with waiting_for_kernels():
+        from epipole.pipelines.stereo.run import stereo_of_model
+
+        result = stereo_of_model(workspace, pair[0], pair[1], out, config)
+    from epipole.pipelines.stereo.tables import show_stereo
+
+    show_stereo(result)

@@ -1,0 +1,313 @@
+"""What is wrong with a stereo pair: swapped, not rectified and why, not synchronous, odd units; and the depth error to expect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.disparity_search.rectification import Rectification, rectify
+from epipole.errors import EpipoleError, ShapeError
+from epipole.pipelines.stereo.calibration_error import calibration_sigma
+from epipole.pipelines.stereo.rigs import rectified_rig_of
+from epipole.pipelines.stereo.rows import (
+    LEAST_FOR_TREND,
+    SAME_PX,
+    RowMatches,
+    fit_trend,
+    is_swapped,
+    match_features,
+    row_basis,
+    without_mistakes,
+)
+from epipole.scene import RectifiedRig, StereoRig
+
+TYPICAL_SIGMA_PX = 0.25
+"""Standard deviation of a good disparity, of which the table of depth errors is made."""
+GOOD_PX, BAD_PX = 0.5, 1.0
+"""95th percentile and median of the vertical offset up to which rows count as matching."""
+_EXPLAINS, _LESS = 0.7, 0.9
+_LARGE_BASELINE, _SMALL_BASELINE = 5.0, 1e-3
+_UNSTEADY_PX, _UNSTEADY_SIGMAS = 0.3, 5.0
+_GRID = 3
+
+
+class Cause(StrEnum):
+    """What the trend of the vertical offsets points at."""
+
+    NONE = "rows match"
+    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or baseline's direction)"
+    DISTORTION = "lens distortion"
+    UNCLEAR = "neither rotation nor distortion explains the offsets: blur, rolling shutter, or moving things"
+    UNKNOWN = "too few features match to tell"
+
+
+class _Finding(NamedTuple):
+    words: str
+    is_problem: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthExpectation:
+    """Error of depth to expect at one range."""
+
+    depth: float
+    disparity_px: float
+    from_matching: float
+    """Standard deviation from disparities alone."""
+    from_calibration: float
+    """From the calibration's covariance at the picture's middle; NaN where it has none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Diagnosis:
+    """What was found; `problems` is empty for a healthy pair."""
+
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    num_matches: int
+    vertical_median_px: float
+    """Of the absolute offset."""
+    vertical_p95_px: float
+    vertical_signed_px: float
+    """Median with its sign: positive where the right picture lies lower."""
+    vertical_map_px: Float64[np.ndarray, "3 3"]
+    """Median offset in each ninth of the picture; NaN where nothing matches."""
+    after_extrinsics_px: float
+    """Robust deviation left when the best rotation, scale and baseline's direction are taken off."""
+    after_distortion_px: float
+    """The same with radial distortion taken off too."""
+    cause: Cause
+    expectations: tuple[DepthExpectation, ...] = field(default=())
+
+    @property
+    def calibration_error_px(self) -> float:
+        """Deviation of the rows that the rig's own errors explain: columns are likely off by as much.
+
+        What `RectifiedRig.principal_offset_sigma_px` should be where a calibration comes without its errors.
+        """
+        total = 1.4826 * self.vertical_median_px
+        return float(np.sqrt(max(total**2 - self.after_extrinsics_px**2, 0.0)))
+
+    @property
+    def is_healthy(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems
+
+
+def examine(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]], rig: StereoRig | RectifiedRig | None = None
+) -> Diagnosis:
+    """Examine one pair, or several of the same rig.
+
+    Args:
+        pairs: pictures, (h, w) or (h, w, 3) of 8 bits; as taken for a `StereoRig`, else rectified.
+        rig: what is known of the cameras.
+
+    Raises:
+        ShapeError: there is no pair, or pictures do not fit each other or the calibration.
+    """
+    if not pairs:
+        raise ShapeError("there is no pair to examine")
+    if isinstance(rig, StereoRig):
+        for left, right in pairs:
+            rig.check_pictures(left, right)
+    findings: list[_Finding] = []
+    rectification: Rectification | None = None
+    flat = rig if isinstance(rig, RectifiedRig) else None
+    if isinstance(rig, StereoRig):
+        try:
+            flat = rectified_rig_of(rig)
+            if flat is None:
+                rectification = rectify(rig)
+                flat = rectification.rig
+        except EpipoleError as error:
+            findings.append(_Finding(f"the calibration cannot be used: {error}", True))
+            pairs = ()
+    matched = [_match(pair, rectification) for pair in pairs]
+    clean = [without_mistakes(m, flat) for m in matched]
+    every = RowMatches(
+        np.concatenate([np.zeros((0, 2)), *(m.left_px for m in clean)]),
+        np.concatenate([np.zeros((0, 2)), *(m.right_px for m in clean)]),
+    )
+    size = pairs[0][0].shape[1::-1] if len(pairs) else (1, 1)
+    size = rectification.size if rectification is not None else size
+    fits = _fits(every, flat, size)
+    findings += [
+        *_order(matched, pairs, rectification),
+        *(_rows(every, fits, len(pairs)) + _steadiness(clean, flat, size)),
+        *(_units(flat, every) if flat is not None else ()),
+    ]
+    offset = every.vertical_px
+    enough = len(every) >= LEAST_FOR_TREND
+    return Diagnosis(
+        tuple(f.words for f in findings if f.is_problem),
+        tuple(f.words for f in findings if not f.is_problem),
+        len(every),
+        float(np.median(np.abs(offset))) if enough else np.nan,
+        float(np.percentile(np.abs(offset), 95)) if enough else np.nan,
+        float(np.median(offset)) if enough else np.nan,
+        _ninths(every, size),
+        fits[0],
+        fits[1],
+        _cause(every, fits),
+        () if flat is None else _expectations(flat, rig, rectification),
+    )
+
+
+def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | None) -> RowMatches:
+    grey = []
+    for picture in pair:
+        array = np.ascontiguousarray(picture)
+        grey.append(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY) if array.ndim == 3 else array)
+    if rectification is not None:
+        grey = list(rectification.apply(grey[0], grey[1]))
+    elif grey[0].shape != grey[1].shape:
+        raise ShapeError(
+            f"left is {grey[0].shape[::-1]} pixels and right {grey[1].shape[::-1]}: a rectified pair has one size"
+        )
+    found = match_features(grey[0], grey[1])
+    if rectification is None or not len(found):
+        return found
+    inside = np.ones(len(found), bool)
+    for pixels, valid in (
+        (found.left_px, rectification.left_valid),
+        (found.right_px, rectification.right_valid),
+    ):
+        column, row = np.rint(pixels).astype(int).T
+        height, width = valid.shape
+        inside &= valid[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return RowMatches(found.left_px[inside], found.right_px[inside])
+
+
+def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
+    if len(matches) < LEAST_FOR_TREND:
+        return np.nan, np.nan
+    rig, lens = row_basis(matches, flat, size)
+    return fit_trend(matches.vertical_px, rig).rms_px, fit_trend(matches.vertical_px, lens).rms_px
+
+
+def _rms(matches: RowMatches) -> float:
+    return 1.4826 * float(np.median(np.abs(matches.vertical_px)))
+
+
+def _cause(matches: RowMatches, fits: tuple[float, float]) -> Cause:
+    if len(matches) < LEAST_FOR_TREND:
+        return Cause.UNKNOWN
+    offset = np.abs(matches.vertical_px)
+    if np.percentile(offset, 95) <= GOOD_PX or (
+        _rms(matches) <= GOOD_PX and fits[1] > _EXPLAINS * _rms(matches)
+    ):
+        return Cause.NONE
+    if fits[1] < _LESS * fits[0] and fits[0] - fits[1] > 0.5 * (_rms(matches) - fits[0]):
+        return Cause.DISTORTION
+    if fits[0] < _EXPLAINS * _rms(matches):
+        return Cause.EXTRINSICS
+    return Cause.UNCLEAR
+
+
+def _order(
+    matched: Sequence[RowMatches],
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]],
+    rectification: Rectification | None,
+) -> list[_Finding]:
+    if matched and all(is_swapped(m) for m in matched):
+        return [_Finding("left and right are swapped: features lie farther right in the right picture", True)]
+    if rectification is None or not matched or _off_px(matched[0]) <= BAD_PX:
+        return []
+    left, right = pairs[0]
+    if left.shape != right.shape or not _off_px(_match((right, left), rectification)) <= GOOD_PX:
+        return []
+    return [_Finding("left and right are swapped: exchanged, their rows match by this calibration", True)]
+
+
+def _off_px(matches: RowMatches) -> float:
+    """Median vertical offset; infinite where little matches."""
+    return float(np.median(np.abs(matches.vertical_px))) if len(matches) >= LEAST_FOR_TREND else np.inf
+
+
+def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> list[_Finding]:
+    if not num_pairs:
+        return []
+    if len(matches) < LEAST_FOR_TREND:
+        words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
+        return [_Finding(words, True)]
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
+        return [_Finding("left and right are the same picture", True)]
+    cause = _cause(matches, fits)
+    if cause is Cause.NONE:
+        return []
+    offset = np.abs(matches.vertical_px)
+    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); this points at {cause}"
+    is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
+    return [_Finding(words, is_bad)]
+
+
+def _steadiness(
+    clean: Sequence[RowMatches], flat: RectifiedRig | None, size: tuple[int, int]
+) -> list[_Finding]:
+    """A rigid rig has the same row trend in every pair; cameras that expose at different times do not."""
+    good = [m for m in clean if len(m) >= LEAST_FOR_TREND]
+    if len(good) < 2:
+        words = "whether both cameras expose at the same time shows only in several pairs taken while the rig moves"
+        return [_Finding(words, False)]
+    trends = [fit_trend(m.vertical_px, row_basis(m, flat, size)[0][:, :3]) for m in good]
+    offset = np.array([t.coefficients[0] for t in trends])
+    sigma = np.array([t.sigma[0] for t in trends])
+    spread = float(np.std(offset, ddof=1))
+    if spread <= max(_UNSTEADY_PX, _UNSTEADY_SIGMAS * float(np.median(sigma))):
+        return []
+    words = f"the vertical offset differs from pair to pair by {spread:.2f} px: the cameras are not synchronous, or the rig bends"
+    return [_Finding(words, True)]
+
+
+def _units(flat: RectifiedRig, matches: RowMatches) -> list[_Finding]:
+    out = []
+    if flat.baseline > _LARGE_BASELINE:
+        words = f"the baseline is {flat.baseline:g}: if that is in millimetres, depths come in millimetres; if in metres, it is very long"
+        out.append(_Finding(words, False))
+    if flat.baseline < _SMALL_BASELINE:
+        out.append(
+            _Finding(f"the baseline is {flat.baseline:g}: too short for metres; is its unit wrong?", True)
+        )
+    shifted = matches.disparity_px + flat.principal_offset_px
+    if len(matches) >= LEAST_FOR_TREND and np.median(shifted) > 0.5:
+        depth = flat.focal_px * flat.baseline / np.median(shifted)
+        words = f"half of the features lie nearer than {depth:.3g} (in the baseline's unit): does that fit the scene?"
+        out.append(_Finding(words, False))
+    return out
+
+
+def _ninths(matches: RowMatches, size: tuple[int, int]) -> Float64[np.ndarray, "3 3"]:
+    out = np.full((_GRID, _GRID), np.nan)
+    if not len(matches):
+        return out
+    column = np.clip((matches.left_px[:, 0] / size[0] * _GRID).astype(int), 0, _GRID - 1)
+    row = np.clip((matches.left_px[:, 1] / size[1] * _GRID).astype(int), 0, _GRID - 1)
+    for r in range(_GRID):
+        for c in range(_GRID):
+            own = matches.vertical_px[(row == r) & (column == c)]
+            out[r, c] = np.median(own) if len(own) >= 3 else np.nan
+    return out
+
+
+def _expectations(
+    flat: RectifiedRig, rig: StereoRig | RectifiedRig | None, rectification: Rectification | None
+) -> tuple[DepthExpectation, ...]:
+    out = []
+    for depth in flat.round_ranges():
+        disparity = flat.focal_px * flat.baseline / depth - flat.principal_offset_px
+        scale = depth**2 / (flat.focal_px * flat.baseline)
+        wrong = np.nan
+        if isinstance(rig, StereoRig) and rig.covariance is not None and rectification is not None:
+            width, height = rectification.size
+            one = np.full((height, width), np.nan)
+            one[height // 2, width // 2] = disparity
+            wrong = float(calibration_sigma(rig, rectification, one)[height // 2, width // 2])
+        out.append(DepthExpectation(depth, disparity, scale * TYPICAL_SIGMA_PX, scale * wrong))
+    return tuple(out)

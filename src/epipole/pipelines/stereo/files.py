@@ -1,0 +1,139 @@
+"""The files of a measured pair: written, and read back."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from epipole.disparity_search.rectification import Rectification
+from epipole.errors import FileFormatError
+from epipole.io.atomic import atomic_write
+from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
+from epipole.io.photographs import read_rgb
+from epipole.io.ply import write_points_ply
+from epipole.pipelines.stereo.pair import StereoResult
+from epipole.pipelines.stereo.uncalibrated import UncalibratedRectification
+from epipole.scene import RectifiedRig, depth_map_to_point_cloud
+
+REASON_COLORS = np.array(
+    [
+        *([255, 255, 255], [200, 60, 50], [60, 90, 200], [230, 170, 40], [130, 60, 160], [120, 120, 120]),
+        [90, 170, 150],
+    ],
+    np.uint8,
+)
+"""Of the values of `StereoReason` in `reasons.png`: white is known."""
+
+
+def write_stereo(result: StereoResult, folder: Path) -> None:
+    """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`; and more where there is more.
+
+    With a rig `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and `right.png`;
+    of an uncalibrated pair the rectified pair and `homographies.json`.
+
+    Raises:
+        WorkspaceError: the output folder cannot be used.
+    """
+    found, depths, rig = result.disparities, result.depths, result.rig
+    write_pfm(folder / "disparity.pfm", found.disparity_px)
+    write_png16(folder / "disparity.png", found.disparity_px)
+    write_pfm(folder / "sigma_disparity.pfm", found.sigma_px)
+    write_picture(folder / "reasons.png", REASON_COLORS[found.reason])
+    if result.filled is not None:
+        write_pfm(folder / "filled.pfm", result.filled.disparity_px)
+        mask = 255 * result.filled.filled_mask.astype(np.uint8)
+        write_picture(folder / "filled_mask.png", np.repeat(mask[..., None], 3, axis=2))
+    if result.rectification is not None or depths is not None:
+        write_picture(folder / "left.png", result.left_rgb)
+        write_picture(folder / "right.png", result.right_rgb)
+    if isinstance(result.rectification, UncalibratedRectification):
+        text = json.dumps(_homographies(result.rectification), indent=1)
+        (folder / "homographies.json").write_text(text + "\n", encoding="utf-8")
+    if depths is not None and rig is not None:
+        write_pfm(folder / "depth.pfm", depths.depth)
+        write_pfm(folder / "sigma_depth.pfm", depths.sigma)
+        cloud = depth_map_to_point_cloud(depths.depth, rig.K)
+        write_points_ply(folder / "cloud.ply", cloud.points_in_cam, result.left_rgb[cloud.mask])
+        text = json.dumps(_described(rig, result.rectification), indent=1)
+        (folder / "rig.json").write_text(text + "\n", encoding="utf-8")
+
+
+def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write a PNG.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    _, data = cv2.imencode(".png", rgb[..., ::-1])
+    with atomic_write(path) as aside:
+        aside.write_bytes(data.tobytes())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoFiles:
+    """What `write_stereo` wrote of a pair with a rig."""
+
+    left_rgb: UInt8[np.ndarray, "h w 3"]
+    depths: Float32[np.ndarray, "h w"]
+    sigma_depth: Float32[np.ndarray, "h w"]
+    K: Float64[np.ndarray, "3 3"]
+
+
+def read_stereo(out: Path) -> StereoFiles:
+    """Read depth back.
+
+    Raises:
+        FileFormatError: there is none, because the pair had no rig, or a file is damaged.
+    """
+    if not (out / "depth.pfm").is_file():
+        raise FileFormatError(
+            out, "it holds disparities but no depth: give focal length and baseline, or a calibration"
+        )
+    try:
+        K = np.array(json.loads((out / "rig.json").read_text())["K"], np.float64).reshape(3, 3)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FileFormatError(out / "rig.json", "it is missing or damaged") from error
+    files = StereoFiles(
+        read_rgb(out / "left.png"), read_pfm(out / "depth.pfm"), read_pfm(out / "sigma_depth.pfm"), K
+    )
+    if not files.left_rgb.shape[:2] == files.depths.shape == files.sigma_depth.shape:
+        raise FileFormatError(out, "its pictures and maps are not of one size")
+    return files
+
+
+def _homographies(found: UncalibratedRectification) -> dict[str, object]:
+    offset = np.abs(found.vertical_px)
+    return {
+        "rectified_from_left_px": found.rectified_from_left_px.tolist(),
+        "rectified_from_right_px": found.rectified_from_right_px.tolist(),
+        "num_matches": len(offset),
+        "vertical_median_px": float(np.median(offset)),
+        "vertical_p95_px": float(np.percentile(offset, 95)),
+    }
+
+
+def _described(
+    rig: RectifiedRig, rectification: Rectification | UncalibratedRectification | None
+) -> dict[str, object]:
+    about: dict[str, object] = {
+        "K": rig.K.tolist(),
+        "baseline": rig.baseline,
+        "principal_offset_px": rig.principal_offset_px,
+    }
+    if not isinstance(rectification, Rectification):
+        return about
+    width, height = rectification.size
+    return {
+        **about,
+        "width": width,
+        "height": height,
+        "rectified_from_left": rectification.rectified_from_left.tolist(),
+        "rectified_from_right": rectification.rectified_from_right.tolist(),
+        "Q": rectification.Q.tolist(),
+        "is_turned": rectification.is_turned,
+    }

@@ -1,0 +1,105 @@
+"""Guesses for the pixels that matching left open. They are guesses: a filled pixel has no standard deviation, and stays marked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32
+
+from epipole import _parallel
+from epipole.errors import ConfigError, ShapeError
+from epipole.pipelines.stereo import _filling_kernels as kernels
+from epipole.scene import DisparityMap, StereoReason
+
+_ROUNDS = 3
+_SHARPNESS = 255.0 / 8.0
+_BEHIND = (StereoReason.OCCLUDED, StereoReason.OUT_OF_VIEW)
+_GUESS_WEIGHT = 10.0
+_LEAST = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilledDisparities:
+    """Disparities with nothing left open."""
+
+    disparity_px: Float32[np.ndarray, "h w"]
+    """The known ones as they were; NaN only where the whole picture has none."""
+    filled_mask: Bool[np.ndarray, "h w"]
+    """Pixels that are guessed."""
+
+
+def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> FilledDisparities:
+    """Fill by weighted least squares guided by the picture; occluded pixels take what lies behind.
+
+    A pixel hidden from the right camera belongs to the farther of the surfaces beside it (Hirschmueller, PAMI 2008, section 2.5):
+    where matching failed for that reason the smaller of the nearest known disparities in the row is taken as seen, with the weight of an error of a third of a pixel.
+    All else is the smoothest surface that bends at edges of the picture.
+
+    Args:
+        found: what matching knows; known pixels weigh by the inverse of their variance.
+        left: (h, w) or (h, w, 3) of 8 bits.
+        strength: of the ties between neighbours.
+
+    Raises:
+        ShapeError: the picture does not fit.
+        ConfigError: the strength is not positive.
+    """
+    if not strength > 0:
+        raise ConfigError(f"strength must be positive, got {strength}")
+    picture = np.ascontiguousarray(left)
+    if picture.dtype != np.uint8 or picture.shape[:2] != found.reason.shape:
+        raise ShapeError(
+            f"left must be of 8 bits and {found.reason.shape}, is {picture.shape} of {picture.dtype}"
+        )
+    known = np.isfinite(found.disparity_px)
+    if not known.any():
+        return FilledDisparities(found.disparity_px.copy(), np.zeros(known.shape, bool))
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
+    weight = np.where(known, 1.0 / np.maximum(found.sigma_px, 0.05).astype(np.float64) ** 2, 0.0)
+    values = np.where(known, found.disparity_px, 0.0).astype(np.float64)
+    behind = ~known & np.isin(found.reason, _BEHIND)
+    guess = _farther_neighbour(found.disparity_px)
+    use = behind & np.isfinite(guess)
+    values[use], weight[use] = guess[use], _GUESS_WEIGHT
+    weight /= weight.max()
+    smooth = _smoothed(weight, weight * values, grey.astype(np.float64), strength)
+    out = np.where(known, found.disparity_px, smooth).astype(np.float32)
+    return FilledDisparities(out, ~known)
+
+
+def _smoothed(
+    weight: np.ndarray, weighted: np.ndarray, grey: np.ndarray, strength: float
+) -> Float32[np.ndarray, "h w"]:
+    """Quotient of the smoothed weighted values and weights, with less strength each round (equation 16 of the paper)."""
+    across = np.exp(-np.abs(np.diff(grey, axis=1)) / 255.0 * _SHARPNESS)
+    down = np.exp(-np.abs(np.diff(grey, axis=0)) / 255.0 * _SHARPNESS)
+    along = [np.pad(across, ((0, 0), (0, 1))), np.ascontiguousarray(np.pad(down, ((0, 1), (0, 0))).T)]
+    for round_ in range(_ROUNDS):
+        share = 1.5 * 4.0 ** (_ROUNDS - round_ - 1) / (4.0**_ROUNDS - 1.0)
+        for links in along:
+            _smooth_rows(weight, weighted, links, share * strength)
+            weight, weighted = np.ascontiguousarray(weight.T), np.ascontiguousarray(weighted.T)
+    return (weighted / np.maximum(weight, _LEAST)).astype(np.float32)
+
+
+def _smooth_rows(weight: np.ndarray, weighted: np.ndarray, links: np.ndarray, strength: float) -> None:
+    _parallel.map_chunks(
+        lambda a, b, _: kernels.smooth_rows(weight, weighted, links, strength, a, b), len(weight)
+    )
+
+
+def _farther_neighbour(disparity: np.ndarray) -> Float32[np.ndarray, "h w"]:
+    """The smaller of the nearest known disparities to the left and to the right in the row; NaN where there is neither."""
+    width = disparity.shape[1]
+    known = np.isfinite(disparity)
+    column = np.arange(width)
+    last = np.maximum.accumulate(np.where(known, column, -1), axis=1)
+    following = np.minimum.accumulate(np.where(known, column, width)[:, ::-1], axis=1)[:, ::-1]
+    rows = np.arange(len(disparity))[:, None]
+    left = np.where(last >= 0, disparity[rows, np.maximum(last, 0)], np.inf)
+    right = np.where(following < width, disparity[rows, np.minimum(following, width - 1)], np.inf)
+    smaller = np.minimum(left, right)
+    return np.where(np.isfinite(smaller), smaller, np.nan).astype(np.float32)

@@ -1,0 +1,161 @@
+"""A pair of pictures to disparities, depth and points: the method, without files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from epipole.disparity_search.rectification import Rectification, rectify, within_both
+from epipole.disparity_search.search import match_stereo
+from epipole.errors import ConfigError, ShapeError
+from epipole.pipelines.stereo.calibration_error import calibration_sigma
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.depth import depth_of
+from epipole.pipelines.stereo.filling import FilledDisparities, fill_disparities
+from epipole.pipelines.stereo.rigs import rectified_rig_of
+from epipole.pipelines.stereo.rows import MatchedPair, quick_warnings
+from epipole.pipelines.stereo.uncalibrated import UncalibratedRectification, rectify_uncalibrated
+from epipole.scene import DepthMap, DisparityMap, RectifiedRig, StereoRig
+
+_FITTED_WITH = (
+    "window",
+    "brightness_cost",
+    "small_penalty",
+    "edge_penalty",
+    "edge_fade",
+    "median_px",
+    "block_px",
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoResult:
+    """What was found of a pair."""
+
+    left_rgb: UInt8[np.ndarray, "h w 3"]
+    """Rectified, as all maps are."""
+    right_rgb: UInt8[np.ndarray, "h w 3"]
+    disparities: DisparityMap
+    rig: RectifiedRig | None
+    """Of the rectified pair; None: there are disparities but no depth."""
+    depths: DepthMap | None
+    rectification: Rectification | UncalibratedRectification | None
+    """None for a pair that came rectified."""
+    warnings: tuple[str, ...]
+    num_points: int
+    filled: FilledDisparities | None = None
+    """Guesses for the rest, where they were asked for."""
+    out: Path | None = None
+    """Where it was written."""
+
+    def __repr__(self) -> str:
+        depth = "no depth" if self.depths is None else f"{self.num_points} points"
+        return f"StereoResult({self.disparities!r}, {depth}, in {self.out})"
+
+
+def measure_pair(
+    left_rgb: UInt8[np.ndarray, "h1 w1 3"],
+    right_rgb: UInt8[np.ndarray, "h2 w2 3"],
+    config: StereoConfig,
+    rig: RectifiedRig | StereoRig | None = None,
+) -> StereoResult:
+    """Rectify where the rig says how, match, and turn disparities into depth where it says how far apart the cameras are.
+
+    Raises:
+        ShapeError: the pictures are no pair, or not of the calibration's size.
+        ConfigError: left and right are swapped in the calibration, the range of disparities does not fit, or an uncalibrated
+            pair has a rig.
+        DegenerateGeometryError: the pair cannot be rectified.
+    """
+    left, right, flat, rectification = _rectified(left_rgb, right_rgb, config, rig)
+    config = _down_to_infinity(config, flat)
+    disparities = match_stereo(left, right, config)
+    if rectification is not None:
+        disparities = within_both(disparities, rectification.left_valid, rectification.right_valid)
+    warnings = list(quick_warnings(left, right, _matched(disparities, config, isinstance(rig, StereoRig))))
+    warnings += _limits(config, rig)
+    depths, num_points = None, 0
+    if flat is not None:
+        wrong_px = None
+        if (
+            isinstance(rig, StereoRig)
+            and rig.covariance is not None
+            and isinstance(rectification, Rectification)
+        ):
+            wrong_px = calibration_sigma(rig, rectification, disparities.disparity_px)
+        depths = depth_of(disparities, flat, wrong_px)
+        num_points = int(np.isfinite(depths.depth).sum())
+        if not num_points and disparities.density > 0:
+            warnings.append(
+                "no depth is positive and finite: every disparity plus the principal offset is zero or less"
+            )
+    filled = fill_disparities(disparities, left) if config.fill else None
+    return StereoResult(
+        left, right, disparities, flat, depths, rectification, tuple(warnings), num_points, filled
+    )
+
+
+class _RectifiedPair(NamedTuple):
+    left: UInt8[np.ndarray, "h w 3"]
+    right: UInt8[np.ndarray, "h w 3"]
+    rig: RectifiedRig | None
+    rectification: Rectification | UncalibratedRectification | None
+
+
+def _rectified(
+    left: np.ndarray, right: np.ndarray, config: StereoConfig, rig: RectifiedRig | StereoRig | None
+) -> _RectifiedPair:
+    if config.uncalibrated:
+        if rig is not None:
+            raise ConfigError(
+                "uncalibrated means that nothing is known of the cameras: give no calibration with it"
+            )
+        unknown = rectify_uncalibrated(left, right)
+        return _RectifiedPair(*unknown.apply(left, right), None, unknown)
+    if isinstance(rig, StereoRig):
+        rig.check_pictures(left, right)
+        flat = rectified_rig_of(rig)
+        if flat is not None:
+            return _RectifiedPair(left, right, flat, None)
+        rectification = rectify(rig)
+        return _RectifiedPair(*rectification.apply(left, right), rectification.rig, rectification)
+    if left.shape != right.shape:
+        (h1, w1), (h2, w2) = left.shape[:2], right.shape[:2]
+        raise ShapeError(f"left is {w1} x {h1} pixels and right {w2} x {h2}: a rectified pair has one size")
+    return _RectifiedPair(left, right, rig, None)
+
+
+def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[str]:
+    """What cannot be said with these settings."""
+    out = []
+    default = StereoConfig()
+    matters = [name for name in _FITTED_WITH if name != "block_px" or config.method == "block"]
+    changed = [name for name in matters if getattr(config, name) != getattr(default, name)]
+    if changed:
+        words = (
+            f"the error bars were fitted with the default {', '.join(changed)}; with yours they are rougher"
+        )
+        out.append(words)
+    if config.uncalibrated:
+        out.append(
+            "without a calibration disparities stand for depth up to a projective change of space, which may turn its order"
+        )
+    if isinstance(rig, StereoRig) and rig.covariance is None:
+        out.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
+    return out
+
+
+def _down_to_infinity(config: StereoConfig, rig: RectifiedRig | None) -> StereoConfig:
+    """The same with a range that begins where depth ends: where principal points differ far things have negative disparities."""
+    if rig is None or config.min_disparity_px != 0 or rig.principal_offset_px <= 0:
+        return config
+    return replace(config, min_disparity_px=-int(np.ceil(rig.principal_offset_px)))
+
+
+def _matched(disparities: DisparityMap, config: StereoConfig, is_calibrated: bool) -> MatchedPair:
+    high = np.inf if config.max_disparity_px is None else float(config.max_disparity_px)
+    return MatchedPair(disparities.density, (float(config.min_disparity_px), high), is_calibrated)

@@ -1,0 +1,128 @@
+"""Many pairs one after the other: folders and stereo video."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from epipole.errors import EpipoleError, FileFormatError
+from epipole.io.stereo_folders import pair_folders
+from epipole.io.stereo_video import extract_pairs
+from epipole.io.video import is_video
+from epipole.pipelines.stereo.pair import StereoResult
+from epipole.runs import Progress, ProgressCallback, ignore_progress, is_finished
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StereoBatch:
+    """What became of many pairs."""
+
+    out: Path
+    done: tuple[str, ...]
+    """Names of the pairs that were measured; each has a folder of its own."""
+    earlier: tuple[str, ...]
+    """Names of those that an earlier run with the same settings had measured."""
+    problems: dict[str, str]
+    """Why the others were not."""
+    warnings: dict[str, tuple[str, ...]]
+    """What is wrong with those that were measured now."""
+    known: dict[str, float]
+    """Share of their pixels that is known."""
+
+    def __repr__(self) -> str:
+        return f"StereoBatch({len(self.done)} done, {len(self.earlier)} done earlier, {len(self.problems)} failed, in {self.out})"
+
+
+def is_many(left: Path, right: Path) -> bool:
+    """Whether these are folders or videos, not two pictures."""
+    return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
+
+
+def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
+    """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
+
+    Raises:
+        FileFormatError: there are none, or the folders do not fit.
+    """
+    if is_video(left) or is_video(right):
+        pairs = extract_pairs(left, right, out / "frames", max_frames)
+        return {a.stem: (a, b) for a, b in pairs}
+    for folder in (left, right):
+        if not folder.is_dir():
+            raise FileFormatError(
+                folder, "it is no folder, the other one is; give two pictures, folders or videos"
+            )
+    found = pair_folders(left, right, ignore=[out])
+    return _by_folder([pair for _, pair in found], [name for name, _ in found])
+
+
+def run_batch(
+    pairs: dict[str, tuple[Path, Path]],
+    out: Path,
+    settings: Callable[[Path, Path], dict[str, Any]],
+    measure: Callable[[Path, Path, Path], StereoResult],
+    progress: ProgressCallback = ignore_progress,
+) -> StereoBatch:
+    """Measure each pair into a folder of its name; one that cannot be read does not stop the others.
+
+    Args:
+        pairs: as of `list_pairs`.
+        out: the folder of the folders.
+        settings: what the results of two pictures depend on: a pair that was measured with the same is not measured again.
+        measure: called with (left, right, folder).
+        progress: called after each pair.
+    """
+    done, earlier = [], []
+    problems: dict[str, str] = {}
+    warnings: dict[str, tuple[str, ...]] = {}
+    known: dict[str, float] = {}
+    for number, (name, (left, right)) in enumerate(pairs.items(), 1):
+        folder = out / name
+        if left.is_file() and right.is_file() and is_finished(folder, settings(left, right)):
+            earlier.append(name)
+        else:
+            try:
+                found = measure(left, right, folder)
+                done.append(name)
+                known[name] = found.disparities.density
+                if found.warnings:
+                    warnings[name] = found.warnings
+            except EpipoleError as error:
+                problems[name] = str(error)
+        progress(Progress("pairs", number, len(pairs)))
+    return StereoBatch(out, tuple(done), tuple(earlier), problems, warnings, known)
+
+
+def summary_of(
+    batch: StereoBatch, pairs: dict[str, tuple[Path, Path]], before: dict[str, Any]
+) -> dict[str, Any]:
+    """What is kept of many pairs, those of an earlier run with what it said of them."""
+    kept = {
+        part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
+        for part in ("known", "warnings")
+    }
+    return {
+        "done": [*batch.earlier, *batch.done],
+        "known": kept["known"] | batch.known,
+        "warnings": kept["warnings"] | batch.warnings,
+        "problems": batch.problems,
+        "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
+    }
+
+
+def read_summary(out: Path) -> dict[str, Any]:
+    """What an earlier run over many pairs has written of them; empty where there was none."""
+    try:
+        content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
+    """Named without suffix, where no two names differ in that alone."""
+    short = [Path(name).with_suffix("").as_posix() for name in names]
+    return {a if short.count(a) == 1 else name: pair for a, name, pair in zip(short, names, pairs)}

@@ -1,0 +1,110 @@
+"""The two cameras of a pair: from options, from calibration files, and as a rectified rig where they already stand so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from epipole.cameras import CameraModel
+from epipole.errors import ConfigError
+from epipole.io.calibration_files import read_stereo_rig
+from epipole.io.photographs import list_photographs, read_header
+from epipole.io.video import frame_size, is_video
+from epipole.pipelines.stereo.config import CalibrationOptions, RigOptions
+from epipole.scene import RectifiedRig, StereoRig
+
+_SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
+_SAME = 1e-6  # relative: a thousandth of a pixel across a picture
+
+
+def rig_of(
+    left: Path, right: Path, options: RigOptions, calibrated: CalibrationOptions
+) -> RectifiedRig | StereoRig | None:
+    """What the options and files say of the cameras.
+
+    Raises:
+        ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
+        FileFormatError: a calibration cannot be read.
+    """
+    if calibrated.cameras and not calibrated.calibration:
+        raise ConfigError("--cameras chooses two of the cameras of a calibration: give one")
+    if calibrated.calibration:
+        sigmas = {name: getattr(options, name) for name in _SIGMAS}
+        if _without_sigmas(options) != RigOptions():
+            raise ConfigError(
+                "give a calibration, or focal_px, baseline and the like of a rectified pair, not both"
+            )
+        rig = read_stereo_rig(*calibrated.calibration, size=_size_of_first(left), cameras=calibrated.cameras)
+        if not any(sigmas.values()):
+            return rig
+        flat = rectified_rig_of(rig)
+        if flat is None:
+            raise ConfigError(
+                "standard deviations are for calibrations whose cameras stand side by side already, without covariance"
+            )
+        return replace(flat, **sigmas)
+    if options.focal_px is None and options.baseline is None:
+        return rig_from_options(options, (1, 1))
+    return rig_from_options(options, _size_of_first(left) or _size_of_first(right) or (1, 1))
+
+
+def _without_sigmas(options: RigOptions) -> RigOptions:
+    return replace(options, focal_sigma_px=0.0, baseline_sigma=0.0, principal_offset_sigma_px=0.0)
+
+
+def _size_of_first(path: Path) -> tuple[int, int] | None:
+    """Width and height of a picture, or of the first of a folder; None for video."""
+    if is_video(path):
+        return frame_size(path)
+    if path.is_dir():
+        names = list_photographs(path).names
+        if not names:
+            return None
+        path = path / names[0]
+    header = read_header(path)
+    return header.width, header.height
+
+
+def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig | None:
+    """The rig of a rectified pair whose pictures have a width and height; None where nothing of it is known.
+
+    Raises:
+        ConfigError: one of focal length and baseline is missing, or not positive.
+    """
+    if options.focal_px is None and options.baseline is None:
+        return None
+    if options.focal_px is None or options.baseline is None:
+        missing = "focal_px" if options.focal_px is None else "baseline"
+        raise ConfigError(f"depth needs both focal_px and baseline; {missing} is missing")
+    cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    return RectifiedRig(
+        options.focal_px,
+        *(cx, cy, options.baseline, options.principal_offset_px),
+        *(options.focal_sigma_px, options.baseline_sigma, options.principal_offset_sigma_px),
+    )
+
+
+def rectified_rig_of(rig: StereoRig) -> RectifiedRig | None:
+    """The same as a rectified pair, where the cameras already stand so (KITTI, Middlebury): nothing needs resampling.
+
+    None for any other rig, and for one with a covariance, which needs the cameras' own parameters.
+    """
+    left, right, motion = rig.left, rig.right, rig.right_from_left
+    if rig.covariance is not None or (left.width, left.height) != (right.width, right.height):
+        return None
+    K1, K2 = left.K, right.K
+    focal, baseline = float(K1[0, 0]), rig.baseline
+    is_flat = (
+        not any(camera.params[list(camera.model.distortion_indices)].any() for camera in (left, right))
+        and np.allclose([K1[1, 1], K2[0, 0], K2[1, 1]], focal, rtol=_SAME, atol=0)
+        and abs(K2[1, 2] - K1[1, 2]) < _SAME * focal
+        and np.abs(motion.rotation - np.eye(3)).max() < _SAME
+        and np.abs(motion.translation - [-baseline, 0, 0]).max() < _SAME * baseline
+    )
+    if not is_flat or CameraModel.OPENCV_FISHEYE in (left.model, right.model):
+        return None
+    return RectifiedRig(
+        focal, float(K1[0, 2]), float(K1[1, 2]), baseline, principal_offset_px=float(K2[0, 2] - K1[0, 2])
+    )

@@ -1,0 +1,209 @@
+"""Do the rows of a rectified pair match? What features say of vertical offsets, their trend and the order of the pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from epipole.config import FeatureConfig
+from epipole.features import detect_features, match_descriptors
+from epipole.scene import RectifiedRig
+
+_MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are mistakes
+_ROUNDS = 20
+LEAST_FOR_TREND = 50
+_KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
+SAME_PX = 0.02
+"""Features that move by less in the median show the same picture twice."""
+_LEAST_MATCHES = 30
+_SPARSE, _FEW = 0.3, 0.2
+_AGREES_PX, _MOST_BEYOND = 2.0, 0.1
+_NEAR_PX = 1.0  # a disparity of less says nothing of the order of the pictures
+_SWAPPED_SHARE = 0.8
+_MOST_OFF_PX = 1.0
+"""A median vertical offset beyond this spoils matching by rows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowMatches:
+    """Features of a pair that match, wherever they lie."""
+
+    left_px: Float64[np.ndarray, "n 2"]
+    right_px: Float64[np.ndarray, "n 2"]
+    num_features: int = 0
+    """Features of the picture that has fewer."""
+
+    @property
+    def vertical_px(self) -> Float64[np.ndarray, " n"]:
+        """y_right - y_left: zero in a rectified pair."""
+        return self.right_px[:, 1] - self.left_px[:, 1]
+
+    @property
+    def disparity_px(self) -> Float64[np.ndarray, " n"]:
+        """x_left - x_right."""
+        return self.left_px[:, 0] - self.right_px[:, 0]
+
+    def __len__(self) -> int:
+        return len(self.left_px)
+
+    def __repr__(self) -> str:
+        return f"RowMatches({len(self)})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowTrend:
+    """Vertical offsets as a smooth function of the place in the picture: what a wrong calibration leaves."""
+
+    coefficients: Float64[np.ndarray, " p"]
+    sigma: Float64[np.ndarray, " p"]
+    rms_px: float
+    """Robust standard deviation of the offsets about the trend."""
+
+
+def match_features(
+    left: UInt8[np.ndarray, "h w"], right: UInt8[np.ndarray, "h w"], kind: Literal["sift", "orb"] = "sift"
+) -> RowMatches:
+    """Matches of a pair whose vertical offset is below a tenth of the height, mutual and by the ratio test.
+
+    Args:
+        left: grey.
+        right: grey, of the same size.
+        kind: SIFT is accurate to a fifth of a pixel; ORB to one, and needs no compiled kernels of ours to find.
+    """
+    config = FeatureConfig(kind=kind, max_features=4000 if kind == "sift" else 2000)
+    one, two = detect_features(left, config), detect_features(right, config)
+    pairs = match_descriptors(one.descriptors, two.descriptors)
+    first, second = one.pixels[pairs[:, 0]].astype(np.float64), two.pixels[pairs[:, 1]].astype(np.float64)
+    offset = second[:, 1] - first[:, 1]
+    near = np.abs(offset) < _MOST_OFFSET * left.shape[0]
+    return RowMatches(first[near], second[near], min(len(one), len(two)))
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedPair:
+    """What was asked of a pair and came of it."""
+
+    density: float
+    """Share of the pixels for which a disparity was found."""
+    search_px: tuple[float, float]
+    """First and last disparity looked for; infinite where the pictures themselves set the end."""
+    is_calibrated: bool
+
+
+def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPair) -> tuple[str, ...]:
+    """What is plainly wrong with a rectified pair: swapped, rows that do not match, a range too small, nothing in common.
+
+    Args:
+        left_rgb: (h, w, 3).
+        right_rgb: the same size.
+        found: what was asked and came of it.
+    """
+    grey = [cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (left_rgb, right_rgb)]
+    matches = match_features(grey[0], grey[1], "orb")
+    if len(matches) and np.median(np.abs(matches.vertical_px)) > _MOST_OFF_PX:
+        # Rows are off, or most matches are mistakes (a chessboard's): better features tell.
+        matches = without_mistakes(match_features(grey[0], grey[1]), None)
+    few = f"only {100 * found.density:.1f} % of the pixels are known"
+    if len(matches) < _LEAST_MATCHES:
+        if found.density > _SPARSE:
+            return ()
+        if matches.num_features < _LEAST_MATCHES:
+            return (f"{few}: the pictures are blank, dark or blurred",)
+        return (
+            f"{few}, and hardly any feature of one picture is found in the other: do they show the same thing?",
+        )
+    if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
+        return ("left and right are the same picture: there is no depth in it",)
+    out = []
+    low, high = found.search_px
+    span = f"from {low:g} px on" if np.isinf(high) else f"{low:g} to {high:g} px"
+    agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
+    beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
+    if low >= 0 and is_swapped(matches):
+        advice = (
+            "is its calibration that of this pair?" if found.is_calibrated else "Exchange the two pictures"
+        )
+        out.append(
+            f"left and right look swapped: nearly all features lie farther right in the right picture. {advice}"
+        )
+    elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
+        out.append(
+            f"{100 * beyond[agrees].mean():.0f} % of the features have disparities beyond the range looked for, {span}: "
+            "what is known there is wrong"
+        )
+    offset = float(np.median(np.abs(matches.vertical_px)))
+    if offset > _MOST_OFF_PX:
+        advice = (
+            "the calibration does not fit these pictures" if found.is_calibrated else "give its calibration"
+        )
+        out.append(
+            f"the pair is not rectified: features lie {offset:.1f} px off their rows (median); {advice}. "
+            "`epipole stereo doctor` says more"
+        )
+    if found.density < _FEW and not out:
+        out.append(few)
+    return tuple(out)
+
+
+def is_swapped(matches: RowMatches) -> bool:
+    """Whether nearly all disparities that say something are negative."""
+    telling = np.abs(matches.disparity_px) > _NEAR_PX
+    if telling.sum() < _LEAST_MATCHES:
+        return False
+    # Half of the matches may be mistakes: the sign of what agrees in its row counts.
+    agrees = telling & (np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX)
+    return bool(agrees.any() and (matches.disparity_px[agrees] < 0).mean() > _SWAPPED_SHARE)
+
+
+def fit_trend(offsets: Float64[np.ndarray, " n"], basis: Float64[np.ndarray, "n p"]) -> RowTrend:
+    """Least squares with Cauchy's weights, scaled by the median deviation."""
+    coefficients = np.zeros(basis.shape[1])
+    coefficients[0] = np.median(offsets)
+    scale = 1.0
+    for _ in range(_ROUNDS):
+        residual = offsets - basis @ coefficients
+        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        weight = 1.0 / (1.0 + (residual / (2.0 * scale)) ** 2)
+        root = np.sqrt(weight)[:, None]
+        coefficients = np.linalg.lstsq(root * basis, root[:, 0] * offsets, rcond=None)[0]
+    inside = np.abs(offsets - basis @ coefficients) < 3.0 * scale
+    information = basis[inside].T @ basis[inside]
+    sigma = scale * np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)), 0.0))
+    return RowTrend(coefficients, sigma, scale)
+
+
+def row_basis(
+    matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a small error of the rig does to the rows, and what one of the lenses adds.
+
+    With x, y from the principal point over f: pitch 1 + y^2, yaw x y, roll x, scale y; a wrong direction of the baseline d and y d;
+    wrong radial distortion y r^2, y r^4 in one lens, x y d in both alike.
+    """
+    focal, cx, cy = (flat.focal_px, flat.cx, flat.cy) if flat else (size[0], size[0] / 2, size[1] / 2)
+    x, y = (matches.right_px[:, 0] - cx) / focal, (matches.right_px[:, 1] - cy) / focal
+    d = matches.disparity_px / focal
+    r2 = x * x + y * y
+    rig = np.stack([np.ones_like(x), x, y, x * y, y * y, d, y * d], axis=1)
+    return rig, np.concatenate([rig, np.stack([y * r2, y * r2 * r2, x * y * d], axis=1)], axis=1)
+
+
+def without_mistakes(matches: RowMatches, flat: RectifiedRig | None) -> RowMatches:
+    """Those within three robust deviations of a trend that errors of the rig and of the lenses explain; all where they are few."""
+    if len(matches) < LEAST_FOR_TREND:
+        return matches
+    extent = np.maximum(matches.left_px.max(axis=0), matches.right_px.max(axis=0))
+    basis = row_basis(matches, flat, (int(extent[0]) + 1, int(extent[1]) + 1))[1]
+    middle = np.median(matches.vertical_px)
+    near = np.abs(matches.vertical_px - middle) < np.maximum(
+        10.0, 5.0 * np.median(np.abs(matches.vertical_px - middle))
+    )
+    if near.sum() < LEAST_FOR_TREND:
+        return matches
+    trend = fit_trend(matches.vertical_px[near], basis[near])
+    good = np.abs(matches.vertical_px - basis @ trend.coefficients) < _KEPT * max(trend.rms_px, 0.1)
+    return RowMatches(matches.left_px[good], matches.right_px[good], matches.num_features)

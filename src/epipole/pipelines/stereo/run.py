@@ -1,0 +1,180 @@
+"""The jobs of a stereo pair: measured, many of them, two pictures of a model, and the doctor."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.disparity_search.rectification import is_right_of_left
+from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.photographs import read_rgb
+from epipole.pipelines.stereo.config import StereoConfig
+from epipole.pipelines.stereo.doctor import Diagnosis, examine
+from epipole.pipelines.stereo.files import write_stereo
+from epipole.pipelines.stereo.page import render_page
+from epipole.pipelines.stereo.pair import StereoResult, measure_pair
+from epipole.pipelines.stereo.pairs import (
+    StereoBatch,
+    is_many,
+    list_pairs,
+    read_summary,
+    run_batch,
+    summary_of,
+)
+from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.scene import RectifiedRig, StereoRig
+
+
+def stereo(
+    left: str | Path,
+    right: str | Path,
+    out: str | Path,
+    config: StereoConfig | None = None,
+    rig: RectifiedRig | StereoRig | None = None,
+) -> StereoResult:
+    """Disparities of a pair with their standard deviations, with a rig also depth and points, and a report.
+
+    Args:
+        left: picture whose pixels get a disparity.
+        right: the other.
+        out: output folder, made if missing.
+        config: options; None for the defaults.
+        rig: two calibrated cameras, by which the pair is rectified first; or what is known of a rectified pair;
+            None: the pair counts as rectified, and there are disparities but no depth.
+
+    Raises:
+        FileFormatError: a picture cannot be read.
+        ShapeError: the pictures are no pair, or not of the calibration's size.
+        ConfigError: left and right are swapped in the calibration.
+        DegenerateGeometryError: the pair cannot be rectified.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, left, right = options_of(StereoConfig, config), as_path(left), as_path(right)
+    job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
+    with open_run(job, as_path(out)) as run:
+        result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
+        with run.folder.publish("stereo") as aside:
+            write_stereo(result, aside)
+        run.folder.write_text("report.html", render_page(result))
+        run.finish()
+        return replace(result, out=run.root)
+
+
+def stereo_many(
+    left: str | Path,
+    right: str | Path,
+    out: str | Path,
+    config: StereoConfig | None = None,
+    rig: RectifiedRig | StereoRig | None = None,
+    progress: ProgressCallback = ignore_progress,
+) -> StereoBatch:
+    """`stereo` for every pair of two folders, or of stereo video (twice the same file: both pictures side by side).
+
+    A pair that cannot be measured is named with its reason and does not stop the others; a stopped run continues.
+
+    Raises:
+        FileFormatError: there are no pairs.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, left, right = options_of(StereoConfig, config), as_path(left), as_path(right)
+    job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
+    with open_run(job, as_path(out)) as run:
+        pairs = list_pairs(left, right, run.root, config.max_frames)
+        batch = run_batch(
+            *(pairs, run.root, lambda one, two: _settings(config, rig, one, two)),
+            lambda one, two, folder: stereo(one, two, folder, config, rig),
+            progress,
+        )
+        run.finish(summary_of(batch, pairs, read_summary(run.root)))
+        return batch
+
+
+def stereo_of_model(
+    workspace: str | Path, first: str, second: str, out: str | Path, config: StereoConfig | None = None
+) -> StereoResult:
+    """`stereo` for two pictures of a finished reconstruction, rectified by their places; depth in the model's unit.
+
+    Args:
+        workspace: output folder of `reconstruct`.
+        first: name of the picture whose pixels get depth, unless it stands right of the other one.
+        second: name of the other.
+        out: output folder.
+        config: options.
+
+    Raises:
+        FileFormatError: there is no model, or a picture is not in it.
+        DegenerateGeometryError: the two pictures cannot be rectified.
+    """
+    workspace = as_path(workspace)
+    model = read_colmap_model(find_model(workspace))
+    rows = {name: k for k, name in enumerate(model.images.name)}
+    registered, places = model.is_registered(), model.cams_from_world()
+    for name in (first, second):
+        if name not in rows or not registered[rows[name]]:
+            raise FileFormatError(workspace, f"{name} has no place in the model")
+    if first == second:
+        raise DegenerateGeometryError("a picture makes no pair with itself")
+    one, two = rows[first], rows[second]
+    cameras, of_image = model.cameras, model.camera_of_image
+    rig = StereoRig(
+        cameras[int(of_image[one])], cameras[int(of_image[two])], places[two] @ places[one].inverse()
+    )
+    note: tuple[str, ...] = ()
+    if is_right_of_left(rig):
+        rig, first, second = rig.swapped(), second, first
+        note = (f"{first} stands left of {second}: its pixels have the depth",)
+    pictures = workspace / "images"
+    found = stereo(pictures / first, pictures / second, out, config, rig)
+    return replace(found, warnings=(*note, *found.warnings))
+
+
+def examine_stereo(
+    left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
+) -> Diagnosis:
+    """What is wrong with a pair, or with several of one rig: swapped, rows that do not match, not synchronous.
+
+    Args:
+        left: a picture, a folder or a video.
+        right: the other.
+        rig: as for `stereo`.
+        max_frames: pairs looked at, at most.
+
+    Raises:
+        FileFormatError: a picture cannot be read, or there is no pair.
+    """
+    left, right = as_path(left), as_path(right)
+    if not is_many(left, right):
+        return examine([(read_rgb(left), read_rgb(right))], rig)
+    with tempfile.TemporaryDirectory() as scratch:
+        pairs = list(list_pairs(left, right, Path(scratch), max_frames).values())
+        chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), max_frames)).astype(int))
+        read, unread = [], []
+        for k in chosen:
+            try:
+                read.append((read_rgb(pairs[k][0]), read_rgb(pairs[k][1])))
+            except FileFormatError as error:
+                unread.append(str(error))
+        if not read:
+            raise FileFormatError(left, "no pair of it can be read")
+        found = examine(read, rig)
+        return replace(found, notes=(*found.notes, *unread))
+
+
+def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *pictures: Path) -> dict[str, Any]:
+    """All that the result depends on: other pictures or another calibration of the same name are not the same pair."""
+    described: Any = asdict(rig) if isinstance(rig, RectifiedRig) else rig
+    if isinstance(rig, StereoRig):
+        described = {
+            "cameras": [[c.model.name, c.width, c.height, c.params.tolist()] for c in (rig.left, rig.right)],
+            "right_from_left": rig.right_from_left.as_matrix().tolist(),
+            "covariance": None if rig.covariance is None else rig.covariance.tolist(),
+        }
+    files = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in pictures if p.is_file()]
+    return {"config": asdict(config), "rig": described, "pictures": files}

@@ -1,0 +1,108 @@
+"""What the stereo commands print of their results."""
+
+from __future__ import annotations
+
+import json
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from epipole.pipelines.stereo.doctor import Diagnosis
+from epipole.pipelines.stereo.pair import StereoResult
+from epipole.pipelines.stereo.pairs import StereoBatch
+from epipole.scene import StereoReason
+from epipole.screen import print_warnings
+
+
+def show_stereo(result: StereoResult) -> None:
+    """What of the pair is known, and where it lies."""
+    found = result.disparities
+    known = np.isfinite(found.disparity_px)
+    table = Table(title=f"Stereo pair: {100 * found.density:.1f} % of the pixels known", show_header=False)
+    for reason in StereoReason:
+        share = float((found.reason == reason).mean())
+        if share > 0 and reason != StereoReason.OK:
+            table.add_row(reason.name.lower().replace("_", " "), f"{100 * share:.1f} %")
+    if known.any():
+        low, high = np.percentile(found.disparity_px[known], (1, 99))
+        table.add_row("disparities", f"{low:.1f} to {high:.1f} px")
+        table.add_row("their median standard deviation", f"{np.median(found.sigma_px[known]):.2f} px")
+    if result.depths is not None and np.isfinite(result.depths.depth).any():
+        near, far = np.nanpercentile(result.depths.depth, (1, 99))
+        table.add_row("depths", f"{near:.3g} to {far:.3g}")
+        table.add_row("points", f"{result.num_points}")
+    table.add_row("written to", str(result.out))
+    console = Console()
+    console.print(table)
+    print_warnings(console, result.warnings)
+
+
+def show_batch(batch: StereoBatch) -> None:
+    """How many pairs were measured, and why others were not."""
+    console = Console()
+    earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
+    console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
+    if batch.known:
+        shares = sorted(batch.known.values())
+        console.print(f"known pixels: {100 * shares[0]:.0f} to {100 * shares[-1]:.0f} %", highlight=False)
+    print_warnings(console, [f"{name}: {'; '.join(words)}" for name, words in batch.warnings.items()])
+    print_warnings(console, [f"{name}: {reason}" for name, reason in batch.problems.items()], "problem")
+
+
+def show_diagnosis(found: Diagnosis) -> None:
+    """What is wrong, or that nothing is; rows and the depth error to expect."""
+    console = Console()
+    if found.is_healthy:
+        console.print("healthy: nothing wrong was found", style="green")
+    print_warnings(console, found.problems, "problem")
+    print_warnings(console, found.notes)
+    table = Table(box=None, show_header=False)
+    table.add_row("features that match", str(found.num_matches))
+    if found.vertical_median_px == found.vertical_median_px:
+        _add_rows(table, found)
+    console.print(table)
+    if found.expectations:
+        ranges = Table("depth", "disparity, px", "error from matching", "from calibration", box=None)
+        for e in found.expectations:
+            wrong = f"{e.from_calibration:.3g}" if e.from_calibration == e.from_calibration else "not known"
+            ranges.add_row(f"{e.depth:g}", f"{e.disparity_px:.1f}", f"{e.from_matching:.3g}", wrong)
+        console.print(ranges)
+
+
+def _add_rows(table: Table, found: Diagnosis) -> None:
+    table.add_row(
+        "vertical offset",
+        f"median {found.vertical_median_px:.2f} px, 95 % {found.vertical_p95_px:.2f} px, signed median "
+        f"{found.vertical_signed_px:+.2f} px",
+    )
+    table.add_row(
+        "left after the best extrinsics, after distortion",
+        f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
+    )
+    if found.calibration_error_px == found.calibration_error_px:
+        table.add_row("of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
+    for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
+        table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
+
+
+def as_json(content: dict[str, Any]) -> str:
+    """A diagnosis as JSON, with null for numbers that JSON does not know."""
+    return json.dumps(_plain(content), indent=2)
+
+
+def _plain(content: object) -> object:
+    """Dictionaries, lists, words and finite numbers."""
+    if isinstance(content, dict):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if isinstance(content, np.ndarray):
+        return _plain(content.tolist())
+    if isinstance(content, Enum):
+        return content.value
+    if isinstance(content, float):
+        return float(content) if np.isfinite(content) else None
+    return content

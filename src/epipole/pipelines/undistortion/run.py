@@ -1,0 +1,73 @@
+"""The job: pictures without distortion and a PINHOLE model, as splat trainers and MVS read them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.cameras import Camera
+from epipole.errors import FileFormatError
+from epipole.image import undistort_image, undistorted_camera
+from epipole.io.atomic import atomic_write
+from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.photographs import read_rgb
+from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.scene import Cameras, Reconstruction
+
+
+def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> Path:
+    """Write `OUT/undistorted`: pictures without distortion and a PINHOLE model, as splat trainers and MVS read them.
+
+    Returns:
+        The folder: `images/` and `sparse/0/`.
+
+    Raises:
+        FileFormatError: there is no model, a picture is missing, or its format cannot be written.
+        WorkspaceError: the folder holds something else, or cannot be written.
+    """
+    workspace = as_path(out)
+    folder = find_model(workspace)
+    model = read_colmap_model(folder)
+    pinholes = [undistorted_camera(model.cameras[c]) for c in range(len(model.cameras))]
+    registered = np.flatnonzero(model.is_registered())
+    names = [model.images.name[image] for image in registered]
+    job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
+    with open_run(job, workspace / "undistorted") as run:
+        with run.folder.replacing("images", [f"images/{name}" for name in names]):
+            for n, (image, name) in enumerate(zip(registered, names), 1):
+                c = int(model.camera_of_image[image])
+                rgb = undistort_image(read_rgb(workspace / "images" / name), model.cameras[c], pinholes[c])
+                _write_picture(run.root / "images" / name, rgb)
+                run.report("undistort", n, len(names))
+        with run.folder.publish("model") as aside:
+            write_colmap_model(without_distortion(model, pinholes), aside / "sparse" / "0")
+        run.finish()
+        return run.root
+
+
+def _write_picture(path: Path, rgb: np.ndarray) -> None:
+    with atomic_write(path) as aside:
+        try:
+            written = cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+        except cv2.error:  # an unknown suffix, HEIC's for one
+            written = False
+        if not written:
+            raise FileFormatError(
+                path, "pictures are not written in this format; convert yours to JPEG or PNG first"
+            )
+
+
+def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:
+    """The same model with its keypoints and cameras undistorted."""
+    pixels = model.images.keypoints_px.copy()
+    for image in range(len(model.images)):
+        c = int(model.camera_of_image[image])
+        own = slice(model.images.keypoint_offsets[image], model.images.keypoint_offsets[image + 1])
+        rays = model.cameras[c].unproject(pixels[own])
+        pixels[own] = np.nan_to_num(pinholes[c].project(rays), nan=-1e6)
+    cameras = Cameras.from_list(pinholes, is_constant=[True] * len(pinholes))
+    return replace(model, cameras=cameras, images=replace(model.images, keypoints_px=pixels))

@@ -1,0 +1,34 @@
+"""Who does the units of work: threads, processes, nobody else, or an executor of the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Literal
+
+from epipole import _parallel
+
+ExecutorChoice = Literal["threads", "processes", "inline"] | Executor
+"""A name, or any `concurrent.futures.Executor`: Dask's `Client.get_executor()`, for one. Its workers must see the output
+folder and the pictures under the same paths, and have epipole installed; it is not shut down."""
+
+
+@contextmanager
+def opened(choice: ExecutorChoice) -> Iterator[Executor | None]:
+    """The executor to hand units to; None: do them here, one after the other."""
+    if isinstance(choice, Executor):
+        yield choice
+        return
+    count = _parallel.num_threads()
+    if choice == "inline" or count == 1:
+        yield None
+        return
+    pool: Executor
+    if choice == "processes":
+        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+    else:
+        pool = ThreadPoolExecutor(count, thread_name_prefix="epipole-unit")
+    with pool:
+        yield pool

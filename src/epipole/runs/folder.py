@@ -1,0 +1,180 @@
+"""The output folder of a run: whose it is, and which of its files earlier runs have written.
+
+One file marks it: the kind of run, what it was made from, the version, and every result that was ever put there. A
+folder without the mark is somebody's own and is refused; so is a file that no earlier run has written. Nothing else is
+ever overwritten or removed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from epipole._version import __version__
+from epipole.errors import WorkspaceError
+from epipole.io.atomic import atomic_write, reporting
+
+MARK = "epipole.json"
+FORMAT = 2
+
+
+@dataclass(slots=True)
+class OutputFolder:
+    """A folder that belongs to one kind of run on one source. Made by `claim`."""
+
+    root: Path
+    kind: str
+    """The command: reconstruct, stereo, ..."""
+    source: str
+    files: dict[str, list[str]] = field(default_factory=dict)
+    """Names of the results, by group; relative, with slashes."""
+    finished: str = ""
+    """Digest of the settings with which a run was finished; empty while one works."""
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def publish(self, group: str) -> Iterator[Path]:
+        """Give an empty folder; what is written there replaces the group's earlier files when the block ends.
+
+        Each file appears in one step, and those of an earlier run that this one does not have are removed. If the block
+        raises, all is as it was.
+
+        Raises:
+            WorkspaceError: the disk is full, or a file is in the way that no run has written.
+        """
+        aside = self.root / f".{group}.{secrets.token_hex(4)}.part"
+        with reporting(self.root):
+            try:
+                aside.mkdir()
+                yield aside
+                new = sorted(p.relative_to(aside).as_posix() for p in aside.rglob("*") if p.is_file())
+                with self.replacing(group, new):
+                    for name in new:
+                        target = self.root / name
+                        target.parent.mkdir(parents=True, exist_ok=True)
+                        (aside / name).replace(target)
+            finally:
+                shutil.rmtree(aside, ignore_errors=True)
+
+    @contextmanager
+    def replacing(self, group: str, names: Sequence[str]) -> Iterator[None]:
+        """Around writing files one by one, each whole: they are noted as ours before, stale ones removed after.
+
+        Raises:
+            WorkspaceError: one is in the way that no run has written.
+        """
+        ours = {name for of_group in self.files.values() for name in of_group}
+        for name in names:
+            if os.path.lexists(self.root / name) and name not in ours:
+                raise WorkspaceError(
+                    f"{self.root} holds {name}, which no earlier run has written: choose another folder"
+                )
+        before = self.files.get(group, [])
+        self.files[group] = sorted({*before, *names})
+        self.save()
+        yield
+        self._remove(set(before) - set(names))
+        self.files[group] = sorted(names)
+        self.save()
+
+    def write_text(self, name: str, text: str) -> None:
+        """Publish one text file."""
+        with self.publish(name) as aside:
+            (aside / name).write_text(text, encoding="utf-8")
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Publish one JSON file."""
+        self.write_text(name, json.dumps(content, indent=2, default=str) + "\n")
+
+    def save(self) -> None:
+        """Write the mark."""
+        content = {
+            "format": FORMAT,
+            "kind": self.kind,
+            "source": self.source,
+            "version": __version__,
+            "finished": self.finished,
+            "timings_s": self.timings_s,
+            "files": self.files,
+        }
+        with atomic_write(self.root / MARK) as aside:
+            aside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+    def _remove(self, names: Iterable[str]) -> None:
+        for name in names:
+            path = self.root / name
+            path.unlink(missing_ok=True)
+            folder = path.parent
+            while folder != self.root and folder.is_dir() and not any(folder.iterdir()):
+                folder.rmdir()
+                folder = folder.parent
+
+
+def claim(root: Path, kind: str, source: str, inputs: Sequence[Path] = ()) -> OutputFolder:
+    """Make the output folder, or open it again if it belongs to the same kind of run on the same source.
+
+    Args:
+        root: the folder.
+        kind: the command that makes its contents.
+        source: what they are made from, in words or paths; a folder that holds results of another is refused.
+        inputs: files and folders that are read: results do not go among them.
+
+    Raises:
+        WorkspaceError: it is a file, holds something else, or is not writable.
+    """
+    with reporting(root, "use the output folder"):
+        if root.exists() and not root.is_dir():
+            raise WorkspaceError(f"{root} is a file; the output must be a folder")
+        for path in inputs:
+            if root.resolve() == (path.resolve() if path.is_dir() else path.resolve().parent):
+                what = "the pictures" if path.is_dir() else path.name
+                raise WorkspaceError(f"{root} is the folder of {what}: choose another for the results")
+        held = read_mark(root)
+        if held is None and root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
+            raise WorkspaceError(
+                f"{root} is not empty and was not made by epipole; choose another output folder"
+            )
+        if held is not None and held.files and (held.kind, held.source) != (kind, source):
+            raise WorkspaceError(
+                f"{root} holds the results of `epipole {held.kind}` of {held.source}; choose another output folder"
+            )
+        root.mkdir(parents=True, exist_ok=True)
+        if not os.access(root, os.W_OK):
+            raise WorkspaceError(f"{root} is not writable")
+        is_same = held is not None and (held.kind, held.source) == (kind, source)
+        folder = held if held is not None and is_same else OutputFolder(root, kind, source)
+        folder.save()
+        return folder
+
+
+def read_mark(root: Path) -> OutputFolder | None:
+    """What the mark of a folder says; None for a folder without one.
+
+    Raises:
+        WorkspaceError: it is damaged, or of another version's format.
+    """
+    mark = root / MARK
+    if not mark.is_file():
+        return None
+    try:
+        content = json.loads(mark.read_text(encoding="utf-8"))
+        number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
+        if number == FORMAT:
+            return OutputFolder(
+                root,
+                str(content["kind"]),
+                str(content["source"]),
+                {str(group): [str(name) for name in names] for group, names in files.items()},
+                str(content["finished"]),
+                {str(stage): float(seconds) for stage, seconds in timings.items()},
+            )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
+    raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")

@@ -1,0 +1,124 @@
+"""One run of a job: its folder, its threads, its units of work, its times and what it has to say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from epipole._version import __version__
+from epipole.runs.executors import ExecutorChoice
+from epipole.runs.folder import OutputFolder, claim, read_mark
+from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
+from epipole.runs.threads import thread_scope
+from epipole.runs.units import Unit, digest, run_units
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What is to be run, and how."""
+
+    kind: str
+    """The command's name."""
+    inputs: tuple[Path, ...]
+    """Files and folders that are read; they name the source of the results."""
+    settings: Mapping[str, Any]
+    """All that the results depend on; written to `config.json` with the version."""
+    threads: int | None = None
+    executor: ExecutorChoice = "threads"
+    progress: ProgressCallback = ignore_progress
+    opencv_alone: bool = False
+    """See `thread_scope`."""
+
+
+@dataclass(slots=True)
+class Run:
+    """A run at work. Made by `open_run`."""
+
+    job: Job
+    folder: OutputFolder
+    warnings: list[str] = field(default_factory=list)
+    _earlier_s: dict[str, float] = field(default_factory=dict)
+    """Seconds that a stopped run has spent on the same, by stage."""
+    _finished_s: dict[str, float] = field(default_factory=dict)
+    """The same of a finished run: they count where its units are used again."""
+    _begin: float = field(default_factory=perf_counter)
+
+    @property
+    def root(self) -> Path:
+        """The output folder."""
+        return self.folder.root
+
+    @property
+    def timings_s(self) -> dict[str, float]:
+        """Seconds of each stage, those of stopped runs that this one goes on from included."""
+        return self.folder.timings_s
+
+    @property
+    def seconds(self) -> float:
+        """Since this run began."""
+        return perf_counter() - self._begin
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the seconds spent inside to the stage's."""
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.timings_s[name] = (
+                self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - begin
+            )
+
+    def report(self, stage: str, done: int, total: int) -> None:
+        """Tell how far a stage is."""
+        self.job.progress(Progress(stage, done, total))
+
+    def do(self, units: Sequence[Unit], stage: str) -> None:
+        """Do the units that no earlier run has done."""
+        done = run_units(units, stage=stage, executor=self.job.executor, progress=self.job.progress)
+        if done < len(units) and stage in self._finished_s:
+            self._earlier_s[stage] = self._finished_s.pop(stage)
+
+    def finish(self, summary: Mapping[str, Any] | None = None) -> None:
+        """Write `config.json` and `summary.json`: the results are complete."""
+        self.folder.write_json("config.json", {"version": __version__, **self.job.settings})
+        if summary is not None:
+            self.folder.write_json("summary.json", {"version": __version__, **summary})
+        self.folder.finished = digest(__version__, self.job.settings)
+        self.folder.save()
+
+
+@contextmanager
+def open_run(job: Job, out: Path) -> Iterator[Run]:
+    """Claim the output folder and set the threads; what is finished inside stays there whatever happens.
+
+    Raises:
+        WorkspaceError: the folder is not ours to write into.
+    """
+    source = ", ".join(str(path.resolve()) for path in job.inputs)
+    folder = claim(out, job.kind, source, job.inputs)
+    before = folder.timings_s
+    run = Run(
+        job,
+        folder,
+        _earlier_s={} if folder.finished else dict(before),
+        _finished_s=dict(before) if folder.finished else {},
+    )
+    folder.finished, folder.timings_s = "", {}
+    folder.save()
+    with thread_scope(job.threads, opencv_alone=job.opencv_alone):
+        try:
+            yield run
+        finally:
+            folder.timings_s = {**run._earlier_s, **folder.timings_s}
+            folder.save()
+
+
+def is_finished(out: Path, settings: Mapping[str, Any]) -> bool:
+    """Whether a run with these settings has finished in this folder."""
+    mark = read_mark(out)
+    return mark is not None and mark.finished == digest(__version__, settings)

@@ -1,0 +1,55 @@
+"""The threads of a run: epipole's own, BLAS's and OpenCV's, set while it works and put back after it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import cv2
+
+from epipole import _parallel
+
+_lock = threading.Lock()
+_depth, _before = 0, 0
+
+
+@contextmanager
+def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) -> Iterator[None]:
+    """Hold BLAS to one thread (its results depend on their number), and set the others as asked.
+
+    Args:
+        num_threads: of epipole's pool; None: as it is.
+        opencv_alone: OpenCV works in the calling thread only: where pictures are the units of parallel work.
+    """
+    before = _parallel.asked_threads()
+    if num_threads is not None:
+        _parallel.set_num_threads(num_threads)
+    try:
+        with _parallel.single_threaded_blas():
+            if opencv_alone:
+                with opencv_in_one_thread():
+                    yield
+            else:
+                yield
+    finally:
+        if num_threads is not None:
+            _parallel.set_num_threads(before)
+
+
+@contextmanager
+def opencv_in_one_thread() -> Iterator[None]:
+    """Hold OpenCV to the calling thread. Its setting is the process's: the first one in sets it, the last one out puts it back."""
+    global _depth, _before  # noqa: PLW0603 - OpenCV's setting is global, too
+    with _lock:
+        if _depth == 0:
+            _before = cv2.getNumThreads()
+            cv2.setNumThreads(1)
+        _depth += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _depth -= 1
+            if _depth == 0:
+                cv2.setNumThreads(_before)

@@ -1,0 +1,137 @@
+"""Units of work: each makes one file from its inputs, and is skipped when that file is already there.
+
+A unit's key is a digest of everything its result depends on. The file keeps the key inside, is written aside
+and renamed, so that a killed run leaves whole files only, and a changed option redoes only what depends on it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.errors import WorkspaceError
+from epipole.runs.executors import ExecutorChoice, opened
+from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
+from epipole.runs.threads import opencv_in_one_thread
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One piece of work: path = store(work(payload)), to be done unless the file holds this key."""
+
+    path: Path
+    key: str
+    work: Callable[[Any], Arrays]
+    """A module-level function, so that another process can call it."""
+    payload: Any
+
+
+def digest(*parts: object) -> str:
+    """A short digest of JSON-like values and arrays, in order."""
+    state = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            state.update(f"{part.dtype}{part.shape}".encode())
+            state.update(np.ascontiguousarray(part).tobytes())
+        else:
+            state.update(json.dumps(part, sort_keys=True, default=str).encode())
+        state.update(b"\0")
+    return state.hexdigest()
+
+
+def run_units(
+    units: Sequence[Unit],
+    *,
+    stage: str,
+    executor: ExecutorChoice = "threads",
+    progress: ProgressCallback = ignore_progress,
+) -> int:
+    """Do the units whose files are missing or stale; returns how many were done.
+
+    An error or an interrupt stops handing out units, lets the running ones finish, and is raised.
+
+    Raises:
+        WorkspaceError: a result cannot be written, or the executor's workers have died.
+    """
+    waiting = [unit for unit in units if stored_key(unit.path) != unit.key]
+    done, total = len(units) - len(waiting), len(units)
+    progress(Progress(stage, done, total))
+    with opened(executor if len(waiting) > 1 else "inline") as pool:
+        for _ in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
+            done += 1
+            progress(Progress(stage, done, total))
+    return len(waiting)
+
+
+def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
+    """Yields once for each unit that is done."""
+    futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
+    try:
+        for future in as_completed(futures):
+            future.result()
+            yield
+    except BrokenExecutor as error:
+        raise WorkspaceError(
+            "the processes that share the work ended early: out of memory, or a script that starts them "
+            "outside `if __name__ == '__main__':`"
+        ) from error
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def do_unit(unit: Unit) -> None:
+    """Do one unit and keep its result."""
+    store(unit.path, unit.key, unit.work(unit.payload))
+
+
+def do_unit_as_worker(unit: Unit) -> None:
+    """The same in a thread or process of many: parallel work inside it runs inline, libraries in one thread."""
+    with _parallel.inline_here(), opencv_in_one_thread(), _parallel.single_threaded_blas():
+        do_unit(unit)
+
+
+def store(path: Path, key: str, arrays: Arrays) -> None:
+    """Write arrays and their key to one file, aside and renamed.
+
+    Raises:
+        WorkspaceError: the folder is not writable or the disk is full.
+    """
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with aside.open("wb") as file:
+            np.savez(file, key=np.array(key), **arrays)  # type: ignore[arg-type]
+        aside.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            aside.unlink()
+        raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def load(path: Path, *names: str) -> Arrays:
+    """Read the arrays of these names from a unit's file; all of them if none is named."""
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in names or file.files if name != "key"}
+
+
+def stored_key(path: Path) -> str:
+    """The key inside a unit's file; empty if the file is missing or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return str(file["key"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return ""

@@ -1,0 +1,69 @@
+"""Maps of one picture: disparities and depths, each with its standard deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+
+class StereoReason(IntEnum):
+    """Why a pixel has no disparity, or that it has one."""
+
+    OK = 0
+    OCCLUDED = 1
+    """The other picture's disparity differs: hidden there, or mistaken."""
+    OUT_OF_VIEW = 2
+    """Its match would lie beyond the other picture."""
+    AMBIGUOUS = 3
+    """Another disparity fits nearly as well: repeated texture."""
+    SPECKLE = 4
+    """It stands alone among others."""
+    TEXTURELESS = 5
+    """Nothing around it changes along the row: what smoothness alone would say is not a measurement."""
+    UNSURE = 6
+    """Its standard deviation is larger than was asked for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisparityMap:
+    """Disparities of the left picture: x_right = x_left - disparity."""
+
+    disparity_px: Float32[np.ndarray, "h w"]
+    """NaN where unknown."""
+    sigma_px: Float32[np.ndarray, "h w"]
+    """Standard deviation of the disparity: 68 in 100 errors are smaller. NaN where unknown."""
+    reason: UInt8[np.ndarray, "h w"]
+    """Values of `StereoReason`."""
+
+    @property
+    def density(self) -> float:
+        """Share of pixels with a disparity."""
+        return float((self.reason == StereoReason.OK).mean())
+
+    def __repr__(self) -> str:
+        height, width = self.reason.shape
+        return f"DisparityMap({width} x {height}, {100 * self.density:.1f} % known)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthMap:
+    """Depth of the left picture's pixels, in the unit of the baseline."""
+
+    depth: Float64[np.ndarray, "h w"]
+    """z in the left camera; NaN where unknown."""
+    sigma: Float64[np.ndarray, "h w"]
+    """Standard deviation of the depth, from disparity and calibration together; NaN where unknown."""
+    calibration_sigma: Float64[np.ndarray, "h w"]
+    """The calibration's part of it, which neighbours share: averaging does not lessen it. Zero where nothing is known
+    of the calibration's errors."""
+
+    def __repr__(self) -> str:
+        height, width = self.depth.shape
+        known = np.isfinite(self.depth)
+        if not known.any():
+            return f"DepthMap({width} x {height}, nothing known)"
+        near, far = np.percentile(self.depth[known], [1, 99])
+        return f"DepthMap({width} x {height}, {100 * known.mean():.1f} % known, {near:.3g} to {far:.3g})"

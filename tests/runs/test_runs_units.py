@@ -1,0 +1,73 @@
+"""Units are done once, redone when stale, and never leave half a file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from epipole.errors import WorkspaceError
+from epipole.runs import Unit, digest, load, run_units, store, stored_key
+
+CALLS: list[int] = []
+
+
+def square(payload: int) -> dict[str, np.ndarray]:
+    CALLS.append(payload)
+    if payload < 0:
+        raise ValueError("negative")
+    return {"value": np.array(payload**2)}
+
+
+def units(folder: Path, version: int = 1, numbers: tuple[int, ...] = (1, 2, 3, 4)) -> list[Unit]:
+    return [Unit(folder / f"{n}.npz", digest(version, n), square, n) for n in numbers]
+
+
+@pytest.mark.parametrize("executor", ["inline", "threads"])
+def test_work_is_done_once_and_again_when_the_key_changes(tmp_path, executor):
+    CALLS.clear()
+    reports = []
+    assert run_units(units(tmp_path), stage="s", executor=executor, progress=reports.append) == 4
+    assert [int(load(u.path)["value"]) for u in units(tmp_path)] == [1, 4, 9, 16]
+    assert reports[0].done == 0 and reports[-1].done == reports[-1].total == 4
+    assert run_units(units(tmp_path), stage="s", executor=executor) == 0
+    assert run_units(units(tmp_path, version=2), stage="s", executor=executor) == 4
+    assert sorted(CALLS) == [1, 1, 2, 2, 3, 3, 4, 4]
+
+
+def test_processes_give_the_same_files(tmp_path):
+    squares = [Unit(tmp_path / f"{n}.npz", digest(n), np_square, n) for n in (5, 6)]
+    assert run_units(squares, stage="s", executor="processes") == 2
+    assert [int(load(u.path)["value"]) for u in squares] == [25, 36]
+
+
+def np_square(payload: int) -> dict[str, np.ndarray]:
+    return {"value": np.square(payload)}
+
+
+def test_a_damaged_file_is_done_again(tmp_path):
+    run_units(units(tmp_path), stage="s")
+    whole = (tmp_path / "2.npz").read_bytes()
+    (tmp_path / "2.npz").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "3.npz").write_bytes(b"")
+    assert run_units(units(tmp_path), stage="s") == 2
+    assert int(load(tmp_path / "2.npz")["value"]) == 4
+
+
+def test_an_error_keeps_what_was_done_and_leaves_no_scraps(tmp_path):
+    with pytest.raises(ValueError, match="negative"):
+        run_units(units(tmp_path, numbers=(1, 2, -1)), stage="s", executor="inline")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.npz", "2.npz"]
+
+
+def test_a_place_that_cannot_be_written_says_so(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(WorkspaceError, match="cannot write"):
+        store(tmp_path / "file" / "x.npz", "key", {})
+    assert stored_key(tmp_path / "nothing.npz") == ""
+
+
+def test_digests_tell_arrays_apart():
+    a = np.arange(6)
+    assert digest(a) == digest(a.copy())
+    assert digest(a) != digest(a.reshape(2, 3)) != digest(a.astype(float))
+    assert digest("ab", "c") != digest("a", "bc")
