@@ -27,7 +27,7 @@ Pairs = list[tuple[np.ndarray, np.ndarray, int]]
 def match_with_epipole(paths: int, left_right: str, pairs: Pairs, threads: int) -> list[np.ndarray]:
     """match_stereo: disparities and their standard deviations, (2, h, w)."""
     from epipole import _parallel
-    from epipole.disparity_search import match_stereo
+    from epipole.disparity_search.search import match_stereo
     from epipole.pipelines.stereo.config import StereoConfig
 
     _parallel.set_num_threads(threads)
@@ -135,7 +135,7 @@ def large_pair(connection: Any) -> None:
     import resource
     import time
 
-    from epipole.disparity_search import match_stereo
+    from epipole.disparity_search.search import match_stereo
     from epipole.pipelines.stereo.config import StereoConfig
     from epipole.synthetic.stereo_rooms import stereo_room
 

@@ -19,7 +19,7 @@ from rich.console import Console
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
 from epipole.cameras import Camera, CameraModel
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.io.photographs import read_grey

@@ -20,7 +20,7 @@ from benchmarks.side_by_side import table_of
 from benchmarks.stereo_sigma import QUANTUM_PX, coverage
 from benchmarks.tasks.stereo import StereoTask, figures, stereo_tasks
 from epipole import _parallel
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.filling import fill_disparities
 from epipole.scene import DisparityMap

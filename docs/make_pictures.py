@@ -10,7 +10,7 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.config import FeatureConfig
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
 from epipole.mapping import bundle_problem_of

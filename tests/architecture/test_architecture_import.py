@@ -1,5 +1,6 @@
 """`import epipole` is quick, compiles nothing and leaves no trace."""
 
+import importlib.metadata
 import json
 import os
 import subprocess
@@ -77,11 +78,21 @@ def test_every_room_imports_without_compiling_or_writing(tmp_path: Path) -> None
 
 def test_the_public_names_are_there_and_no_others(tmp_path: Path) -> None:
     code = (
-        "import epipole; print(all(callable(getattr(epipole, n)) or n == '__version__' for n in epipole.__all__))"
+        "import epipole, types; print(epipole.__all__ == sorted(set(epipole.__all__), key=epipole.__all__.index));"
+        "print([n for n in epipole.__all__ if n != '__version__' and not callable(getattr(epipole, n))"
+        " and not isinstance(getattr(epipole, n), types.ModuleType)])"
         "\ntry: epipole.no_such_name\nexcept AttributeError as e: print(e)"
     )
     out = run_python(code, tmp_path).splitlines()
-    assert out == ["True", "module 'epipole' has no attribute 'no_such_name'"]
+    assert out == ["True", "[]", "module 'epipole' has no attribute 'no_such_name'"]
+
+
+def test_every_job_is_a_verb_also_after_its_folder_was_imported(tmp_path: Path) -> None:
+    code = (
+        "import epipole, epipole.api; from epipole.pipelines import stereo, calibration;"
+        "print(all(callable(getattr(epipole, n)) for n in ('reconstruct', 'stereo', 'calibrate', 'view', 'demo')))"
+    )
+    assert run_python(code, tmp_path).split() == ["True"]
 
 
 def test_the_version_is_that_of_the_distribution() -> None:
@@ -89,6 +100,8 @@ def test_the_version_is_that_of_the_distribution() -> None:
 
     import epipole
 
-    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]
-    assert epipole.__version__ == project["version"]
+    project = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())
+    assert project["project"]["dynamic"] == ["version"]
+    assert project["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "epipole._version.__version__"
+    assert epipole.__version__ == importlib.metadata.version("epipole")
     assert (PACKAGE / "py.typed").is_file()

@@ -11,7 +11,7 @@ BANNED = {
     *("pose", "poses", "extrinsic", "extrinsics", "transform", "transforms", "transformation", "matrix_4x4"),
     *("c2w", "w2c", "T", "Rt", "RT", "pts", "img", "imgs", "intrinsics_matrix"),
 }
-MAX_LINES, MAX_FUNCTION, MAX_KERNEL, MAX_PARAMETERS = 600, 80, 120, 7
+MAX_LINES, MAX_FUNCTION, MAX_KERNEL, MAX_PARAMETERS = 400, 60, 120, 7
 
 
 def public_names() -> Iterator[tuple[str, str]]:
@@ -128,7 +128,7 @@ def test_functions_have_few_parameters() -> None:
 def test_only_the_command_line_prints() -> None:
     wrong = []
     for source in sources():
-        if source.room == "cli":
+        if source.room == "cli" or source.path.name == "command.py":
             continue
         for node in ast.walk(source.tree):
             if isinstance(node, ast.Call) and ast.unparse(node.func) in (

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,16 @@ from PIL import Image
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighbouring_views, render_to
 
-from epipole.api import _write_picture
-from epipole.cli.main import paths_first
-from epipole.errors import ConfigError, FileFormatError
+from epipole.cli.main import main
+from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.depth_maps import read_pfm
 from epipole.metrics import camera_errors
+from epipole.pipelines.stereo import command
+from epipole.pipelines.stereo.config import RigOptions, StereoConfig
+from epipole.pipelines.undistortion.run import write_picture
 from epipole.synthetic.stereo_rooms import stereo_room
 
 
@@ -48,7 +51,7 @@ def test_demo_leaves_other_peoples_folders_alone(tmp_path):
     mine = tmp_path / "photographs" / "IMG_1.jpg"
     mine.parent.mkdir()
     mine.write_text("precious")
-    assert "holds no demo" in run("demo", tmp_path, expect=1)
+    assert "was not made by epipole" in run("demo", tmp_path, expect=1)
     assert mine.read_text() == "precious"
 
 
@@ -158,8 +161,8 @@ def test_help_is_quick_and_loads_nothing_heavy():
 def test_undistort_says_what_it_cannot_write(tmp_path):
     rgb = np.zeros((8, 8, 3), np.uint8)
     with pytest.raises(FileFormatError, match="convert yours"):
-        _write_picture(tmp_path / "a.heic", rgb, tmp_path / "a.heic")
-    _write_picture(tmp_path / "a.png", rgb, tmp_path / "a.png")
+        write_picture(tmp_path / "a.heic", rgb)
+    write_picture(tmp_path / "a.png", rgb)
     assert (tmp_path / "a.png").is_file()
 
 
@@ -207,35 +210,56 @@ def test_calibrate_names_what_is_wrong(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "wanted"),
+    ("given", "changed"),
     [
-        ("stereo L R --calibration a b O", "stereo L R O --calibration a b"),
-        ("stereo --fill L R O --calibration a b", "stereo L R O --fill --calibration a b"),
-        ("stereo --calibration a b --cameras 2 3 L R O", "stereo L R O --cameras 2 3 --calibration a b"),
-        ("stereo L R O --calibration a b --cameras 2 3", "stereo L R O --cameras 2 3 --calibration a b"),
-        ("stereo --calibration=m L R O", "stereo L R O --calibration m"),
-        ("stereo --calibration a --calibration b L R O", "stereo L R O --calibration a b"),
-        ("stereo --principal-point 3 4 L R O", "stereo L R O --principal-point 3 4"),
-        ("stereo L --window 7 7 R O --no-fill", "stereo L R O --window 7 7 --no-fill"),
-        ("stereo L R O --min-disparity-px -5", "stereo L R O --min-disparity-px -5"),
-        ("stereo-doctor --strict L R --calibration a b", "stereo-doctor L R --strict --calibration a b"),
-        ("stereo-doctor --calibration a b --json L R", "stereo-doctor L R --json --calibration a b"),
-        ("stereo-doctor --calibration a -- L R", "stereo-doctor L R --calibration a"),
-        ("stereo --help", "stereo --help"),
+        ("L R O", {}),
+        ("L R --calibration a --calibration b O", {"calibration": ("a", "b")}),
+        ("--fill L R O --calibration a", {"fill": True, "calibration": ("a",)}),
+        ("--calibration a --cameras 2 3 L R O", {"calibration": ("a",), "cameras": (2, 3)}),
+        ("L R O --calibration=m --cameras 2 3", {"calibration": ("m",), "cameras": (2, 3)}),
+        ("--principal-point 3 4.5 L R O", {"principal_point": (3.0, 4.5)}),
+        ("L --window 7 7 R O --no-fill", {"window": (7, 7)}),
+        ("L R O --min-disparity-px -5", {"min_disparity_px": -5}),
+        ("L R --max-disparity-px 90 O", {"max_disparity_px": 90}),
     ],
 )
-def test_paths_and_options_in_any_order(given, wanted):
-    assert paths_first(given.split()) == wanted.split()
+def test_paths_and_options_of_stereo_in_any_order(given, changed, monkeypatch):
+    seen = []
+    monkeypatch.setattr(command, "_measure", lambda *arguments: seen.append(arguments) or True)
+    main(["stereo", *given.split()])
+    (left, right, out, *options), *_ = seen
+    assert (str(left), str(right), str(out)) == ("L", "R", "O")
+    values = {f.name: getattr(each, f.name) for each in options for f in fields(each)}
+    asked = {f.name: getattr(each, f.name) for each in (StereoConfig(), RigOptions()) for f in fields(each)}
+    asked |= changed
+    values["calibration"] = tuple(map(str, values["calibration"]))
+    assert values == asked
 
 
-def test_paths_come_before_options_that_would_swallow_them():
-    given = ["stereo", "--calibration", "a", "b", "L", "R", "O", "--fill"]
-    assert paths_first(given) == ["stereo", "L", "R", "O", "--fill", "--calibration", "a", "b"]
-    with pytest.raises(ConfigError, match="needs a file"):
-        paths_first(["stereo", "L", "R", "O", "--calibration"])
-    given = ["stereo", "--workspace", "W", "--pair", "A", "B", "OUT"]
-    assert paths_first(given) == ["stereo", "OUT", "--workspace", "W", "--pair", "A", "B"]
-    given = ["stereo", "L", "R", "O", "--calibration", "F"]
-    assert paths_first(given) == given
-    given = ["stereo-doctor", "--calibration", "F", "L", "R"]
-    assert paths_first(given) == ["stereo-doctor", "L", "R", "--calibration", "F"]
+@pytest.mark.parametrize("given", ["--workspace W --pair A B O", "O --pair A B --workspace W"])
+def test_a_pair_of_a_model_has_one_path(given, monkeypatch):
+    seen = []
+    monkeypatch.setattr(command, "_measure_of_model", lambda *arguments: seen.append(arguments))
+    main(["stereo", *given.split()])
+    workspace, pair, out, _ = seen[0]
+    assert (str(workspace), pair, str(out)) == ("W", ("A", "B"), "O")
+
+
+@pytest.mark.parametrize(
+    "given", ["stereo-doctor --strict L R --calibration a", "stereo doctor --calibration a L R --strict"]
+)
+def test_the_doctor_by_both_names(given, monkeypatch):
+    seen = []
+    monkeypatch.setattr(command, "_examine", lambda *arguments: seen.append(arguments) or True)
+    main(given.split())
+    left, right, rig, _ = seen[0]
+    assert (str(left), str(right), rig) == ("L", "R", RigOptions(calibration=(Path("a"),)))
+
+
+@pytest.mark.parametrize(
+    "given", ["L R O --calibration", "L R O --cameras 1", "L R O --cameras 1 two", "L R", "L R O P"]
+)
+def test_words_too_few_or_too_many_are_refused(given):
+    with pytest.raises(SystemExit) as stopped:
+        main(["stereo", *given.split()])
+    assert stopped.value.code in (1, 2)

@@ -9,7 +9,7 @@ from PIL import Image
 
 from epipole import api
 from epipole.cameras import Camera
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model

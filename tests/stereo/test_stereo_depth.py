@@ -8,7 +8,7 @@ from PIL import Image
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io.depth_maps import read_pfm, read_png16

@@ -6,8 +6,8 @@ import pytest
 
 from epipole import api
 from epipole.disparity_search import _path_kernels as path_kernels
-from epipole.disparity_search import match_stereo
 from epipole.disparity_search.coarse_to_fine import tiles_of
+from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, ShapeError
 from epipole.io.depth_maps import read_pfm
 from epipole.pipelines.stereo import _block_kernels, _filling_kernels

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera, CameraModel
-from epipole.disparity_search import match_stereo
 from epipole.disparity_search.rectification import rectify, within_both
+from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.pipelines.stereo.calibration_error import calibration_sigma

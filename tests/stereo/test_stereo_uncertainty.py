@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from epipole.disparity_search import match_stereo
+from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError
 from epipole.pipelines.stereo import uncertainty
 from epipole.pipelines.stereo.config import StereoConfig

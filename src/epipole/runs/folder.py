@@ -13,7 +13,6 @@ import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +24,23 @@ MARK = "epipole.json"
 FORMAT = 2
 
 
-@dataclass(slots=True)
 class OutputFolder:
-    """A folder that belongs to one kind of run on one source. Made by `claim`."""
+    """A folder that belongs to one kind of run on one source. Made by `claim`.
 
-    root: Path
-    kind: str
-    """The command: reconstruct, stereo, ..."""
-    source: str
-    files: dict[str, list[str]] = field(default_factory=dict)
-    """Names of the results, by group; relative, with slashes."""
-    finished: str = ""
-    """Digest of the settings with which a run was finished; empty while one works."""
-    timings_s: dict[str, float] = field(default_factory=dict)
+    Attributes:
+        root: the folder.
+        kind: the command: reconstruct, stereo, ...
+        source: what its contents are made from.
+        files: names of the results, by group; relative, with slashes.
+        finished: digest of the settings with which a run was finished; empty while one works.
+        timings_s: seconds of each stage.
+    """
+
+    def __init__(self, root: Path, kind: str, source: str) -> None:
+        self.root, self.kind, self.source = root, kind, source
+        self.files: dict[str, list[str]] = {}
+        self.finished = ""
+        self.timings_s: dict[str, float] = {}
 
     @contextmanager
     def publish(self, group: str) -> Iterator[Path]:
@@ -92,6 +95,12 @@ class OutputFolder:
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Publish one JSON file."""
         self.write_text(name, json.dumps(content, indent=2, default=str) + "\n")
+
+    def give_up(self) -> None:
+        """Leave no trace of a run that has failed before it left anything."""
+        if not self.files and [path.name for path in self.root.iterdir()] == [MARK]:
+            (self.root / MARK).unlink()
+            self.root.rmdir()
 
     def save(self) -> None:
         """Write the mark."""
@@ -167,14 +176,11 @@ def read_mark(root: Path) -> OutputFolder | None:
         content = json.loads(mark.read_text(encoding="utf-8"))
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
-            return OutputFolder(
-                root,
-                str(content["kind"]),
-                str(content["source"]),
-                {str(group): [str(name) for name in names] for group, names in files.items()},
-                str(content["finished"]),
-                {str(stage): float(seconds) for stage, seconds in timings.items()},
-            )
+            folder = OutputFolder(root, str(content["kind"]), str(content["source"]))
+            folder.files = {str(group): [str(name) for name in names] for group, names in files.items()}
+            folder.finished = str(content["finished"])
+            folder.timings_s = {str(stage): float(seconds) for stage, seconds in timings.items()}
+            return folder
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")

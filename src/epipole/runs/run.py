@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,7 +17,7 @@ from epipole.runs.threads import thread_scope
 from epipole.runs.units import Unit, digest, run_units
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Job:
     """What is to be run, and how."""
 
@@ -34,18 +34,18 @@ class Job:
     """See `thread_scope`."""
 
 
-@dataclass(slots=True)
 class Run:
     """A run at work. Made by `open_run`."""
 
-    job: Job
-    folder: OutputFolder
-    warnings: list[str] = field(default_factory=list)
-    _earlier_s: dict[str, float] = field(default_factory=dict)
-    """Seconds that a stopped run has spent on the same, by stage."""
-    _finished_s: dict[str, float] = field(default_factory=dict)
-    """The same of a finished run: they count where its units are used again."""
-    _begin: float = field(default_factory=perf_counter)
+    def __init__(self, job: Job, folder: OutputFolder) -> None:
+        self.job, self.folder = job, folder
+        self.warnings: list[str] = []
+        self._begin = perf_counter()
+        # Seconds of a stopped run on the same count; those of a finished one where its units are used again.
+        self._earlier_s = {} if folder.finished else folder.timings_s
+        self._finished_s = folder.timings_s if folder.finished else {}
+        folder.finished, folder.timings_s = "", {}
+        folder.save()
 
     @property
     def root(self) -> Path:
@@ -83,6 +83,12 @@ class Run:
         if done < len(units) and stage in self._finished_s:
             self._earlier_s[stage] = self._finished_s.pop(stage)
 
+    def close(self) -> None:
+        """Keep the times for a run that goes on from here."""
+        if self.root.is_dir():
+            self.folder.timings_s = {**self._earlier_s, **self.timings_s}
+            self.folder.save()
+
     def finish(self, summary: Mapping[str, Any] | None = None) -> None:
         """Write `config.json` and `summary.json`: the results are complete."""
         self.folder.write_json("config.json", {"version": __version__, **self.job.settings})
@@ -101,21 +107,15 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
     """
     source = ", ".join(str(path.resolve()) for path in job.inputs)
     folder = claim(out, job.kind, source, job.inputs)
-    before = folder.timings_s
-    run = Run(
-        job,
-        folder,
-        _earlier_s={} if folder.finished else dict(before),
-        _finished_s=dict(before) if folder.finished else {},
-    )
-    folder.finished, folder.timings_s = "", {}
-    folder.save()
+    run = Run(job, folder)
     with thread_scope(job.threads, opencv_alone=job.opencv_alone):
         try:
             yield run
+        except BaseException:
+            folder.give_up()
+            raise
         finally:
-            folder.timings_s = {**run._earlier_s, **folder.timings_s}
-            folder.save()
+            run.close()
 
 
 def is_finished(out: Path, settings: Mapping[str, Any]) -> bool:

@@ -10,8 +10,7 @@ from typing import Annotated
 import tyro
 
 from epipole.errors import ConfigError
-from epipole.pipelines.stereo.config import CalibrationOptions, RigOptions, StereoConfig
-from epipole.screen import ANSWER_IS_NO, progress_on_screen, waiting_for_kernels
+from epipole.pipelines.stereo.config import ModelPair, RigOptions, StereoConfig
 
 Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
 Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
@@ -19,7 +18,7 @@ MoreRight = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="
 MoreOut = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 
 DEFAULTS = StereoConfig()
-NO_RIG, NO_CALIBRATION = RigOptions(), CalibrationOptions()
+NO_RIG, NO_MODEL = RigOptions(), ModelPair()
 
 
 def stereo(
@@ -28,9 +27,7 @@ def stereo(
     out: MoreOut = None,
     config: Annotated[StereoConfig, tyro.conf.arg(name="")] = DEFAULTS,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = NO_RIG,
-    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
-    workspace: Path | None = None,
-    pair: tuple[str, str] | None = None,
+    model: Annotated[ModelPair, tyro.conf.arg(name="")] = NO_MODEL,
     strict: bool = False,
 ) -> None:
     """Disparities of a pair, each with its standard deviation; depth and points where the cameras are known.
@@ -43,34 +40,30 @@ def stereo(
         right: Right picture.
         out: Output folder.
         config: Options.
-        rig: What is known of rectified cameras.
-        calibrated: Where a calibration is read from.
-        workspace: Output folder of a reconstruction to take two pictures from, in place of LEFT and RIGHT.
-        pair: Names of these pictures.
+        rig: What is known of the cameras.
+        model: Two pictures of a reconstruction.
         strict: Exit with code 3 where a pair of several could not be measured.
     """
     paths = [path for path in (left, right, out) if path is not None]
-    if workspace is not None or pair is not None:
-        if workspace is None or pair is None or len(paths) != 1:
+    if model != NO_MODEL:
+        if model.workspace is None or model.pair is None or len(paths) != 1:
             raise ConfigError("a pair of a model is given as: --workspace W --pair A B OUT")
-        if calibrated != NO_CALIBRATION or rig != NO_RIG:
+        if rig != NO_RIG:
             raise ConfigError(
                 "the model says where its cameras are: give no calibration, focal length or baseline"
             )
-        _measure_of_model(workspace, pair, left, config)
+        _measure_of_model(model.workspace, model.pair, left, config)
         return
     if right is None or out is None:
         raise ConfigError(f"expected LEFT RIGHT OUT, got {len(paths)} paths")
-    is_whole = _measure(left, right, out, config, rig, calibrated)
-    if strict and not is_whole:
-        sys.exit(ANSWER_IS_NO)
+    is_whole = _measure(left, right, out, config, rig)
+    _exit_with(is_whole or not strict)
 
 
 def stereo_doctor(
     left: Left,
     right: Right,
     rig: Annotated[RigOptions, tyro.conf.arg(name="")] = NO_RIG,
-    calibrated: Annotated[CalibrationOptions, tyro.conf.arg(name="")] = NO_CALIBRATION,
     json: bool = False,
     strict: bool = False,
 ) -> None:
@@ -81,43 +74,50 @@ def stereo_doctor(
     Args:
         left: Left picture, folder or video.
         right: Right picture, folder or video.
-        rig: What is known of rectified cameras.
-        calibrated: Where a calibration is read from.
+        rig: What is known of the cameras.
         json: Print JSON.
         strict: Exit with code 3 where something is wrong.
     """
+    is_healthy = _examine(left, right, rig, json)
+    _exit_with(is_healthy or not strict)
+
+
+def _exit_with(answer: bool) -> None:
+    from epipole.screen import ANSWER_IS_NO
+
+    if not answer:
+        sys.exit(ANSWER_IS_NO)
+
+
+def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> bool:
+    """Examine and print; whether nothing is wrong."""
+    from epipole.screen import waiting_for_kernels
+
     with waiting_for_kernels():
         from epipole.pipelines.stereo.rigs import rig_of
         from epipole.pipelines.stereo.run import examine_stereo
 
-        found = examine_stereo(left, right, rig_of(left, right, rig, calibrated))
-    from epipole.pipelines.stereo.tables import as_json, show_diagnosis
+        found = examine_stereo(left, right, rig_of(left, right, options))
+    from epipole.pipelines.stereo.tables import json_of, show_diagnosis
 
-    if json:
-        print(as_json(asdict(found) | {"calibration_error_px": found.calibration_error_px}))
+    if as_json:
+        print(json_of(asdict(found) | {"calibration_error_px": found.calibration_error_px}))
     else:
         show_diagnosis(found)
-    if strict and not found.is_healthy:
-        sys.exit(ANSWER_IS_NO)
+    return found.is_healthy
 
 
-def _measure(
-    left: Path,
-    right: Path,
-    out: Path,
-    config: StereoConfig,
-    options: RigOptions,
-    calibrated: CalibrationOptions,
-) -> bool:
+def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: RigOptions) -> bool:
     """One pair, or many; whether all were measured."""
     from epipole.io.video import is_video
+    from epipole.screen import progress_on_screen, waiting_for_kernels
 
     if not (left.is_dir() or right.is_dir() or is_video(left) or is_video(right)):
         with waiting_for_kernels():
             from epipole.pipelines.stereo.rigs import rig_of
             from epipole.pipelines.stereo.run import stereo as run
 
-            result = run(left, right, out, config, rig_of(left, right, options, calibrated))
+            result = run(left, right, out, config, rig_of(left, right, options))
         from epipole.pipelines.stereo.tables import show_stereo
 
         show_stereo(result)
@@ -126,7 +126,7 @@ def _measure(
         from epipole.pipelines.stereo.rigs import rig_of
         from epipole.pipelines.stereo.run import stereo_many
 
-        batch = stereo_many(left, right, out, config, rig_of(left, right, options, calibrated), progress)
+        batch = stereo_many(left, right, out, config, rig_of(left, right, options), progress)
     from epipole.pipelines.stereo.tables import show_batch
 
     show_batch(batch)
@@ -136,6 +136,8 @@ def _measure(
 
 
 def _measure_of_model(workspace: Path, pair: tuple[str, str], out: Path, config: StereoConfig) -> None:
+    from epipole.screen import waiting_for_kernels
+
     with waiting_for_kernels():
         from epipole.pipelines.stereo.run import stereo_of_model
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import tyro
+
 from epipole.disparity_search.config import DisparityConfig
 
 
@@ -21,20 +23,14 @@ class StereoConfig(DisparityConfig):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationOptions:
-    """Where a calibration is read from."""
+class RigOptions:
+    """What is known of the two cameras: a calibration, or numbers of a rectified pair; without either there is no depth."""
 
-    calibration: tuple[Path, ...] = ()
-    """File of both cameras, of epipole, OpenCV, Kalibr, KITTI or Middlebury; or two files (ROS' or EuRoC's left and right,
-    OpenCV's intrinsics and extrinsics). The pair is rectified by it."""
+    calibration: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """File of both cameras, of epipole, OpenCV, Kalibr, KITTI or Middlebury; given twice for two files (ROS' or EuRoC's
+    left and right, OpenCV's intrinsics and extrinsics). The pair is rectified by it."""
     cameras: tuple[int, int] | None = None
     """Left and right camera of a calibration that has more than two, counted from 0."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RigOptions:
-    """What is known of a rectified pair of cameras; with focal length and baseline there is depth."""
-
     focal_px: float | None = None
     """Focal length of both rectified cameras."""
     baseline: float | None = None
@@ -47,3 +43,13 @@ class RigOptions:
     """Standard deviation of the focal length; the three enter that of the depth."""
     baseline_sigma: float = 0.0
     principal_offset_sigma_px: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelPair:
+    """Two pictures of a finished reconstruction, in place of LEFT and RIGHT."""
+
+    workspace: Path | None = None
+    """Output folder of the reconstruction."""
+    pair: tuple[str, str] | None = None
+    """Names of the pictures."""

@@ -12,31 +12,33 @@ from epipole.errors import ConfigError
 from epipole.io.calibration_files import read_stereo_rig
 from epipole.io.photographs import list_photographs, read_header
 from epipole.io.video import frame_size, is_video
-from epipole.pipelines.stereo.config import CalibrationOptions, RigOptions
+from epipole.pipelines.stereo.config import RigOptions
 from epipole.scene import RectifiedRig, StereoRig
 
 _SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
 _SAME = 1e-6  # relative: a thousandth of a pixel across a picture
 
 
-def rig_of(
-    left: Path, right: Path, options: RigOptions, calibrated: CalibrationOptions
-) -> RectifiedRig | StereoRig | None:
+def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | StereoRig | None:
     """What the options and files say of the cameras.
 
     Raises:
         ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
         FileFormatError: a calibration cannot be read.
     """
-    if calibrated.cameras and not calibrated.calibration:
+    files = options.calibration
+    if options.cameras and not files:
         raise ConfigError("--cameras chooses two of the cameras of a calibration: give one")
-    if calibrated.calibration:
+    if len(files) > 2:
+        raise ConfigError(f"a calibration is one file or two, got {len(files)}")
+    if files:
         sigmas = {name: getattr(options, name) for name in _SIGMAS}
-        if _without_sigmas(options) != RigOptions():
+        known = replace(options, focal_sigma_px=0.0, baseline_sigma=0.0, principal_offset_sigma_px=0.0)
+        if known != RigOptions(calibration=files, cameras=options.cameras):
             raise ConfigError(
                 "give a calibration, or focal_px, baseline and the like of a rectified pair, not both"
             )
-        rig = read_stereo_rig(*calibrated.calibration, size=_size_of_first(left), cameras=calibrated.cameras)
+        rig = read_stereo_rig(*files, size=_size_of_first(left), cameras=options.cameras)
         if not any(sigmas.values()):
             return rig
         flat = rectified_rig_of(rig)
@@ -48,10 +50,6 @@ def rig_of(
     if options.focal_px is None and options.baseline is None:
         return rig_from_options(options, (1, 1))
     return rig_from_options(options, _size_of_first(left) or _size_of_first(right) or (1, 1))
-
-
-def _without_sigmas(options: RigOptions) -> RigOptions:
-    return replace(options, focal_sigma_px=0.0, baseline_sigma=0.0, principal_offset_sigma_px=0.0)
 
 
 def _size_of_first(path: Path) -> tuple[int, int] | None:

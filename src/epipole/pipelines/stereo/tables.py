@@ -88,7 +88,7 @@ def _add_rows(table: Table, found: Diagnosis) -> None:
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
 
 
-def as_json(content: dict[str, Any]) -> str:
+def json_of(content: dict[str, Any]) -> str:
     """A diagnosis as JSON, with null for numbers that JSON does not know."""
     return json.dumps(_plain(content), indent=2)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from epipole._checks import as_path
 from epipole.cameras import Camera
@@ -41,7 +42,7 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
             for n, (image, name) in enumerate(zip(registered, names), 1):
                 c = int(model.camera_of_image[image])
                 rgb = undistort_image(read_rgb(workspace / "images" / name), model.cameras[c], pinholes[c])
-                _write_picture(run.root / "images" / name, rgb)
+                write_picture(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(model, pinholes), aside / "sparse" / "0")
@@ -49,7 +50,12 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
         return run.root
 
 
-def _write_picture(path: Path, rgb: np.ndarray) -> None:
+def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write a picture in the format that its suffix names.
+
+    Raises:
+        FileFormatError: it names none that can be written.
+    """
     with atomic_write(path) as aside:
         try:
             written = cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
