@@ -39,14 +39,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # them out cost no measurable time.
 SAFE_FASTMATH = {"nsz"}
 
-OVERLOAD_OPTIONS = {
-    "error_model": "numpy",
-    "fastmath": SAFE_FASTMATH,
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": CalleeCompiler,
-}
-"""For Numba's `overload`, whose functions only kernels call."""
+
+def overload_options(*, fuse: bool = False, extra_fastmath: frozenset[str] = frozenset()) -> dict[str, Any]:
+    """Options for Numba's `overload`, whose functions only kernels call; see `kernel`."""
+    return {
+        "error_model": "numpy",
+        "fastmath": SAFE_FASTMATH | extra_fastmath,
+        "forceinline": fuse,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+        "pipeline_class": CalleeCompiler,
+    }
 
 
 @cache

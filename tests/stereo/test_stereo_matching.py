@@ -5,11 +5,11 @@ import pytest
 from PIL import Image
 
 from epipole import _parallel
+from epipole.disparity_search import search as stereo_matching
 from epipole.disparity_search._path_kernels import NEVER
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, ShapeError
 from epipole.image import census
-from epipole.pipelines.stereo import matching as stereo_matching
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.scene import StereoReason
 

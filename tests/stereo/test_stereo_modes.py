@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 
 from epipole import api
+from epipole.disparity_search import _block_kernels
 from epipole.disparity_search import _path_kernels as path_kernels
+from epipole.disparity_search import search as stereo_matching
 from epipole.disparity_search.coarse_to_fine import tiles_of
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, ShapeError
 from epipole.io.depth_maps import read_pfm
-from epipole.pipelines.stereo import _block_kernels, _filling_kernels
-from epipole.pipelines.stereo import matching as stereo_matching
+from epipole.pipelines.stereo import _filling_kernels
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.filling import fill_disparities
 from epipole.scene import StereoReason

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from epipole.disparity_search import uncertainty
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError
-from epipole.pipelines.stereo import uncertainty
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.scene import StereoReason
 from epipole.synthetic.stereo_rooms import stereo_room

@@ -8,25 +8,17 @@ sphere in d. Points behind are as far as can be.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_one, unproject_one
-from epipole.robust._block_kernels import BLOCK, REASSOC, columns_within, dot_rows, rotate_left
-from epipole.robust._contract_kernels import implement
+from epipole.robust._item_kernels import REASSOC, rotate_left
+from epipole.robust._problem_kernels import Items, RobustProblem
 from epipole.solvers._absolute_pose_kernels import p3p, p3p_workspace
-from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
+from epipole.solvers._linear_kernels import copy_numbers
 
 ROWS = 15
-
-
-class AbsolutePoseProblem(NamedTuple):
-    """One camera: all rays start in one place."""
-
-    items: np.ndarray
-    """(15, n): X, d, J0, J1, o."""
 
 
 @kernel(allocates=True)
@@ -48,66 +40,6 @@ def pack_rays(model, params, cam_from_rig, points, pixels, order, items):
                 turned = jac[j, 0] * r[i] + jac[j, 1] * r[3 + i] + jac[j, 2] * r[6 + i]
                 items[6 + 3 * j + i, column] = valid * turned
             items[12 + i, column] = -(r[i] * r[9] + r[3 + i] * r[10] + r[6 + i] * r[11])
-
-
-@kernel(extra_fastmath=REASSOC)
-def _agreeing_block(p, m, threshold_sq, start, stop):
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
-    t0, t1, t2 = p[9], p[10], p[11]
-    count = 0
-    for k in range(start, stop):
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        x = r0 * a + r1 * b + r2 * c + t0 - m[12, k]
-        y = r3 * a + r4 * b + r5 * c + t1 - m[13, k]
-        z = r6 * a + r7 * b + r8 * c + t2 - m[14, k]
-        s = m[3, k] * x + m[4, k] * y + m[5, k] * z
-        u = m[6, k] * x + m[7, k] * y + m[8, k] * z
-        v = m[9, k] * x + m[10, k] * y + m[11, k] * z
-        count += 1 if s > 0.0 and u * u + v * v < threshold_sq * s * s else 0
-    return count
-
-
-@kernel(extra_fastmath=REASSOC)
-def _score_block(p, m, threshold_sq, start, stop):
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
-    t0, t1, t2 = p[9], p[10], p[11]
-    total = 0.0
-    for k in range(start, stop):
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        x = r0 * a + r1 * b + r2 * c + t0 - m[12, k]
-        y = r3 * a + r4 * b + r5 * c + t1 - m[13, k]
-        z = r6 * a + r7 * b + r8 * c + t2 - m[14, k]
-        s = m[3, k] * x + m[4, k] * y + m[5, k] * z
-        u = m[6, k] * x + m[7, k] * y + m[8, k] * z
-        v = m[9, k] * x + m[10, k] * y + m[11, k] * z
-        r = (u * u + v * v) / (s * s + 1e-300)
-        total += r if s > 0.0 and r < threshold_sq else threshold_sq
-    return total
-
-
-@kernel
-def absolute_score(model, m, threshold_sq, bail_out):
-    """MSAC score of a pose; stops once it exceeds bail_out."""
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        total += _score_block(model, m, threshold_sq, start, min(start + BLOCK, n))
-        if total > bail_out:
-            return total
-    return total
-
-
-@kernel
-def absolute_residuals(p, m, out):
-    """Squared residuals in pixels; infinite behind the camera."""
-    for k in range(m.shape[1]):
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        x = p[0] * a + p[1] * b + p[2] * c + p[9] - m[12, k]
-        y = p[3] * a + p[4] * b + p[5] * c + p[10] - m[13, k]
-        z = p[6] * a + p[7] * b + p[8] * c + p[11] - m[14, k]
-        s = m[3, k] * x + m[4, k] * y + m[5, k] * z
-        u = m[6, k] * x + m[7, k] * y + m[8, k] * z
-        v = m[9, k] * x + m[10, k] * y + m[11, k] * z
-        out[k] = (u * u + v * v) / (s * s) if s > 0.0 else math.inf
 
 
 @kernel(extra_fastmath=REASSOC)
@@ -153,28 +85,6 @@ def _rows_of_block(p, m, threshold_sq, soft_sq, start, stop, rows):
     return total
 
 
-@kernel(allocates=True)
-def absolute_normal_equations(model, m, threshold_sq, soft_sq, a, b):
-    """Gauss-Newton terms of exp(xi) @ rig_from_world over the items within the threshold; returns the score."""
-    rows = np.empty((14, BLOCK))
-    clear_rows(a)
-    clear(b)
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows)
-        for which in range(2):
-            first = 7 * which
-            for i in range(6):
-                b[i] += dot_rows(rows[first + 1 + i], rows[first], stop - start)
-                for j in range(i + 1):
-                    a[i, j] += dot_rows(rows[first + 1 + i], rows[first + 1 + j], stop - start)
-    for i in range(6):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
-
-
 @kernel
 def retract_motion(motion, delta, out):
     """exp(xi) @ motion for xi = (rho, phi), the twist's translation and rotation."""
@@ -190,81 +100,56 @@ def retract_motion(motion, delta, out):
     out[11] = c + first * w + second * (x * v - y * u) + delta[2]
 
 
-def _sample_size(problem):
-    return np.int64(3)
+class RayPoseProblem(RobustProblem):
+    """Residuals and refinement of a pose from rays, whichever the minimal solver; items (15, n): X, d, J0, J1, o."""
+
+    __slots__ = ()
+
+    def degrees_of_freedom(self):
+        return np.int64(6)
+
+    def residual_size(self):
+        return np.int64(2)
+
+    def error_sq(self, model, threshold_sq, k):
+        p, m = model, self.items
+        a, b, c = m[0, k], m[1, k], m[2, k]
+        x = p[0] * a + p[1] * b + p[2] * c + p[9] - m[12, k]
+        y = p[3] * a + p[4] * b + p[5] * c + p[10] - m[13, k]
+        z = p[6] * a + p[7] * b + p[8] * c + p[11] - m[14, k]
+        s = m[3, k] * x + m[4, k] * y + m[5, k] * z
+        u = m[6, k] * x + m[7, k] * y + m[8, k] * z
+        v = m[9, k] * x + m[10, k] * y + m[11, k] * z
+        r = (u * u + v * v) / (s * s + 1e-300)
+        return r if s > 0.0 else math.inf
+
+    def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
+        return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)
+
+    def retract(self, model, delta, out):
+        retract_motion(model, delta, out)
 
 
-def _num_items(problem):
-    return problem.items.shape[1]
+class AbsolutePoseProblem(RayPoseProblem, Items):
+    """One camera: all rays start in one place."""
 
+    __slots__ = ()
 
-def _degrees_of_freedom(problem):
-    return np.int64(6)
+    def sample_size(self):
+        return np.int64(3)
 
+    def workspace(self):
+        return np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 12)), p3p_workspace()
 
-def _workspace(problem):
-    return np.empty((3, 3)), np.empty((3, 3)), np.empty((4, 12)), p3p_workspace()
+    def solve_sample(self, sample, models, work):
+        rays, points, found, solver = work
+        for k in range(3):
+            for i in range(3):
+                points[k, i], rays[k, i] = self.items[i, sample[k]], self.items[3 + i, sample[k]]
+        count = p3p(rays, points, found, solver)
+        for k in range(count):
+            copy_numbers(found[k], models[k])
+        return count
 
-
-def _solve_sample(problem, sample, models, work):
-    rays, points, found, solver = work
-    for k in range(3):
-        for i in range(3):
-            points[k, i], rays[k, i] = problem.items[i, sample[k]], problem.items[3 + i, sample[k]]
-    count = p3p(rays, points, found, solver)
-    for k in range(count):
-        copy_numbers(found[k], models[k])
-    return count
-
-
-def _agreeing(problem, model, threshold_sq, start, stop):
-    return _agreeing_block(model, problem.items, threshold_sq, start, stop)
-
-
-def _settle(problem, sample, model, settled, work):
-    copy_numbers(model, settled[0])
-    return 1
-
-
-def _score(problem, model, threshold_sq, bail_out):
-    return absolute_score(model, problem.items, threshold_sq, bail_out)
-
-
-def _residuals_sq(problem, model, threshold_sq, out):
-    absolute_residuals(model, problem.items, out)
-
-
-def _residual_size(problem):
-    return np.int64(2)
-
-
-def _near(problem, model, threshold_sq):
-    residuals = np.empty(problem.items.shape[1])
-    absolute_residuals(model, problem.items, residuals)
-    return AbsolutePoseProblem(columns_within(problem.items, residuals, threshold_sq))
-
-
-def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    return absolute_normal_equations(model, problem.items, threshold_sq, soft_sq, a, b)
-
-
-def _retract(problem, model, delta, out):
-    retract_motion(model, delta, out)
-
-
-ABSOLUTE_POSE = {
-    "sample_size": _sample_size,
-    "num_items": _num_items,
-    "degrees_of_freedom": _degrees_of_freedom,
-    "workspace": _workspace,
-    "solve_sample": _solve_sample,
-    "agreeing": _agreeing,
-    "settle": _settle,
-    "score": _score,
-    "residuals_sq": _residuals_sq,
-    "near": _near,
-    "residual_size": _residual_size,
-    "linearize": _linearize,
-    "retract": _retract,
-}
-implement(AbsolutePoseProblem, **ABSOLUTE_POSE)
+    def with_items(self, items):
+        return AbsolutePoseProblem(items)

@@ -9,49 +9,20 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import REASSOC, columns_within, rotate_left
-from epipole.robust._contract_kernels import implement
+from epipole.robust._item_kernels import rotate_left
+from epipole.robust._problem_kernels import RobustProblem
 from epipole.solvers._alignment_kernels import SCALE as SCALE
 from epipole.solvers._alignment_kernels import align_three_points
-from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
+from epipole.solvers._linear_kernels import clear, clear_rows
 
 
-class AlignmentProblem(NamedTuple):
-    """Matched points: rows x (3), y (3)."""
+class MatchedPoints(NamedTuple):
+    """Points in two frames."""
 
     items: np.ndarray
-    """(6, n)."""
+    """(6, n): rows x (3), y (3)."""
     freedom: int
     """7 with scale, 6 without."""
-
-
-@kernel
-def alignment_residuals(p, m, out):
-    """Squared distances |s R x + t - y|^2."""
-    for k in range(m.shape[1]):
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        u = p[SCALE] * (p[0] * a + p[1] * b + p[2] * c) + p[9] - m[3, k]
-        v = p[SCALE] * (p[3] * a + p[4] * b + p[5] * c) + p[10] - m[4, k]
-        w = p[SCALE] * (p[6] * a + p[7] * b + p[8] * c) + p[11] - m[5, k]
-        out[k] = u * u + v * v + w * w
-
-
-@kernel(extra_fastmath=REASSOC)
-def _sum_block(p, m, threshold_sq, start, stop):
-    """(number of items within the threshold, truncated sum of squares)."""
-    s = p[SCALE]
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
-    t0, t1, t2 = p[9], p[10], p[11]
-    count, total = 0, 0.0
-    for k in range(start, stop):
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        u = s * (r0 * a + r1 * b + r2 * c) + t0 - m[3, k]
-        v = s * (r3 * a + r4 * b + r5 * c) + t1 - m[4, k]
-        w = s * (r6 * a + r7 * b + r8 * c) + t2 - m[5, k]
-        r = u * u + v * v + w * w
-        count += 1 if r < threshold_sq else 0
-        total += r if r < threshold_sq else threshold_sq
-    return count, total
 
 
 @kernel(allocates=True)
@@ -102,78 +73,44 @@ def _retract_alignment(model, delta, freedom, out):
     out[SCALE] = model[SCALE] * math.exp(delta[6]) if freedom == 7 else model[SCALE]
 
 
-def _sample_size(problem):
-    return np.int64(3)
+class AlignmentProblem(RobustProblem, MatchedPoints):
+    """The motion, or similarity, that takes x to y."""
 
+    __slots__ = ()
 
-def _num_items(problem):
-    return problem.items.shape[1]
+    def sample_size(self):
+        return np.int64(3)
 
+    def degrees_of_freedom(self):
+        return self.freedom
 
-def _degrees_of_freedom(problem):
-    return problem.freedom
+    def residual_size(self):
+        return np.int64(3)
 
+    def workspace(self):
+        return np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
 
-def _workspace(problem):
-    return np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    def solve_sample(self, sample, models, work):
+        x, y, a, b = work
+        for k in range(3):
+            for i in range(3):
+                x[k, i], y[k, i] = self.items[i, sample[k]], self.items[3 + i, sample[k]]
+        found = align_three_points(x, y, self.freedom == 7, a, b, models[0])
+        return np.int64(1) if found else np.int64(0)
 
+    def error_sq(self, model, threshold_sq, k):
+        p, m = model, self.items
+        a, b, c = m[0, k], m[1, k], m[2, k]
+        u = p[SCALE] * (p[0] * a + p[1] * b + p[2] * c) + p[9] - m[3, k]
+        v = p[SCALE] * (p[3] * a + p[4] * b + p[5] * c) + p[10] - m[4, k]
+        w = p[SCALE] * (p[6] * a + p[7] * b + p[8] * c) + p[11] - m[5, k]
+        return u * u + v * v + w * w
 
-def _solve_sample(problem, sample, models, work):
-    x, y, a, b = work
-    for k in range(3):
-        for i in range(3):
-            x[k, i], y[k, i] = problem.items[i, sample[k]], problem.items[3 + i, sample[k]]
-    return 1 if align_three_points(x, y, problem.freedom == 7, a, b, models[0]) else 0
+    def linearize(self, model, threshold_sq, soft_sq, a, b):
+        return alignment_normal_equations(model, self.items, threshold_sq, soft_sq, self.freedom, a, b)
 
+    def retract(self, model, delta, out):
+        _retract_alignment(model, delta, self.freedom, out)
 
-def _agreeing(problem, model, threshold_sq, start, stop):
-    return _sum_block(model, problem.items, threshold_sq, start, stop)[0]
-
-
-def _settle(problem, sample, model, settled, work):
-    copy_numbers(model, settled[0])
-    return 1
-
-
-def _score(problem, model, threshold_sq, bail_out):
-    return _sum_block(model, problem.items, threshold_sq, 0, problem.items.shape[1])[1]
-
-
-def _residuals_sq(problem, model, threshold_sq, out):
-    alignment_residuals(model, problem.items, out)
-
-
-def _residual_size(problem):
-    return np.int64(3)
-
-
-def _near(problem, model, threshold_sq):
-    residuals = np.empty(problem.items.shape[1])
-    alignment_residuals(model, problem.items, residuals)
-    return AlignmentProblem(columns_within(problem.items, residuals, threshold_sq), problem.freedom)
-
-
-def _linearize(problem, model, threshold_sq, soft_sq, a, b):
-    return alignment_normal_equations(model, problem.items, threshold_sq, soft_sq, problem.freedom, a, b)
-
-
-def _retract(problem, model, delta, out):
-    _retract_alignment(model, delta, problem.freedom, out)
-
-
-implement(
-    AlignmentProblem,
-    sample_size=_sample_size,
-    num_items=_num_items,
-    degrees_of_freedom=_degrees_of_freedom,
-    workspace=_workspace,
-    solve_sample=_solve_sample,
-    agreeing=_agreeing,
-    settle=_settle,
-    score=_score,
-    residuals_sq=_residuals_sq,
-    near=_near,
-    residual_size=_residual_size,
-    linearize=_linearize,
-    retract=_retract,
-)
+    def with_items(self, items):
+        return AlignmentProblem(items, self.freedom)

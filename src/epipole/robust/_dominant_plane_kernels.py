@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import median, sampson_agreeing
+from epipole.robust._item_kernels import median, sampson_agreeing
 from epipole.robust._loop_kernels import draw
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers, solve_spd
 

@@ -6,36 +6,19 @@ from the principal points, in units of the picture.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import (
-    BLOCK,
-    add_normal_equations,
-    columns_within,
-    gather,
-    rotate_left,
-    sampson_agreeing,
-)
-from epipole.robust._contract_kernels import implement
-from epipole.robust._fundamental_kernels import (
-    EPIPOLE,
-    SENSE,
-    find_epipole,
-    fundamental_residuals,
-    fundamental_rows,
-    fundamental_score,
-    line_sense,
-)
+from epipole.robust._fundamental_kernels import EPIPOLE, SENSE, EpipolarProblem, find_epipole, line_sense
+from epipole.robust._item_kernels import gather, rotate_left
+from epipole.robust._problem_kernels import Items
 from epipole.robust._relative_pose_kernels import derivatives_of_essential, tangent_of_direction
 from epipole.solvers._focal_motion_kernels import (
     focals_from_fundamental,
     shared_focal_six_point,
     shared_focal_workspace,
 )
-from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 from epipole.solvers._two_view_kernels import (
     essential_from_motion,
     fundamental_seven_point,
@@ -45,19 +28,6 @@ from epipole.solvers._two_view_kernels import (
 
 MOTION, FOCAL1, FOCAL2 = 9, 21, 22
 LEAST_FOCAL, MOST_FOCAL = 0.1, 20.0
-
-
-class SharedFocalProblem(NamedTuple):
-    """One focal length for both cameras."""
-
-    matches: np.ndarray
-    """(4, n)."""
-
-
-class TwoFocalsProblem(NamedTuple):
-    """A focal length for each camera."""
-
-    matches: np.ndarray
 
 
 @kernel(allocates=True)
@@ -99,24 +69,6 @@ def _derivatives(model, shared, d):
                 d[5, k] = by_first + by_second
             else:
                 d[5, k], d[6, k] = by_first, by_second
-
-
-@kernel(allocates=True)
-def _normal_equations(model, m, threshold_sq, soft_sq, shared, a, b):
-    size = 6 if shared else 7
-    d, rows, jac = np.empty((size, 9)), np.empty((10, BLOCK)), np.empty((size, BLOCK))
-    clear_rows(a)
-    clear(b)
-    _derivatives(model, shared, d)
-    n, total = m.shape[1], 0.0
-    for start in range(0, n, BLOCK):
-        stop = min(start + BLOCK, n)
-        total += fundamental_rows(model, m, start, stop, threshold_sq, soft_sq, rows)
-        add_normal_equations(d, rows, jac, stop - start, a, b)
-    for i in range(size):
-        for j in range(i):
-            a[j, i] = a[i, j]
-    return total
 
 
 @kernel(allocates=True)
@@ -164,127 +116,72 @@ def _add_motions(x1, x2, essential, f1, f2, models, count):
     return count
 
 
-def _six(problem):
-    return np.int64(6)
+class SharedFocalProblem(EpipolarProblem, Items):
+    """One focal length for both cameras: six points."""
+
+    __slots__ = ()
+
+    def sample_size(self):
+        return np.int64(6)
+
+    def degrees_of_freedom(self):
+        return np.int64(6)
+
+    def workspace(self):
+        return np.empty((6, 3)), np.empty((6, 3)), np.empty((8, 9)), np.empty(8), shared_focal_workspace()
+
+    def solve_sample(self, sample, models, work):
+        x1, x2, essentials, focals, solver = work
+        gather(self.items, sample, x1, x2)
+        count = np.int64(0)
+        for k in range(shared_focal_six_point(x1, x2, essentials, focals, solver)):
+            count = _add_motions(x1, x2, essentials[k], focals[k], focals[k], models, count)
+        return count
+
+    def derivatives(self, model, d):
+        _derivatives(model, True, d)
+
+    def retract(self, model, delta, out):
+        _retract_focal_motion(model, delta, True, out)
+
+    def with_items(self, items):
+        return SharedFocalProblem(items)
 
 
-def _seven(problem):
-    return np.int64(7)
+class TwoFocalsProblem(EpipolarProblem, Items):
+    """A focal length for each camera: seven points, and what the fundamental matrix says of them."""
 
+    __slots__ = ()
 
-def _num_items(problem):
-    return problem.matches.shape[1]
+    def sample_size(self):
+        return np.int64(7)
 
+    def degrees_of_freedom(self):
+        return np.int64(7)
 
-def _shared_workspace(problem):
-    return np.empty((6, 3)), np.empty((6, 3)), np.empty((8, 9)), np.empty(8), shared_focal_workspace()
+    def workspace(self):
+        return np.empty((7, 3)), np.empty((7, 3)), np.empty((3, 9)), np.empty(9), seven_point_workspace()
 
+    def solve_sample(self, sample, models, work):
+        x1, x2, found, essential, solver = work
+        gather(self.items, sample, x1, x2)
+        count = np.int64(0)
+        for k in range(fundamental_seven_point(x1, x2, found, solver)):
+            f1, f2 = focals_from_fundamental(found[k])
+            if not (f1 > LEAST_FOCAL and f1 < MOST_FOCAL and f2 > LEAST_FOCAL and f2 < MOST_FOCAL):
+                continue
+            for i in range(3):
+                for j in range(3):
+                    scale = (f2 if i < 2 else 1.0) * (f1 if j < 2 else 1.0)
+                    essential[3 * i + j] = scale * found[k, 3 * i + j]
+            count = _add_motions(x1, x2, essential, f1, f2, models, count)
+        return count
 
-def _solve_shared(problem, sample, models, work):
-    x1, x2, essentials, focals, solver = work
-    gather(problem.matches, sample, x1, x2)
-    count = np.int64(0)
-    for k in range(shared_focal_six_point(x1, x2, essentials, focals, solver)):
-        count = _add_motions(x1, x2, essentials[k], focals[k], focals[k], models, count)
-    return count
+    def derivatives(self, model, d):
+        _derivatives(model, False, d)
 
+    def retract(self, model, delta, out):
+        _retract_focal_motion(model, delta, False, out)
 
-def _two_workspace(problem):
-    return np.empty((7, 3)), np.empty((7, 3)), np.empty((3, 9)), np.empty(9), seven_point_workspace()
-
-
-def _solve_two(problem, sample, models, work):
-    x1, x2, found, essential, solver = work
-    gather(problem.matches, sample, x1, x2)
-    count = np.int64(0)
-    for k in range(fundamental_seven_point(x1, x2, found, solver)):
-        f1, f2 = focals_from_fundamental(found[k])
-        if not (f1 > LEAST_FOCAL and f1 < MOST_FOCAL and f2 > LEAST_FOCAL and f2 < MOST_FOCAL):
-            continue
-        for i in range(3):
-            for j in range(3):
-                scale = (f2 if i < 2 else 1.0) * (f1 if j < 2 else 1.0)
-                essential[3 * i + j] = scale * found[k, 3 * i + j]
-        count = _add_motions(x1, x2, essential, f1, f2, models, count)
-    return count
-
-
-def _agreeing(problem, model, threshold_sq, start, stop):
-    return sampson_agreeing(model, problem.matches, threshold_sq, start, stop)
-
-
-def _settle(problem, sample, model, settled, work):
-    copy_numbers(model, settled[0])
-    return 1
-
-
-def _score(problem, model, threshold_sq, bail_out):
-    return fundamental_score(model, problem.matches, threshold_sq, bail_out)
-
-
-def _residuals_sq(problem, model, threshold_sq, out):
-    fundamental_residuals(model, problem.matches, threshold_sq, out)
-
-
-def _residual_size(problem):
-    return np.int64(1)
-
-
-def _near_shared(problem, model, threshold_sq):
-    residuals = np.empty(problem.matches.shape[1])
-    fundamental_residuals(model, problem.matches, threshold_sq, residuals)
-    return SharedFocalProblem(columns_within(problem.matches, residuals, threshold_sq))
-
-
-def _near_two(problem, model, threshold_sq):
-    residuals = np.empty(problem.matches.shape[1])
-    fundamental_residuals(model, problem.matches, threshold_sq, residuals)
-    return TwoFocalsProblem(columns_within(problem.matches, residuals, threshold_sq))
-
-
-def _linearize_shared(problem, model, threshold_sq, soft_sq, a, b):
-    return _normal_equations(model, problem.matches, threshold_sq, soft_sq, True, a, b)
-
-
-def _linearize_two(problem, model, threshold_sq, soft_sq, a, b):
-    return _normal_equations(model, problem.matches, threshold_sq, soft_sq, False, a, b)
-
-
-def _retract_shared(problem, model, delta, out):
-    _retract_focal_motion(model, delta, True, out)
-
-
-def _retract_two(problem, model, delta, out):
-    _retract_focal_motion(model, delta, False, out)
-
-
-_COMMON = {
-    "num_items": _num_items,
-    "agreeing": _agreeing,
-    "settle": _settle,
-    "score": _score,
-    "residuals_sq": _residuals_sq,
-    "residual_size": _residual_size,
-}
-implement(
-    SharedFocalProblem,
-    **_COMMON,
-    sample_size=_six,
-    degrees_of_freedom=_six,
-    workspace=_shared_workspace,
-    solve_sample=_solve_shared,
-    near=_near_shared,
-    linearize=_linearize_shared,
-    retract=_retract_shared,
-)
-implement(
-    TwoFocalsProblem,
-    **_COMMON,
-    sample_size=_seven,
-    degrees_of_freedom=_seven,
-    workspace=_two_workspace,
-    solve_sample=_solve_two,
-    near=_near_two,
-    linearize=_linearize_two,
-    retract=_retract_two,
-)
+    def with_items(self, items):
+        return TwoFocalsProblem(items)

@@ -11,26 +11,8 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import median
-from epipole.robust._contract_kernels import (
-    MODEL_SIZE,
-    MOST_FREEDOM,
-    MOST_MODELS,
-    agreeing,
-    degrees_of_freedom,
-    escape,
-    linearize,
-    near,
-    num_items,
-    residual_size,
-    residuals_sq,
-    retract,
-    sample_size,
-    score,
-    settle,
-    solve_sample,
-    workspace,
-)
+from epipole.robust._item_kernels import median
+from epipole.robust._problem_kernels import MODEL_SIZE, MOST_FREEDOM, MOST_MODELS
 from epipole.solvers._linear_kernels import copy_numbers, solve_spd
 
 # Whole numbers are passed as np.int64: Numba compiles a function anew for every literal one.
@@ -55,12 +37,12 @@ LOG_REJECT = 7.0  # a good model is rejected with a probability of about exp(-7)
 @kernel(allocates=True)
 def refine(problem, model, threshold_sq, max_steps):
     """Levenberg-Marquardt on the truncated loss, from `model`, in place; returns the score reached."""
-    size = degrees_of_freedom(problem)
+    size = problem.degrees_of_freedom()
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
     damped, step = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
     tried = np.empty(MODEL_SIZE)
     damping = 1e-6
-    current = linearize(problem, model, threshold_sq, math.inf, a, b)
+    current = problem.linearize(model, threshold_sq, math.inf, a, b)
     for _ in range(max_steps):
         if not current < math.inf:
             break
@@ -73,15 +55,15 @@ def refine(problem, model, threshold_sq, max_steps):
             damping = max(100.0 * damping, 1e-4)
             continue
         copy_numbers(model, tried)
-        retract(problem, model, step, tried)
-        after = score(problem, tried, threshold_sq, current)
+        problem.retract(model, step, tried)
+        after = problem.score(tried, threshold_sq, current)
         if after < current:
             gain = current - after
             copy_numbers(tried, model)
             damping = max(0.1 * damping, 1e-9)
             if gain < 1e-4 * threshold_sq:
                 return after
-            current = linearize(problem, model, threshold_sq, math.inf, a, b)
+            current = problem.linearize(model, threshold_sq, math.inf, a, b)
         else:
             damping = max(100.0 * damping, 1e-4)
             if damping > 1e3:
@@ -112,18 +94,18 @@ def polish(problem, model, threshold_sq, residuals, breadth):
     deviations: a tenth of the accuracy). Here items count up to three deviations of the noise, with Cauchy's
     weights, which hardly touch Gaussian noise and listen less to the tail where most items are better than that.
     """
-    size = degrees_of_freedom(problem)
+    size = problem.degrees_of_freedom()
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
     tried, before = np.empty(MODEL_SIZE), np.empty(MODEL_SIZE)
     copy_numbers(model, before)
-    score_before = score(problem, model, threshold_sq, math.inf)
-    noise_sq = max(noise_variance(residuals, threshold_sq, residual_size(problem)), 1e-6 * threshold_sq)
+    score_before = problem.score(model, threshold_sq, math.inf)
+    noise_sq = max(noise_variance(residuals, threshold_sq, problem.residual_size()), 1e-6 * threshold_sq)
     reach_sq = min(max(9.0 * noise_sq, threshold_sq), REACH * REACH * threshold_sq)
     if breadth > 1.0:  # the threshold is the greatest deviation there may be
         noise_sq = threshold_sq / (breadth * breadth)
         reach_sq = BEYOND * BEYOND * noise_sq
     for _ in range(POLISH_STEPS):
-        linearize(problem, model, reach_sq, SOFT * SOFT * noise_sq, a, b)
+        problem.linearize(model, reach_sq, SOFT * SOFT * noise_sq, a, b)
         length = 0.0
         for i in range(size):
             length += b[i] * b[i] / (a[i, i] + 1e-300)
@@ -132,11 +114,11 @@ def polish(problem, model, threshold_sq, residuals, breadth):
         if not solve_spd(a, b, size):
             break
         copy_numbers(model, tried)
-        retract(problem, model, b, tried)
+        problem.retract(model, b, tried)
         copy_numbers(tried, model)
         if length < 1e-8 * noise_sq:
             break
-    after = score(problem, model, threshold_sq, math.inf)
+    after = problem.score(model, threshold_sq, math.inf)
     if not after < (POLISH_SLACK if breadth <= 1.0 else BROAD_SLACK) * score_before:
         copy_numbers(before, model)
         return score_before
@@ -146,10 +128,10 @@ def polish(problem, model, threshold_sq, residuals, breadth):
 @kernel(allocates=True)
 def optimize_locally(problem, model, threshold_sq):
     """Refine with a wide threshold, then with the asked one, on the items near the model; returns its score."""
-    items = near(problem, model, NEAR * NEAR * threshold_sq)
+    items = problem.near(model, NEAR * NEAR * threshold_sq)
     refine(items, model, WIDE * WIDE * threshold_sq, np.int64(WIDE_STEPS))
     refine(items, model, threshold_sq, np.int64(LOCAL_STEPS))
-    return score(problem, model, threshold_sq, math.inf)
+    return problem.score(model, threshold_sq, math.inf)
 
 
 @kernel
@@ -185,10 +167,10 @@ def _passes(problem, model, threshold_sq, share, test):
     if chance >= 0.8 * share:
         return True
     for_in, for_out = math.log(chance / share), math.log((1.0 - chance) / (1.0 - share))
-    evidence, agreed, stop = 0.0, 0, min(num_items(problem), MOST_TESTED)
+    evidence, agreed, stop = 0.0, 0, min(problem.num_items(), MOST_TESTED)
     for start in range(0, stop, TEST_BLOCK):
         end = min(start + TEST_BLOCK, stop)
-        count = agreeing(problem, model, threshold_sq, start, end)
+        count = problem.agreeing(model, threshold_sq, start, end)
         agreed += count
         evidence += count * for_in + (end - start - count) * for_out
         if evidence > LOG_REJECT:
@@ -200,7 +182,7 @@ def _passes(problem, model, threshold_sq, share, test):
 
 @kernel
 def _share_within(problem, model, threshold_sq, residuals):
-    residuals_sq(problem, model, threshold_sq, residuals)
+    problem.residuals_sq(model, threshold_sq, residuals)
     count = 0
     for k in range(len(residuals)):
         if residuals[k] < threshold_sq:
@@ -290,10 +272,10 @@ def ransac(
     Returns (score, iterations); the score is infinite if no model was found.
     """
     threshold_sq = breadth * breadth * asked_sq
-    n, size = num_items(problem), sample_size(problem)
+    n, size = problem.num_items(), problem.sample_size()
     state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
     state[0] = seed
-    work, test = workspace(problem), np.zeros(2)
+    work, test = problem.workspace(), np.zeros(2)
     if ranking is not None:
         progress = _start_of_ranked(n, size)
     models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
@@ -307,12 +289,12 @@ def ransac(
             _draw_ranked(state, ranking, progress, iteration, size, sample)
         else:
             draw(state, n, size, sample)
-        for k in range(solve_sample(problem, sample, models, work)):
+        for k in range(problem.solve_sample(sample, models, work)):
             if share > 0.0 and not _passes(problem, models[k], threshold_sq, share, test):
                 continue
-            for c in range(settle(problem, sample, models[k], settled, work)):
+            for c in range(problem.settle(sample, models[k], settled, work)):
                 model = settled[c]
-                gain = worst - score(problem, model, threshold_sq, worst - PROMISING * best_gain)
+                gain = worst - problem.score(model, threshold_sq, worst - PROMISING * best_gain)
                 if gain <= PROMISING * best_gain or (gain <= best_gain and seconds == MOST_SECONDS):
                     continue
                 seconds += 1 if gain <= best_gain else 0
@@ -330,18 +312,12 @@ def ransac(
                         enough = min(enough, ranked)
                     needed = min(needed, enough)
     if best_score < math.inf:
-        escape(problem, best, residuals, threshold_sq, state)
+        problem.escape(best, residuals, threshold_sq, state)
         refine(problem, best, threshold_sq, np.int64(FINAL_STEPS))
-        residuals_sq(problem, best, threshold_sq, residuals)
+        problem.residuals_sq(best, threshold_sq, residuals)
         best_score = polish(problem, best, threshold_sq, residuals, breadth)
         if breadth > 1.0:
-            best_score = score(problem, best, asked_sq, math.inf)
-        residuals_sq(problem, best, asked_sq, residuals)
-        linearize(problem, best, asked_sq, math.inf, information, np.empty(MOST_FREEDOM))
+            best_score = problem.score(best, asked_sq, math.inf)
+        problem.residuals_sq(best, asked_sq, residuals)
+        problem.linearize(best, asked_sq, math.inf, information, np.empty(MOST_FREEDOM))
     return best_score, iteration
-
-
-@kernel
-def sizes(problem):
-    """(items in a sample, degrees of freedom, numbers in a residual)."""
-    return sample_size(problem), degrees_of_freedom(problem), residual_size(problem)

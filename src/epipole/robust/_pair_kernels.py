@@ -10,11 +10,11 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import project_one, unproject_one
-from epipole.robust._block_kernels import median, rotate_left
-from epipole.robust._contract_kernels import MOST_FREEDOM, num_items
 from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
+from epipole.robust._item_kernels import median, rotate_left
 from epipole.robust._loop_kernels import next_random, ransac
+from epipole.robust._problem_kernels import MOST_FREEDOM
 from epipole.robust._relative_pose_kernels import RelativePoseProblem
 from epipole.solvers._linear_kernels import clear, clear_rows, solve_spd
 from epipole.solvers._two_view_kernels import svd3
@@ -136,7 +136,7 @@ def least_share(search, count):
 @kernel(allocates=True)
 def search_pair(pairs, p, problem, is_enough, chosen, scale, search, fits):
     """The best model of pair p, whose items are its chosen matches in pixels over `scale`, and who agrees with it."""
-    count = num_items(problem)
+    count = problem.num_items()
     residuals = np.full(count, math.inf)
     fits.iterations[p] = -1
     if is_enough:

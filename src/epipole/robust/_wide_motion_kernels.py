@@ -7,28 +7,18 @@ are unit rays with their derivatives by the pixels, and the residual is Sampson'
 """
 
 import math
-from typing import NamedTuple
-
-import numpy as np
 
 from epipole._jit import kernel
-from epipole.robust._block_kernels import REASSOC
-from epipole.robust._contract_kernels import implement
-from epipole.robust._relative_pose_kernels import contract_of_motions
+from epipole.robust._item_kernels import REASSOC, nine
+from epipole.robust._problem_kernels import Items
+from epipole.robust._relative_pose_kernels import MotionProblem, diverge
 
 SECOND, FIRST_SLOPE, SECOND_SLOPE = 3, 6, 12
 
 
-class WideMotionProblem(NamedTuple):
-    """Matched rays and their derivatives."""
-
-    matches: np.ndarray
-    """(18, n): y1, y2 (of length one), then J1 and J2 (3 x 2, row by row)."""
-
-
 @kernel(fuse=True, extra_fastmath=REASSOC)
-def _error(f, m, k):
-    """(e, m, J1^T E^T y2, J2^T E y1): the algebraic error, its squared slope, and the slopes by both pixels."""
+def tangent_sampson(f, m, k):
+    """(e, m, J1^T E^T y2, J2^T E y1): the algebraic error, its squared slope, and the slopes by both pixels; f is a tuple."""
     x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
     l0, l1, l2 = (
         f[0] * x + f[1] * y + f[2] * z,
@@ -47,50 +37,29 @@ def _error(f, m, k):
 
 
 @kernel(fuse=True, extra_fastmath=REASSOC)
-def _is_behind(p, m, k, slack):
-    """Whether the rays diverge by more than `slack` (see `is_in_front`)."""
-    x, y, z, u, v, w = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k]
-    a, b, c = p[0] * x + p[1] * y + p[2] * z, p[3] * x + p[4] * y + p[5] * z, p[6] * x + p[7] * y + p[8] * z
-    along, at, bt = a * u + b * v + c * w, a * p[9] + b * p[10] + c * p[11], u * p[9] + v * p[10] + w * p[11]
-    return along * bt - at < -slack or bt - along * at < -slack
+def _diverge(model, m, k, slack):
+    one, two = (m[0, k], m[1, k], m[2, k]), (m[3, k], m[4, k], m[5, k])
+    return diverge(nine(model, 0), (model[9], model[10], model[11]), one, two, slack)
 
 
 @kernel(extra_fastmath=REASSOC)
-def _score_block(p, m, start, stop, threshold_sq):
-    slack, total, f = math.sqrt(threshold_sq), 0.0, p[12:21]
+def _agreeing_block(model, m, threshold_sq, start, stop):
+    """Number of matches start..stop with a squared distance below the threshold, in front or not."""
+    f, count = nine(model, 12), 0
     for k in range(start, stop):
-        e, slope, _, _ = _error(f, m, k)
-        r = e * e / slope
-        total += threshold_sq if _is_behind(p, m, k, slack) or r > threshold_sq else r
-    return total
-
-
-@kernel(extra_fastmath=REASSOC)
-def wide_residuals(p, m, slack, out):
-    """Squared distances; infinite where rays diverge by more than `slack`."""
-    f = p[12:21]
-    for k in range(m.shape[1]):
-        e, slope, _, _ = _error(f, m, k)
-        out[k] = math.inf if _is_behind(p, m, k, slack) else e * e / slope
-
-
-@kernel(extra_fastmath=REASSOC)
-def _agreeing_block(f, m, threshold_sq, start, stop):
-    count = 0
-    for k in range(start, stop):
-        e, slope, _, _ = _error(f, m, k)
+        e, slope, _, _ = tangent_sampson(f, m, k)
         count += 1 if e * e < threshold_sq * slope else 0
     return count
 
 
 @kernel(extra_fastmath=REASSOC)
-def _rows_of_block(p, m, start, stop, threshold_sq, soft_sq, rows):
+def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows[0]) and their derivatives by E (rows[1:10]) of matches start..stop, zero where truncated."""
-    slack, total, f = math.sqrt(threshold_sq), 0.0, p[12:21]
+    slack, total, f = math.sqrt(threshold_sq), 0.0, nine(model, 12)
     for k in range(start, stop):
-        e, slope, one, two = _error(f, m, k)
+        e, slope, one, two = tangent_sampson(f, m, k)
         r = e * e / slope
-        is_out = _is_behind(p, m, k, slack) or r > threshold_sq
+        is_out = _diverge(model, m, k, slack) or r > threshold_sq
         total += threshold_sq if is_out else r
         root = 0.0 if is_out else math.sqrt(1.0 / (slope * (1.0 + r / soft_sq)))
         ratio, n = e / slope, k - start
@@ -106,16 +75,25 @@ def _rows_of_block(p, m, start, stop, threshold_sq, soft_sq, rows):
     return total
 
 
-@kernel
-def _gather_rays(m, sample, y1, y2):
-    for k in range(len(y1)):
-        for i in range(3):
-            y1[k, i], y2[k, i] = m[i, sample[k]], m[SECOND + i, sample[k]]
+class WideMotionProblem(MotionProblem, Items):
+    """Matched rays and their derivatives, (18, n): y1, y2 (of length one), then J1 and J2 (3 x 2, row by row)."""
 
+    __slots__ = ()
 
-implement(
-    WideMotionProblem,
-    **contract_of_motions(
-        WideMotionProblem, _gather_rays, _agreeing_block, _score_block, _rows_of_block, wide_residuals
-    ),
-)
+    def gather_rays(self, sample, y1, y2):
+        for k in range(len(y1)):
+            for i in range(3):
+                y1[k, i], y2[k, i] = self.items[i, sample[k]], self.items[SECOND + i, sample[k]]
+
+    def agreeing(self, model, threshold_sq, start, stop):
+        return _agreeing_block(model, self.items, threshold_sq, start, stop)
+
+    def error_sq(self, model, threshold_sq, k):
+        e, slope, _, _ = tangent_sampson(nine(model, 12), self.items, k)
+        return math.inf if _diverge(model, self.items, k, math.sqrt(threshold_sq)) else e * e / slope
+
+    def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
+        return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)
+
+    def with_items(self, items):
+        return WideMotionProblem(items)

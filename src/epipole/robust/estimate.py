@@ -14,7 +14,7 @@ from epipole._checks import as_float_array
 from epipole.config import RansacConfig
 from epipole.errors import ShapeError
 from epipole.robust import _loop_kernels as loop
-from epipole.robust._contract_kernels import MODEL_SIZE, MOST_FREEDOM
+from epipole.robust._problem_kernels import MODEL_SIZE, MOST_FREEDOM
 
 Model = TypeVar("Model")
 
@@ -159,7 +159,7 @@ def run_loop(
     """Robustly fit a problem whose column k is the caller's item order[k].
 
     Args:
-        problem: of a type with an implementation of the contract.
+        problem: of a class of problems.
         order: (m,), the items in the problem.
         n: number of the caller's items.
         scale_px: the unit of the problem's residuals in the caller's unit.
@@ -168,7 +168,7 @@ def run_loop(
         traits: of the kind of model.
     """
     m = len(order)
-    size, freedom, size_of_residual = loop.sizes(problem)
+    size, freedom = int(problem.sample_size()), int(problem.degrees_of_freedom())
     if m < size:
         return failed(Reason.TOO_FEW, n, freedom)
     ranking = None if quality is None else np.argsort(-quality[order], kind="stable")
@@ -195,7 +195,7 @@ def run_loop(
     out[order] = np.sqrt(residuals) * scale_px
     inlier_mask = out < config.max_error_px
     num_inliers = int(inlier_mask.sum())
-    noise = untruncated_noise(out[inlier_mask], config.max_error_px, size_of_residual, freedom)
+    noise = untruncated_noise(out[inlier_mask], config.max_error_px, int(problem.residual_size()), freedom)
     covariance, determined = invert_information(
         information[:freedom, :freedom], noise / scale_px, of_order_one=traits.of_order_one
     )

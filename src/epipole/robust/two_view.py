@@ -277,7 +277,7 @@ def _is_held_by_a_plane(problem: FundamentalProblem, raw: np.ndarray, max_error:
     expected to give to a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). Of 800 noisy planes none
     passed for a scene with depth; few points off the plane may pass for none.
     """
-    share, num_off, agreed, chance = parallax_support(raw, problem.matches, max_error**2, np.uint64(0))
+    share, num_off, agreed, chance = parallax_support(raw, problem.items, max_error**2, np.uint64(0))
     if share < _ALL_BUT_CHANCE:
         return False
     pairs = 0.5 * num_off * (num_off - 1)
@@ -302,7 +302,7 @@ def _entries_of_fundamental(raw: np.ndarray) -> np.ndarray:
     """(9, 7): derivatives of the entries of F by its seven parameters."""
     d = np.zeros((7, 9))
     derivatives_of_fundamental(raw, d)
-    return d.T / np.sqrt(1.0 + raw[27] ** 2)
+    return d.T
 
 
 def _projected(jacobian: np.ndarray, model: np.ndarray, found: Found) -> np.ndarray:

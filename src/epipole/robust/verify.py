@@ -19,7 +19,7 @@ from epipole.geometry.epipolar import (
     fundamental_from_essential,
 )
 from epipole.robust import _pair_kernels as kernels
-from epipole.robust._contract_kernels import MODEL_SIZE
+from epipole.robust._problem_kernels import MODEL_SIZE
 from epipole.robust._wide_pair_kernels import fit_wide_motions
 from epipole.robust.pair_kind import PairKind
 from epipole.robust.rays import is_wide

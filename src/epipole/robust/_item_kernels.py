@@ -1,4 +1,4 @@
-"""What the problems of the robust loop share: sums over blocks of items, the chain rule, a turn, a choice of items."""
+"""What the problems of the robust loop share: sums over blocks of items, Sampson's distance, the chain rule, a turn."""
 
 import math
 
@@ -96,17 +96,50 @@ def columns_within(items, residuals, threshold_sq):
     return out
 
 
+@kernel(fuse=True)
+def nine(model, start):
+    """Nine numbers of a model as a tuple, which loops keep in registers."""
+    f = model[start : start + 9]
+    return f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
+
+
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def sampson(f, m, k):
+    """(e, s, F x1, F^T x2) of match k: Sampson's distance is r^2 = e^2 / s (Sampson 1982; HZ eq. 11.9).
+
+    e = x2^T F x1, s = |(F x1)_12|^2 + |(F^T x2)_12|^2; f is a tuple, F row by row.
+    """
+    a, b, c, d = m[0, k], m[1, k], m[2, k], m[3, k]
+    l0, l1, l2 = f[0] * a + f[1] * b + f[2], f[3] * a + f[4] * b + f[5], f[6] * a + f[7] * b + f[8]
+    g0, g1 = f[0] * c + f[3] * d + f[6], f[1] * c + f[4] * d + f[7]
+    e = c * l0 + d * l1 + l2
+    return e, l0 * l0 + l1 * l1 + g0 * g0 + g1 * g1 + 1e-300, (l0, l1, l2), (g0, g1)
+
+
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def sampson_row(m, k, e, inverse, root, line, back, rows, i):
+    """Write column i of `rows`: the residual times `root` and its derivatives by the entries of F.
+
+    dr / dF_ij = (x2_i x1_j - (e / s) ([i < 2] (F x1)_i x1_j + [j < 2] (F^T x2)_j x2_i)) / sqrt(s); inverse = 1 / s,
+    `root` holds 1 / sqrt(s) and the root of the weight, zero for an item that does not count.
+    """
+    a, b, c, d = m[0, k], m[1, k], m[2, k], m[3, k]
+    ratio = e * inverse
+    u, v = c - ratio * line[0], d - ratio * line[1]
+    h0, h1 = ratio * back[0], ratio * back[1]
+    rows[0, i] = root * e
+    rows[1, i], rows[2, i], rows[3, i] = root * (u * a - h0 * c), root * (u * b - h1 * c), root * u
+    rows[4, i], rows[5, i], rows[6, i] = root * (v * a - h0 * d), root * (v * b - h1 * d), root * v
+    rows[7, i], rows[8, i], rows[9, i] = root * (a - h0), root * (b - h1), root
+
+
 @kernel(extra_fastmath=REASSOC)
-def sampson_agreeing(f, m, threshold_sq, start, stop):
+def sampson_agreeing(matrix, m, threshold_sq, start, stop):
     """Number of matches start..stop with a squared Sampson distance below the threshold."""
-    f0, f1, f2, f3, f4, f5, f6, f7, f8 = f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]
-    count = 0
+    f, count = nine(matrix, 0), 0
     for k in range(start, stop):
-        a, b, c, d = m[0, k], m[1, k], m[2, k], m[3, k]
-        l0, l1, l2 = f0 * a + f1 * b + f2, f3 * a + f4 * b + f5, f6 * a + f7 * b + f8
-        g0, g1 = f0 * c + f3 * d + f6, f1 * c + f4 * d + f7
-        e = c * l0 + d * l1 + l2
-        count += 1 if e * e < threshold_sq * (l0 * l0 + l1 * l1 + g0 * g0 + g1 * g1) else 0
+        e, s, _, _ = sampson(f, m, k)
+        count += 1 if e * e < threshold_sq * s else 0
     return count
 
 
