@@ -40,12 +40,15 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SAFE_FASTMATH = {"nsz"}
 
 
-def overload_options(*, fuse: bool = False, extra_fastmath: frozenset[str] = frozenset()) -> dict[str, Any]:
+def overload_options(
+    *, allocates: bool = True, fuse: bool = False, extra_fastmath: frozenset[str] = frozenset()
+) -> dict[str, Any]:
     """Options for Numba's `overload`, whose functions only kernels call; see `kernel`."""
     return {
         "error_model": "numpy",
         "fastmath": SAFE_FASTMATH | extra_fastmath,
         "forceinline": fuse,
+        "_nrt": allocates,
         "no_cpython_wrapper": True,
         "no_cfunc_wrapper": True,
         "pipeline_class": CalleeCompiler,

@@ -88,6 +88,17 @@ def is_turned(epipole, m, k, line, threshold_sq):
 
 
 @kernel(extra_fastmath=REASSOC)
+def _score_block(model, m, threshold_sq, start, stop):
+    """MSAC's sum over matches start..stop, what all of them share being read once (a third faster)."""
+    f, epipole, total = nine(model, 0), signed_epipole(model), 0.0
+    for k in range(start, stop):
+        e, s, line, _ = sampson(f, m, k)
+        r = e * e / s
+        total += threshold_sq if is_turned(epipole, m, k, line, threshold_sq) or r > threshold_sq else r
+    return total
+
+
+@kernel(extra_fastmath=REASSOC)
 def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
     """Residuals (rows[0]) and their derivatives by the entries of F (rows[1:10]), zero where truncated."""
     f, epipole, total = nine(model, 0), signed_epipole(model), 0.0
@@ -98,7 +109,11 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
         is_out = is_turned(epipole, m, k, line, threshold_sq) or r > threshold_sq
         total += threshold_sq if is_out else r
         root = 0.0 if is_out else math.sqrt(inverse / (1.0 + r / soft_sq))
-        sampson_row(m, k, e, inverse, root, line, back, rows, k - start)
+        row, i = sampson_row(m, k, e, inverse, root, line, back), k - start
+        rows[0, i] = row[0]
+        rows[1, i], rows[2, i], rows[3, i] = row[1]
+        rows[4, i], rows[5, i], rows[6, i] = row[2]
+        rows[7, i], rows[8, i], rows[9, i] = row[3]
     return total
 
 
@@ -169,6 +184,9 @@ class EpipolarProblem(MatrixProblem):
     def error_sq(self, model, threshold_sq, k):
         e, s, line, _ = sampson(nine(model, 0), self.items, k)
         return math.inf if is_turned(signed_epipole(model), self.items, k, line, threshold_sq) else e * e / s
+
+    def score_block(self, model, threshold_sq, start, stop):
+        return _score_block(model, self.items, threshold_sq, start, stop)
 
     def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
         return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)

