@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from epipole.report._page_script import PAGE_SCRIPT
-from epipole.report._space_script import SPACE_SCRIPT
-from epipole.report._style import STYLE
 from epipole.report.charts import draw_histogram, draw_timings, histogram_of, histogram_of_integers
 from epipole.report.content import ReportContent
+from epipole.report.frame import content_hash, joined
 from epipole.report.markup import count, escape, json_block, number, plural, seconds
 from epipole.report.notes import notes_of
 from epipole.report.pictures import draw_pictures
@@ -21,8 +19,9 @@ from epipole.report.statistics import Statistics, statistics_of
 from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 
-# The browser itself refuses to load anything from outside the page.
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+# The browser itself refuses to load anything from outside the page, and to run any script but the page's own.
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src '{}'"
+_SCRIPTS = ("page.js", "match_matrix.js", "space.js", "end.js")
 
 
 def render_report(content: ReportContent) -> str:
@@ -44,13 +43,14 @@ def render_report(content: ReportContent) -> str:
         )
     )
     names = [str(name) for name in content.reconstruction.images.name]
+    style, script = joined(("page.css",)), joined(_SCRIPTS)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY.format(content_hash(script))}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(content.title)}</title><style>{STYLE}</style></head>\n"
+        f"<title>{escape(content.title)}</title><style>{style}</style></head>\n"
         f'<body><main>{body}</main><div id="tip" hidden></div><dialog id="enlarged"></dialog>'
-        f"{json_block('names', names)}<script>{PAGE_SCRIPT}{SPACE_SCRIPT}</script></body></html>\n"
+        f"{json_block('names', names)}<script>{script}</script></body></html>\n"
     )
 
 

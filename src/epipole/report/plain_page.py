@@ -8,14 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from epipole.report._style import STYLE
+from epipole.report.frame import joined
 from epipole.report.markup import data_uri, escape
 
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-_FIGURES = (
-    ".figures{display:grid;grid-template-columns:repeat(auto-fit,minmax(22rem,1fr));gap:1rem}"
-    "figure{margin:0}figure img{width:100%}"
-)
 _SHOWN_PX = 1000  # longest side of the pictures in the page
 
 
@@ -26,7 +22,7 @@ def plain_page(title: str, body: str, version: str) -> str:
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}{_FIGURES}</style>"
+        f"<title>{escape(title)}</title><style>{joined(('page.css', 'figures.css'))}</style>"
         f"</head>\n<body><main>{body}{footer}</main></body></html>\n"
     )
 
