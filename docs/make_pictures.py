@@ -12,9 +12,9 @@ from epipole.cameras import Camera, CameraModel
 from epipole.config import FeatureConfig, StereoConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
+from epipole.image import color_map
 from epipole.mapping import bundle_problem_of
 from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
-from epipole.report.plain_page import color_map
 from epipole.robust import (
     RansacConfig,
     estimate_absolute_pose,

@@ -18,7 +18,7 @@ from epipole.calibration.pipeline import CalibrationRun, run_calibration
 from epipole.config import CalibrationConfig, ReconstructConfig, StereoConfig, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3, depth_map_to_point_cloud
-from epipole.image import undistort_image, undistorted_camera
+from epipole.image import color_map, undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
 from epipole.io.calibration_files import write_ros_yaml
 from epipole.io.colmap import read_colmap_model, write_colmap_model
@@ -27,7 +27,6 @@ from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 from epipole.report import ImageRow, ReportContent, render_report
 from epipole.report.calibration_page import CalibrationPage, render_calibration_page
-from epipole.report.plain_page import color_map
 from epipole.report.stereo_page import StereoPage, render_stereo_page
 from epipole.scene import Cameras, Reconstruction, StereoRig
 from epipole.sfm.pipeline import PipelineResult, run_pipeline

@@ -13,7 +13,7 @@ from epipole.geometry import Similarity3
 from epipole.report import ReportContent
 from epipole.report.pictures import MAX_FEATURES, draw_pictures
 from epipole.report.plan import draw_plan
-from epipole.report.space import frustum_size, space_payload, stage_of
+from epipole.report.space import space_payload, stage_of
 from epipole.scene import Reconstruction
 
 
@@ -63,7 +63,7 @@ def test_stage_of_nothing_and_of_one_camera() -> None:
     assert stage_of(empty_model(0)).radius == 1.0
     lonely = ring_model(1, num_points=0, num_absent=0)
     assert space_payload(lonely)["count"] == 0
-    assert frustum_size(lonely.camera_centers_in_world(), 2.0) == pytest.approx(0.3)
+    assert space_payload(lonely)["size"] == pytest.approx(0.15)
 
 
 def test_view_from_above_keeps_shape(model: Reconstruction) -> None:

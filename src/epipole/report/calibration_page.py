@@ -12,9 +12,10 @@ from epipole.calibration.comparison import CrossCheck
 from epipole.calibration.coverage import coverage
 from epipole.calibration.uncertainty import projection_sigma
 from epipole.calibration.verdict import Verdict
+from epipole.image import color_map
 from epipole.report.charts import draw_curves, draw_histogram, histogram_of, nice_ticks, svg, tick_text
 from epipole.report.markup import escape, number, plural
-from epipole.report.plain_page import color_map, figure, notes_list, picture_uri, plain_page, section
+from epipole.report.plain_page import figure, notes_list, picture_uri, plain_page, section
 
 _GRID = (48, 36)
 _RANGES = np.geomspace(2.0, 2000.0, 25)  # of a board's square

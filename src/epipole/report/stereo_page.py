@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole.image import color_map
 from epipole.report.charts import draw_histogram, histogram_of
 from epipole.report.markup import number
-from epipole.report.plain_page import color_map, figure, notes_list, picture_uri, plain_page, section, span
+from epipole.report.plain_page import figure, notes_list, picture_uri, plain_page, section, span
 from epipole.stereo import DepthMap, DisparityMap, RectifiedRig, StereoReason
 
 _REASONS = {

@@ -1,6 +1,10 @@
-"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph."""
+"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph; where a scene is."""
 
 from epipole.scene.cameras import Cameras as Cameras
+from epipole.scene.extent import Extent as Extent
+from epipole.scene.extent import extent_of as extent_of
+from epipole.scene.extent import frustum_corners_in_cam as frustum_corners_in_cam
+from epipole.scene.extent import frustum_size as frustum_size
 from epipole.scene.frames import Frames as Frames
 from epipole.scene.frames import Rigs as Rigs
 from epipole.scene.frames import unregistered as unregistered
