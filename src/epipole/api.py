@@ -25,9 +25,9 @@ from epipole.io.colmap import read_colmap_model, write_colmap_model
 from epipole.io.photographs import read_rgb
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
-from epipole.report import ImageRow, ReportContent, render_report
-from epipole.report.calibration_page import CalibrationPage, render_calibration_page
-from epipole.report.stereo_page import StereoPage, render_stereo_page
+from epipole.report.calibration import CalibrationPage, render_calibration_page
+from epipole.report.sfm import ImageRow, ReportContent, render_report
+from epipole.report.stereo import StereoPage, render_stereo_page
 from epipole.scene import Cameras, Reconstruction, StereoRig
 from epipole.sfm.pipeline import PipelineResult, run_pipeline
 from epipole.sfm.workspace import write_json

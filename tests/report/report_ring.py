@@ -7,7 +7,7 @@ from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.report import ImageRow, ReportContent
+from epipole.report.sfm import ImageRow, ReportContent
 from epipole.robust import PairKind
 from epipole.scene import (
     Cameras,

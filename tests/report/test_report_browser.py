@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from epipole.report import ReportContent, render_report
+from epipole.report.sfm import ReportContent, render_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

@@ -1,4 +1,8 @@
-"""The scripts and style sheets that go into the pages: files of the package, read once."""
+"""The frame of every page: templates that escape all values, and the scripts and styles that a page carries inside it.
+
+A pipeline's page is a template in the folder `templates/` of its own package. It extends `frame/base.html.jinja`, takes
+sections, tables and pictures from the other templates under `frame/`, and names the assets it needs.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +12,62 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import resources
 
+from jinja2 import ChoiceLoader, Environment, PackageLoader, PrefixLoader, StrictUndefined
+from markupsafe import Markup
+
+from epipole.report.markup import count, escape, json_block, number, plural, seconds
+
+_PACKAGE = "epipole.report"
+
+
+def render(package: str, template: str, *, title: str, version: str, **values: object) -> str:
+    """One HTML page with everything inside it: no file, font or script from elsewhere.
+
+    Args:
+        package: whose folder `templates/` holds the template.
+        template: its file; it extends `frame/base.html.jinja`.
+        title: of the page.
+        version: of epipole, told at the end of the page.
+        values: what the template shows, by name. Everything is escaped but `Markup`.
+    """
+    return _environment(package).get_template(template).render(title=title, version=version, **values)
+
+
+def render_piece(package: str, template: str, **values: object) -> Markup:
+    """A part of a page, a drawing for one, from a template of its own; the arguments are those of `render`."""
+    return Markup(_environment(package).get_template(template).render(**values))
+
+
+@cache
+def _environment(package: str) -> Environment:
+    """Templates of one package, and those of the frame under `frame/`.
+
+    `escape` is the last that happens to every value that a template writes, escaped by Jinja or not: none can skip it.
+    """
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package), PrefixLoader({"frame": PackageLoader(_PACKAGE)})]),
+        autoescape=True,
+        finalize=escape,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    words = (count, plural, number, seconds)
+    for function in (*words, json_block, joined_assets, content_hash):
+        environment.globals[function.__name__] = function
+    return environment
+
 
 @cache
 def asset(name: str) -> str:
     """The text of a file of `assets/`."""
-    return resources.files("epipole.report").joinpath("assets", name).read_text(encoding="utf-8")
+    return resources.files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
 
 
-def joined(names: Sequence[str]) -> str:
+def joined_assets(names: Sequence[str]) -> Markup:
     """Several assets one after another, as one script or style sheet."""
-    return "".join(asset(name) for name in names)
+    return Markup("".join(asset(name) for name in names))
 
 
 def content_hash(script: str) -> str:
