@@ -2,6 +2,7 @@
 
 import ast
 import re
+import tomllib
 from collections.abc import Callable
 from importlib import invalidate_caches, resources
 from itertools import count
@@ -99,6 +100,17 @@ def test_templates_and_assets_are_files_of_the_package() -> None:
     for pipeline in PIPELINES:
         (template,) = resources.files(f"epipole.report.{pipeline}").joinpath("templates").iterdir()
         assert template.read_text(encoding="utf-8").startswith('{% extends "frame/base.html.jinja" %}')
+
+
+def test_every_file_that_is_no_module_goes_into_the_distribution() -> None:
+    root = FOLDER.parent
+    settings = tomllib.loads((root.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    patterns = settings["tool"]["setuptools"]["package-data"]["*"]
+    files = [p for p in root.rglob("*") if p.is_file() and p.suffix not in (".py", ".pyc")]
+    assert len(files) > 10
+    for path in files:
+        package = next(folder for folder in path.parents if (folder / "__init__.py").is_file())
+        assert any(path.relative_to(package).match(pattern) for pattern in patterns), path
 
 
 def test_assets_can_stand_inside_a_page() -> None:
