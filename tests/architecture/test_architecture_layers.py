@@ -69,7 +69,7 @@ def test_imports_go_down() -> None:
 
 
 def test_no_imports_in_a_circle() -> None:
-    """No module imports another that leads back to it, wherever the imports stand; an `__init__` only gathers names."""
+    """No module leads back to itself, wherever its imports stand; an `__init__` only gathers names."""
     names = {"epipole." + s.name.removesuffix(".py").replace("/", "."): s for s in sources()}
     modules = {name: s for name, s in names.items() if not name.endswith("__init__")}
     below = {name: set(imported_modules(s)) & modules.keys() for name, s in modules.items()}

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 
 def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
-    """The values that get the first and the last colour: the 1st and 99th percentile of the finite ones; 0, 1 without any."""
+    """The values of the first and the last colour: 1st and 99th percentile of the finite ones; 0, 1 of none."""
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0, 1.0

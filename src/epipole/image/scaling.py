@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 def downscaled(
     image: UInt8[np.ndarray, "h w *channels"], max_side_px: int
 ) -> UInt8[np.ndarray, "h2 w2 *channels"]:
-    """The picture with its longer side at most that many pixels, by area averages; the same array if it is so already."""
+    """The picture by area averages, its longer side at most so long; the same array if it is already."""
     height, width = image.shape[:2]
     factor = max_side_px / max(height, width)
     if factor >= 1.0:

@@ -1,4 +1,4 @@
-"""The frame of the pages: templates, charts, the 3D view, the view from above, pictures. It knows scenes and no pipeline.
+"""The frame of the pages: templates, charts, 3D view, view from above, pictures. It knows no pipeline.
 
 A pipeline's page is a sub-package: `page.py`, which gathers the values, and its template in `templates/`.
 """

@@ -1,7 +1,8 @@
-"""The frame of every page: templates that escape all values, and the scripts and styles that a page carries inside it.
+"""The frame of every page: templates that escape all values, and the scripts and styles inside the page.
 
-A pipeline's page is a template in the folder `templates/` of its own package. It extends `frame/base.html.jinja`, takes
-sections, tables and pictures from the other templates under `frame/`, and names the assets it needs.
+A pipeline's page is a template in the folder `templates/` of its own package. It extends
+`frame/base.html.jinja`, takes sections, tables and pictures from the other templates under `frame/`, and names
+the assets it needs.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def render(package: str, template: str, *, title: str, version: str, **values: o
 
 
 def render_piece(package: str, template: str, **values: object) -> Markup:
-    """A part of a page, a drawing for one, from a template of its own; the arguments are those of `render`."""
+    """A part of a page, a drawing for one, from a template of its own; arguments as of `render`."""
     return Markup(_environment(package).get_template(template).render(**values))
 
 
@@ -42,7 +43,7 @@ def render_piece(package: str, template: str, **values: object) -> Markup:
 def _environment(package: str) -> Environment:
     """Templates of one package, and those of the frame under `frame/`.
 
-    `escape` is the last that happens to every value that a template writes, escaped by Jinja or not: none can skip it.
+    `escape` comes last for every value that a template writes, escaped by Jinja or not: none can skip it.
     """
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package), PrefixLoader({"frame": PackageLoader(_PACKAGE)})]),

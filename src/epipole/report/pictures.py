@@ -44,11 +44,11 @@ class Thumbnail:
     height: int
     uri: str
     dots: str
-    """A path of zero-length strokes, which round caps turn into discs: far shorter than one circle element each."""
+    """A path of zero-length strokes, which round caps turn into discs: far shorter than circle elements."""
 
 
 def thumbnail_of(jpeg: bytes, fractions: Float[np.ndarray, "k 2"]) -> Thumbnail | None:
-    """The picture with a dot at every position, given as fractions of width and height; None if it is no JPEG."""
+    """The picture with dots at these fractions of width and height; None if it is no JPEG."""
     size = _jpeg_size(jpeg)
     if size is None:
         return None

@@ -1,4 +1,4 @@
-"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph; where a scene is."""
+"""Frozen columns: cameras, rigs, frames, images, points, tracks, reconstruction, view graph; extent."""
 
 from epipole.scene.cameras import Cameras as Cameras
 from epipole.scene.extent import Extent as Extent

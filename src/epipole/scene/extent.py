@@ -1,4 +1,4 @@
-"""Where a scene is, for looking at it: a box and a radius that strays do not spoil, and frusta to draw for its cameras."""
+"""Where a scene is, for looking at it: a box and a radius that strays do not spoil, and camera frusta."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Extent:
 def extent_of(
     points_in_world: Float64[np.ndarray, "n 3"], centers_in_world: Float64[np.ndarray, "m 3"], percent: float
 ) -> Extent:
-    """A box around all cameras and the middle 98 % of the points, with a margin; the median point; the cube of +-1 if empty.
+    """A box around all cameras and the middle 98 % of the points, with a margin; the cube of +-1 if empty.
 
     Args:
         points_in_world: rows that are not finite do not count.
@@ -58,7 +58,7 @@ def _finite_rows(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3
 
 
 def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, most: float) -> float:
-    """How large to draw camera frusta: half the usual gap between neighbours, within bounds; `most` for fewer than two."""
+    """How large to draw frusta: half the usual gap between neighbours, within bounds; `most` for fewer than two."""
     if len(centers_in_world) < 2:
         return most
     sample = centers_in_world[:: max(1, len(centers_in_world) // 500)]

@@ -1,4 +1,4 @@
-"""The values that the page of a calibration shows: verdict, cameras with their standard deviations, where it is known, views."""
+"""What the page of a calibration shows: verdict, cameras with standard deviations, where it is known, views."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def _camera(page: CalibrationPage, c: int) -> dict[str, object]:
 
 
 def _far_sigma(found: Calibration, c: int) -> tuple[float, float, str]:
-    """How well a far point's projection is known over the picture: about the least, about the most, and a picture of it."""
+    """How well a far point's projection is known over the picture: best, worst (1 % aside), and as colours."""
     camera, (columns, rows) = found.cameras[c], _GRID
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, columns), np.linspace(0, camera.height - 1, rows))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)

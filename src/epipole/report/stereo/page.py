@@ -1,4 +1,4 @@
-"""The values that the page of a stereo pair shows: pictures, disparities, what is not known and why, error against range."""
+"""What the page of a stereo pair shows: pictures, disparities, what is unknown and why, error against range."""
 
 from __future__ import annotations
 
