@@ -13,10 +13,10 @@ from epipole.config import FeatureConfig
 from epipole.disparity_search.search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3, Rotation3, epipolar_lines
+from epipole.image import color_map
 from epipole.mapping import bundle_problem_of
 from epipole.optim import adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.pipelines.stereo.config import StereoConfig
-from epipole.report.plain_page import color_map
 from epipole.robust import (
     RansacConfig,
     estimate_absolute_pose,

@@ -68,6 +68,16 @@ def test_imports_go_down() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_imports_in_a_circle() -> None:
+    """No module leads back to itself, wherever its imports stand; an `__init__` only gathers names."""
+    names = {"epipole." + s.name.removesuffix(".py").replace("/", "."): s for s in sources()}
+    modules = {name: s for name, s in names.items() if not name.endswith("__init__")}
+    below = {name: set(imported_modules(s)) & modules.keys() for name, s in modules.items()}
+    while any(leaves := [name for name, others in below.items() if not others]):
+        below = {name: others - set(leaves) for name, others in below.items() if others}
+    assert not below, "\n".join(f"{name} <-> {sorted(others)}" for name, others in below.items())
+
+
 def test_kernels_are_imported_by_kernels_and_by_their_own_room_only() -> None:
     wrong = []
     for source in sources():

@@ -7,7 +7,7 @@ from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.report import ImageRow, ReportContent
+from epipole.pipelines.sfm.page_content import ImageRow, ReportContent
 from epipole.robust import PairKind
 from epipole.scene import (
     Cameras,
@@ -154,7 +154,6 @@ def content_of(model: Reconstruction, title: str = "Ring around a ball") -> Repo
         timings={"features": 12.34, "matching": 30.5, "mapping": 71.0, "writing": 0.04},
         compile_seconds=8.2,
         settings={"features": {"max_keypoints": 8000, "detector": "sift"}, "seed": 0},
-        version="1.2.3",
         thumbnails={model.images.name[i]: jpeg_of(model, i) for i in images},
         inliers=fractions,
     )

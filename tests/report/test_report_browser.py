@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from epipole.report import ReportContent, render_report
+from epipole.pipelines.sfm.page import render_report
+from epipole.pipelines.sfm.page_content import ReportContent
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

@@ -1,5 +1,7 @@
 """The whole page: self-contained, safe, complete, small."""
 
+import base64
+import hashlib
 import json
 import re
 from dataclasses import replace
@@ -8,7 +10,8 @@ from html.parser import HTMLParser
 import pytest
 from report_ring import HOSTILE, content_of, empty_model
 
-from epipole.report import ReportContent, render_report
+from epipole.pipelines.sfm.page import render_report
+from epipole.pipelines.sfm.page_content import ReportContent
 
 VOID = {"meta", "input", "br", "img", "link"}
 
@@ -62,8 +65,12 @@ def test_page_is_well_formed_and_loads_nothing(page: str) -> None:
         assert tag not in ("link", "iframe", "base", "object")
         assert "src" not in attributes
         assert attributes.get("href", "data:").startswith("data:")
-    policies = [a["content"] for t, a in reader.elements if t == "meta" and "http-equiv" in a]
-    assert policies[0].startswith("default-src 'none'")
+    (policy,) = (a["content"] for t, a in reader.elements if t == "meta" and "http-equiv" in a)
+    assert policy.startswith("default-src 'none'; ")
+    # The one script that may run is the page's, by its hash.
+    (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    assert re.search(r"script-src ([^;]*)", policy).group(1) == f"'sha256-{digest}'"
 
 
 def test_header_numbers(page: str, content: ReportContent) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.viewer.selection import downscaled, glide, vertical_fov_rad, visible_points
+from epipole.viewer.selection import glide, vertical_fov_rad, visible_points
 
 
 @pytest.mark.parametrize(
@@ -31,16 +31,6 @@ def test_vertical_field_of_view() -> None:
     assert vertical_fov_rad(camera) == pytest.approx(np.pi / 2)
     wide = Camera(CameraModel.SIMPLE_PINHOLE, 640, 480, np.array([10.0, 319.5, 239.5]))
     assert vertical_fov_rad(wide) == pytest.approx(np.deg2rad(130))
-
-
-def test_downscaled_keeps_shape_and_mean() -> None:
-    image = np.zeros((400, 600, 3), np.uint8)
-    image[:, 300:] = 200
-    small = downscaled(image, 60)
-    assert small.shape == (40, 60, 3)
-    assert small.mean() == pytest.approx(100, abs=1)
-    assert downscaled(small, 60) is small
-    assert downscaled(np.zeros((1, 900, 3), np.uint8), 90).shape == (1, 90, 3)
 
 
 def test_glide_ends_at_the_goal_and_is_halfway_in_the_middle() -> None:

@@ -17,9 +17,9 @@ from epipole.pipelines.stereo.config import StereoConfig
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks
 from epipole.synthetic.stereo_rooms import stereo_room
 from epipole.viewer import DepthView, view
-from epipole.viewer.depth_room import DepthRoom
-from epipole.viewer.room import open_server
-from epipole.viewer.selection import extent_of
+from epipole.viewer.depth_viewer import DepthViewer
+from epipole.viewer.model_viewer import ModelViewer
+from epipole.viewer.server import open_server
 
 OPEN = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
 
@@ -115,12 +115,15 @@ def test_a_taken_port_is_stepped_over() -> None:
             handle.stop()
 
 
-def test_extent_of_the_scene() -> None:
-    extent = extent_of(three_cameras())
-    np.testing.assert_allclose(extent.focus, [0.5, 4.0, 0.0])
-    # Both cameras are sqrt(0.25 + 16) away, every point nearer; they are 1 apart.
-    assert extent.radius == pytest.approx(np.sqrt(16.25))
-    assert extent.frustum_size == pytest.approx(0.08 * np.sqrt(16.25))
+def test_first_view_takes_in_the_scene() -> None:
+    viewer = ModelViewer(open_server("127.0.0.1", free_port()), three_cameras())
+    try:
+        np.testing.assert_allclose(viewer.extent.focus, [0.5, 4.0, 0.0])
+        # Both cameras are sqrt(0.25 + 16) away, every point nearer; they are 1 apart.
+        assert viewer.extent.radius == pytest.approx(np.sqrt(16.25))
+        assert viewer.frustum_size == pytest.approx(0.08 * np.sqrt(16.25))
+    finally:
+        viewer.stop()
 
 
 def depth_view() -> DepthView:
@@ -134,21 +137,21 @@ def depth_view() -> DepthView:
 
 def test_depth_of_a_pair_is_served_and_points_can_be_chosen():
     server = open_server("127.0.0.1", free_port())
-    room = DepthRoom(server, depth_view())
+    viewer = DepthViewer(server, depth_view())
     try:
-        everything = len(room.cloud.points)
-        room.most_error.value = 10.0
-        assert wait_until(lambda: len(room.cloud.points) < everything)
-        assert "of 40 points" in room.counts.content
-        before = room.cloud.colors.copy()
-        room.color.value = "depth"
-        assert wait_until(lambda: (room.cloud.colors != before).any())
-        size = room.cloud.point_size
-        room.size.value = 2.0
-        assert wait_until(lambda: room.cloud.point_size == pytest.approx(2 * size))
+        everything = len(viewer.cloud.points)
+        viewer.most_error.value = 10.0
+        assert wait_until(lambda: len(viewer.cloud.points) < everything)
+        assert "of 40 points" in viewer.counts.content
+        before = viewer.cloud.colors.copy()
+        viewer.color.value = "depth"
+        assert wait_until(lambda: (viewer.cloud.colors != before).any())
+        size = viewer.cloud.point_size
+        viewer.size.value = 2.0
+        assert wait_until(lambda: viewer.cloud.point_size == pytest.approx(2 * size))
     finally:
-        room.stop()
-        room.stop()
+        viewer.stop()
+        viewer.stop()
 
 
 def test_the_view_command_shows_depth_or_says_that_there_is_none(tmp_path):

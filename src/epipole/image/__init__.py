@@ -1,5 +1,8 @@
-"""Pictures as arrays: resampling without distortion, census."""
+"""Pictures as arrays: resampling without distortion, smaller ones, numbers as colours, census."""
 
 from epipole.image.census import census as census
+from epipole.image.color_map import color_map as color_map
+from epipole.image.color_map import color_range as color_range
+from epipole.image.scaling import downscaled as downscaled
 from epipole.image.undistort import undistort_image as undistort_image
 from epipole.image.undistort import undistorted_camera as undistorted_camera

@@ -1,5 +1,7 @@
-"""The report: one self-contained HTML page that shows what a reconstruction is and how far to trust it."""
+"""The frame of the pages: templates, charts, 3D view, view from above, pictures. It knows no pipeline.
 
-from epipole.report.content import ImageRow as ImageRow
-from epipole.report.content import ReportContent as ReportContent
-from epipole.report.page import render_report as render_report
+A pipeline's page is a sub-package: `page.py`, which gathers the values, and its template in `templates/`.
+"""
+
+from epipole.report.frame import render as render
+from epipole.report.frame import render_piece as render_piece

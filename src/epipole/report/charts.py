@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64, Int64
+from markupsafe import Markup
 
 from epipole.report.markup import count, escape, number, seconds
 
@@ -65,7 +66,7 @@ def histogram_of_integers(values: Int64[np.ndarray, " n"], label: str, largest: 
     return Histogram(label, edges, counts[2 : top + 1].astype(np.int64), median, int(counts[top + 1]))
 
 
-def draw_histogram(histogram: Histogram, digits: int = 2) -> str:
+def draw_histogram(histogram: Histogram, digits: int = 2) -> Markup:
     """The histogram with axes, its median marked, and each bin's numbers on hover."""
     low, high = float(histogram.edges[0]), float(histogram.edges[-1])
     most = max(int(histogram.counts.max(initial=0)), 1)
@@ -112,7 +113,7 @@ def _grid_line(y: float, text: str) -> str:
     )
 
 
-def draw_timings(timings: Mapping[str, float]) -> str:
+def draw_timings(timings: Mapping[str, float]) -> Markup:
     """One horizontal bar per stage, in order."""
     longest = max([*timings.values(), 1e-9])
     row, left, width = 26, 170, 760
@@ -127,20 +128,20 @@ def draw_timings(timings: Mapping[str, float]) -> str:
     return svg(width, row * len(timings), parts, "seconds of each stage")
 
 
-def svg(width: int, height: int, parts: Sequence[str], label: str) -> str:
-    """An SVG element that scales with its column."""
+def svg(width: int, height: int, parts: Sequence[str], label: str) -> Markup:
+    """An SVG element that scales with its column; the parts are markup already, made here."""
     box, inside = f"0 0 {width} {height}", "".join(parts)
-    return f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>'
+    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(label)}">{inside}</svg>')
 
 
 def draw_curves(
     curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, y_label: str
-) -> str:
+) -> Markup:
     """Positive values against positive values, both axes logarithmic; at most two curves, named in their colours."""
     every_x = [x for xs, _ in curves.values() for x in xs if x > 0 and math.isfinite(x)]
     every_y = [y for _, ys in curves.values() for y in ys if y > 0 and math.isfinite(y)]
     if not every_x or not every_y:
-        return ""
+        return Markup("")
     low_x, high_x = math.log10(min(every_x)), max(math.log10(max(every_x)), math.log10(min(every_x)) + 0.1)
     low_y, high_y = math.log10(min(every_y)) - 0.05, math.log10(max(every_y)) + 0.05
 

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import base64
-import html
 import json
 import math
 import re
 from typing import Any
 
+import markupsafe
+from markupsafe import Markup
+
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
 
 
-def escape(text: object) -> str:
-    """Text for HTML content and quoted attributes. What no HTML page may hold becomes U+FFFD."""
-    return html.escape(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", str(text)), quote=True)
+def escape(value: object) -> Markup:
+    """Text for HTML content and quoted attributes; a piece that is marked as `Markup` stays markup.
+
+    What no HTML page may hold (control characters, lone surrogates) becomes U+FFFD in either.
+    """
+    return Markup(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", markupsafe.escape(value)))
 
 
 def data_uri(data: bytes, media_type: str) -> str:
@@ -22,11 +27,11 @@ def data_uri(data: bytes, media_type: str) -> str:
     return f"data:{media_type};base64,{base64.b64encode(data).decode('ascii')}"
 
 
-def json_block(element_id: str, data: Any) -> str:
+def json_block(element_id: str, data: Any) -> Markup:
     """Data for the page's script. `<` is written as an escape, so that no name can end the element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-    return f'<script type="application/json" id="{element_id}">{text}</script>'
+    return Markup(f'<script type="application/json" id="{escape(element_id)}">{text}</script>')
 
 
 def count(value: int) -> str:

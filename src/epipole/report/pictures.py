@@ -1,79 +1,61 @@
-"""The table of pictures: thumbnails with the features that see points, numbers, and reasons in words."""
+"""Pictures inside a page: data URIs, thumbnails with the features that see points."""
 
 from __future__ import annotations
 
 import io
-import math
-from collections.abc import Mapping
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from epipole.report.content import ImageRow, ReportContent
-from epipole.report.markup import count, data_uri, escape, number
+from epipole.image import color_map, color_range, downscaled
+from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400
 """Features drawn on one thumbnail."""
+_SHOWN_PX = 1000  # longest side of the pictures in the page
 
 
-def draw_pictures(content: ReportContent) -> str:
-    """A sortable table, one row per picture; those without a place come first."""
-    with_models = bool(content.other_components)
-    heads = [("", ""), ("Picture", "text"), *([("Model", "number")] if with_models else [])]
-    heads += [("Keypoints", "number"), ("Observations", "number"), ("Used", "number"), ("Error", "number")]
-    heads += [("State", "text")]
-    header = "".join(
-        f'<th scope="col" data-sort="{kind}"><button type="button">{text}</button></th>'
-        if kind
-        else "<th></th>"
-        for text, kind in heads
-    )
-    rows = sorted(content.image_rows, key=lambda row: row.is_registered)
-    body = "".join(_row(row, content, with_models) for row in rows)
-    return f'<table class="pictures sortable"><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>'
+def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
+    """The picture, reduced, as a data URI."""
+    small = downscaled(rgb, _SHOWN_PX)
+    _, data = cv2.imencode(".png", np.ascontiguousarray(small[..., ::-1]))
+    return data_uri(data.tobytes(), "image/png")
 
 
-def _row(row: ImageRow, content: ReportContent, with_models: bool) -> str:
-    used = row.num_observations / row.num_keypoints if row.num_keypoints else math.nan
-    model = "\N{EN DASH}" if row.component < 0 else str(row.component + 1)
-    state = "placed" if row.is_registered else f"not placed: {escape(row.reason or 'reason not recorded')}"
-    cells = [
-        f'<td class="thumb">{_thumbnail(row.name, content.thumbnails, content.inliers)}</td>',
-        f'<th scope="row" class="name">{escape(row.name)}</th>',
-        *([_cell(row.component, model)] if with_models else []),
-        _cell(row.num_keypoints, count(row.num_keypoints)),
-        _cell(row.num_observations, count(row.num_observations)),
-        _cell(used, f"{100 * used:.0f} %" if math.isfinite(used) else "\N{EN DASH}"),
-        _cell(
-            row.mean_error_px, number(row.mean_error_px) + (" px" if math.isfinite(row.mean_error_px) else "")
-        ),
-        f'<td class="state">{state}</td>',
-    ]
-    kind = "" if row.is_registered else ' class="absent"'
-    return f"<tr{kind}>{''.join(cells)}</tr>"
+def color_map_uri(values: Float[np.ndarray, "h w"]) -> str:
+    """Numbers as colours, as a data URI."""
+    return picture_uri(color_map(values))
 
 
-def _cell(value: int | float, text: str) -> str:
-    key = f"{value:.6g}" if math.isfinite(value) else ""
-    return f'<td class="num" data-key="{key}">{text}</td>'
+def color_range_text(values: Float[np.ndarray, "h w"]) -> str:
+    """The ends of the colour map in words."""
+    low, high = color_range(values)
+    return f"{low:.3g} (blue) to {high:.3g} (red)"
 
 
-def _thumbnail(
-    name: str, thumbnails: Mapping[str, bytes], inliers: Mapping[str, Float[np.ndarray, "k 2"]]
-) -> str:
-    data = thumbnails.get(name)
-    size = _jpeg_size(data) if data else None
-    if data is None or size is None:
-        return ""
-    width, height = size
-    dots = _dots(inliers[name], width, height) if name in inliers else ""
-    picture = f'<image width="{width}" height="{height}" href="{data_uri(data, "image/jpeg")}"/>'
-    marks = f'<path class="halo" d="{dots}"/><path class="dots" d="{dots}"/>' if dots else ""
-    return (
-        '<button type="button" class="zoom" aria-label="enlarge">'
-        f'<svg viewBox="0 0 {width} {height}">{picture}{marks}</svg></button>'
-    )
+@dataclass(frozen=True, slots=True)
+class Thumbnail:
+    """A small picture with dots on it."""
+
+    width: int
+    height: int
+    uri: str
+    dots: str
+    """A path of zero-length strokes, which round caps turn into discs: far shorter than circle elements."""
+
+
+def thumbnail_of(jpeg: bytes, fractions: Float[np.ndarray, "k 2"]) -> Thumbnail | None:
+    """The picture with dots at these fractions of width and height; None if it is no JPEG."""
+    size = _jpeg_size(jpeg)
+    if size is None:
+        return None
+    inside = fractions[((fractions >= 0) & (fractions <= 1)).all(axis=1)]
+    chosen = inside[np.linspace(0, len(inside) - 1, min(len(inside), MAX_FEATURES)).astype(int)]
+    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in chosen * size)
+    return Thumbnail(*size, data_uri(jpeg, "image/jpeg"), dots)
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
@@ -82,10 +64,3 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
             return image.size if image.format == "JPEG" else None
     except (UnidentifiedImageError, OSError):
         return None
-
-
-def _dots(fractions: Float[np.ndarray, "k 2"], width: int, height: int) -> str:
-    """Zero-length strokes, which round caps turn into discs: far shorter than one circle element each."""
-    inside = fractions[((fractions >= 0) & (fractions <= 1)).all(axis=1)]
-    chosen = inside[np.linspace(0, len(inside) - 1, min(len(inside), MAX_FEATURES)).astype(int)]
-    return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in chosen * (width, height))

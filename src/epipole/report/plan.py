@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
+from markupsafe import Markup
 from PIL import Image
 
-from epipole.report.charts import nice_ticks, svg, tick_text
-from epipole.report.markup import data_uri, escape
+from epipole.report.charts import nice_ticks, tick_text
+from epipole.report.frame import render_piece
+from epipole.report.markup import data_uri
 from epipole.report.space import stage_of
 from epipole.scene import Reconstruction
 
@@ -43,21 +45,46 @@ class _Frame:
         return self.y_low + (_HEIGHT - _TOP - _BOTTOM) / self.scale
 
 
-def draw_plan(reconstruction: Reconstruction, unit: str) -> str:
+@dataclass(frozen=True, slots=True)
+class _Density:
+    """A picture as the mask of a plain rectangle, whose colour the scheme sets."""
+
+    width: int
+    height: int
+    uri: str
+
+
+def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
     """World x to the right, y up, seen against +z; empty for a model without cameras."""
     images = np.flatnonzero(reconstruction.is_registered())
     if not len(images):
-        return ""
+        return Markup("")
     frame = _frame_around(reconstruction)
     cams_from_world = reconstruction.cams_from_world()[images]
     centers, forward = cams_from_world.centers(), cams_from_world.rotation[:, 2]
     points = reconstruction.points.xyz_in_world
-    parts = [_axes(frame, unit), _density(points[np.isfinite(points).all(axis=1)], frame)]
-    parts.append(f'<path class="sequence" d="{_sequence(images, centers, frame)}"/>')
-    for image, center, direction in zip(images, centers, forward):
-        name = escape(reconstruction.images.name[image])
-        parts.append(_camera(name, frame.x_of(center[0]), frame.y_of(center[1]), direction))
-    return svg(_WIDTH, _HEIGHT, parts, "view from above")
+    x_ticks, y_ticks = nice_ticks(frame.x_low, frame.x_high, 6), nice_ticks(frame.y_low, frame.y_high, 5)
+    return render_piece(
+        "epipole.report",
+        "plan.html.jinja",
+        width=_WIDTH,
+        height=_HEIGHT,
+        left=_LEFT,
+        right=_WIDTH - _RIGHT,
+        top=_TOP,
+        bottom=_HEIGHT - _BOTTOM,
+        unit=unit,
+        x_ticks=[(f"{frame.x_of(t):.1f}", tick_text(t)) for t in x_ticks],
+        y_ticks=[(f"{(y := frame.y_of(t)):.1f}", f"{y + 3.5:.1f}", tick_text(t)) for t in y_ticks],
+        density=_density(points[np.isfinite(points).all(axis=1)], frame),
+        sequence=_sequence(images, centers, frame),
+        cameras=[
+            (name, f"{frame.x_of(center[0]):.1f}", f"{frame.y_of(center[1]):.1f}", _wedge(direction))
+            for name, center, direction in zip(
+                (reconstruction.images.name[i] for i in images), centers, forward
+            )
+        ],
+    )
 
 
 def _frame_around(reconstruction: Reconstruction) -> _Frame:
@@ -72,33 +99,8 @@ def _frame_around(reconstruction: Reconstruction) -> _Frame:
     return _Frame(float(corner[0]), float(corner[1]), scale)
 
 
-def _axes(frame: _Frame, unit: str) -> str:
-    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
-    parts = []
-    for t in nice_ticks(frame.x_low, frame.x_high, 6):
-        x = frame.x_of(t)
-        parts.append(f'<path class="grid" d="M{x:.1f} {_TOP}V{bottom}"/>')
-        parts.append(
-            f'<text class="tick" x="{x:.1f}" y="{bottom + 15}" text-anchor="middle">{tick_text(t)}</text>'
-        )
-    for t in nice_ticks(frame.y_low, frame.y_high, 5):
-        y = frame.y_of(t)
-        parts.append(f'<path class="grid" d="M{_LEFT} {y:.1f}H{right}"/>')
-        parts.append(
-            f'<text class="tick" x="{_LEFT - 7}" y="{y + 3.5:.1f}" text-anchor="end">{tick_text(t)}</text>'
-        )
-    parts.append(f'<path class="axis" d="M{_LEFT} {_TOP}V{bottom}H{right}" fill="none"/>')
-    middle_x, middle_y = 0.5 * (_LEFT + right), 0.5 * (_TOP + bottom)
-    parts.append(
-        f'<text class="label" x="{middle_x}" y="{_HEIGHT - 8}" text-anchor="middle">x ({escape(unit)})</text>'
-        f'<text class="label" transform="translate(13 {middle_y}) rotate(-90)" text-anchor="middle">'
-        f"y ({escape(unit)})</text>"
-    )
-    return "".join(parts)
-
-
-def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> str:
-    """Logarithm of points per cell, as the mask of a plain rectangle whose colour the scheme sets."""
+def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> _Density | None:
+    """Logarithm of points per cell; None where no point is in the frame."""
     columns, rows = (_WIDTH - _LEFT - _RIGHT) // _CELL, (_HEIGHT - _TOP - _BOTTOM) // _CELL
     width, height = columns * _CELL, rows * _CELL
     counts = np.histogram2d(
@@ -111,17 +113,12 @@ def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> str:
         ),
     )[0]
     if not counts.any():
-        return ""
+        return None
     level = np.log1p(counts) / np.log1p(np.percentile(counts[counts > 0], 99))
     grey = np.where(counts > 0, 40 + 215 * np.minimum(level, 1.0), 0).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(grey).save(stream, "PNG", optimize=True)
-    box = f'x="{_LEFT}" y="{_TOP}" width="{width}" height="{height}"'
-    return (
-        f'<mask id="density" mask-type="luminance" style="mask-type:luminance">'
-        f'<image {box} href="{data_uri(stream.getvalue(), "image/png")}"/></mask>'
-        f'<rect class="density" {box} mask="url(#density)"/>'
-    )
+    return _Density(width, height, data_uri(stream.getvalue(), "image/png"))
 
 
 def _sequence(images: np.ndarray, centers: np.ndarray, frame: _Frame) -> str:
@@ -134,12 +131,8 @@ def _sequence(images: np.ndarray, centers: np.ndarray, frame: _Frame) -> str:
     return "".join(steps)
 
 
-def _camera(name: str, x: float, y: float, forward: np.ndarray) -> str:
-    """A dot and a wedge along the viewing direction; the wedge shortens as the camera looks up or down."""
+def _wedge(forward: np.ndarray) -> str:
+    """Along the viewing direction; it shortens as the camera looks up or down."""
     dx, dy = 15.0 * float(forward[0]), -15.0 * float(forward[1])
     left, right = (dx - 0.45 * dy, dy + 0.45 * dx), (dx + 0.45 * dy, dy - 0.45 * dx)
-    wedge = f"M0 0L{left[0]:.1f} {left[1]:.1f}L{right[0]:.1f} {right[1]:.1f}Z"
-    return (
-        f'<g class="cam" transform="translate({x:.1f} {y:.1f})"><title>{name}</title>'
-        f'<path d="{wedge}"/><circle r="2.6"/></g>'
-    )
+    return f"M0 0L{left[0]:.1f} {left[1]:.1f}L{right[0]:.1f} {right[1]:.1f}Z"

@@ -1,9 +1,13 @@
-"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps and clouds of pixels."""
+"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps, clouds and extents."""
 
 from epipole.scene.cameras import Cameras as Cameras
 from epipole.scene.depth_maps import DepthMap as DepthMap
 from epipole.scene.depth_maps import DisparityMap as DisparityMap
 from epipole.scene.depth_maps import StereoReason as StereoReason
+from epipole.scene.extent import Extent as Extent
+from epipole.scene.extent import extent_of as extent_of
+from epipole.scene.extent import frustum_corners_in_cam as frustum_corners_in_cam
+from epipole.scene.extent import frustum_size as frustum_size
 from epipole.scene.frames import Frames as Frames
 from epipole.scene.frames import Rigs as Rigs
 from epipole.scene.frames import unregistered as unregistered

@@ -1,27 +1,11 @@
-"""A reconstruction in the browser: points, cameras with their pictures, and a few sliders."""
+"""A reconstruction, or the depth of a pair, in the browser."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
-
-import numpy as np
-from jaxtyping import UInt8
-
 from epipole.scene import Reconstruction
-
-LoadImage = Callable[[str], UInt8[np.ndarray, "h w 3"] | None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ViewerHandle:
-    """A running viewer."""
-
-    url: str
-    stop: Callable[[], None]
-    """Close the viewer; calling it again does nothing."""
+from epipole.viewer.depth_view import DepthView
+from epipole.viewer.handle import ViewerHandle, serve
+from epipole.viewer.selection import LoadImage
 
 
 def view(
@@ -45,31 +29,30 @@ def view(
     Returns:
         The address to open, and the way to stop.
     """
-    from epipole.viewer.room import Room, open_server  # viser is slow to import, and few runs end in a viewer
+    # viser is slow to import, and few runs end in a viewer.
+    from epipole.viewer.model_viewer import ModelViewer
+    from epipole.viewer.server import open_server
 
     server = open_server(host, port)
-    room = Room(server, reconstruction)
-    room.start_loading(load_image)
-    return serve(room, server.get_port(), host, block=block)
+    viewer = ModelViewer(server, reconstruction)
+    viewer.start_loading(load_image)
+    return serve(viewer, server.get_port(), host, block=block)
 
 
-@runtime_checkable
-class Stoppable(Protocol):
-    """What is being served."""
+def view_depth(
+    view: DepthView, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True
+) -> ViewerHandle:
+    """Show the depth of a pair in the browser.
 
-    stopped: threading.Event
+    Args:
+        view: what is shown.
+        port: where to listen; the next free port is taken if this one is in use.
+        host: the address to listen on.
+        block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
+    """
+    # viser is slow to import, and few runs end in a viewer.
+    from epipole.viewer.depth_viewer import DepthViewer
+    from epipole.viewer.server import open_server
 
-    def stop(self) -> None:
-        """Close the server."""
-
-
-def serve(room: Stoppable, port: int, host: str, *, block: bool) -> ViewerHandle:
-    """The handle of a room that is open; with `block` only after Ctrl-C."""
-    shown_host = "127.0.0.1" if host in ("", "0.0.0.0") else host
-    handle = ViewerHandle(f"http://{shown_host}:{port}", room.stop)
-    if block:
-        try:
-            room.stopped.wait()
-        except KeyboardInterrupt:
-            room.stop()
-    return handle
+    server = open_server(host, port)
+    return serve(DepthViewer(server, view), server.get_port(), host, block=block)

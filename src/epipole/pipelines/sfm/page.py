@@ -1,87 +1,92 @@
-"""What the report of a reconstruction shows."""
+"""The page of a reconstruction: the values that its template shows, in reading order."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from epipole._jit import compile_seconds
-from epipole._version import __version__
-from epipole.pipelines.sfm.pipeline import Solution
-from epipole.report import ImageRow, ReportContent, render_report
-from epipole.runs import Run, load
-from epipole.scene import Reconstruction
-
-MAX_INLIERS_SHOWN = 400
-
-
-def render_page(solution: Solution, reasons: Mapping[str, str], run: Run, settings: dict[str, Any]) -> str:
-    """The report as one HTML page."""
-    return render_report(page_content(solution, reasons, run, settings))
+from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page_notes import notes_of
+from epipole.pipelines.sfm.page_pictures import picture_lines
+from epipole.pipelines.sfm.page_statistics import Statistics, statistics_of
+from epipole.report.charts import Histogram, draw_histogram, draw_timings, histogram_of, histogram_of_integers
+from epipole.report.frame import render
+from epipole.report.markup import count, number, plural, seconds
+from epipole.report.match_matrix import match_matrix_payload
+from epipole.report.plan import draw_plan
+from epipole.report.space import space_payload
 
 
-def page_content(
-    solution: Solution, reasons: Mapping[str, str], run: Run, settings: dict[str, Any]
-) -> ReportContent:
-    """What the report tells, gathered."""
-    models, images = solution.mapped.models, solution.images
-    model = models[0]
-    component = np.full(len(images), -1)
-    for number in reversed(range(len(models))):
-        component[models[number].is_registered()] = number
-    rows, thumbnails, inliers = [], {}, {}
-    per_model = [(_observations_per_image(m)) for m in models]
-    for i, name in enumerate(images.names):
-        shown = max(int(component[i]), 0)
-        counts, errors = per_model[shown]
-        placed = bool(component[i] >= 0)
-        rows.append(
-            ImageRow(
-                name,
-                placed,
-                int(component[i]),
-                len(solution.keypoints[i]),
-                int(counts[i]) if placed else 0,
-                float(errors[i]) if placed else float("nan"),
-                "" if placed else reasons.get(name, ""),
-            )
-        )
-        thumbnails[name] = load(solution.features[i].path, "thumbnail")["thumbnail"].tobytes()
-        camera = model.cameras[int(model.camera_of_image[i])]
-        own = models[shown].tracks.keypoint[models[shown].tracks.image == i]
-        pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
-        inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
-    rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
-    residuals = solution.mapped.gps_residuals_m[0]
-    scale_note = "unknown scale: pictures alone cannot tell"
-    if residuals is not None:
-        scale_note = f"metres from GPS (median distance of the cameras from their fixes {np.nanmedian(residuals):.2f} m)"
-    sources = images.focal_sources
-    return ReportContent(
-        title=images.folder.name or str(images.folder),
-        reconstruction=model,
-        view_graph=solution.view_graph,
-        image_rows=tuple(rows),
-        other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
-        camera_lines=tuple(
-            f"{model.cameras[c]!r}; focal length first: {sources[c]}" for c in range(len(sources))
-        ),
-        timings=dict(run.timings_s),
-        compile_seconds=compile_seconds(),
-        warnings=tuple(run.warnings),
-        settings=settings,
-        version=__version__,
-        thumbnails=thumbnails,
-        inliers=inliers,
-        scale_note=scale_note,
-        is_metric=residuals is not None,
+def render_report(content: ReportContent) -> str:
+    """One HTML page with everything inside it: no file, font or script from elsewhere."""
+    model, graph = content.reconstruction, content.view_graph
+    statistics = statistics_of(model)
+    is_placed = model.is_registered()
+    total = max(len(content.image_rows), statistics.num_images)
+    return render(
+        __package__,
+        "reconstruction.html.jinja",
+        title=content.title,
+        statistics=statistics,
+        total=total,
+        tiles=_tiles(content, statistics, total),
+        notes=notes_of(content, statistics),
+        model=space_payload(model) if is_placed.any() else None,
+        plan=draw_plan(model, content.unit),
+        num_pairs=len(graph),
+        pairs=match_matrix_payload(graph, is_placed),
+        most_inliers=int(graph.num_inliers().max(initial=0)),
+        histograms=_histograms(statistics),
+        with_models=bool(content.other_components),
+        pictures=picture_lines(content),
+        camera_lines=content.camera_lines,
+        timings=draw_timings(content.timings) if content.timings else None,
+        total_seconds=sum(content.timings.values()),
+        compile_seconds=content.compile_seconds,
+        settings=list(_flat(content.settings)),
+        names=[str(name) for name in model.images.name],
     )
 
 
-def _observations_per_image(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
-    n = len(model.images)
-    counts = np.bincount(model.tracks.image, minlength=n)
-    sums = np.bincount(model.tracks.image, model.reprojection_errors_px(), n)
-    return counts, np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+def _tiles(content: ReportContent, statistics: Statistics, total: int) -> list[tuple[str, str, str]]:
+    """Name, value and unit of the large numbers."""
+    has_errors = len(statistics.error_px) > 0
+    time = seconds(sum(content.timings.values())) if content.timings else number(float("nan"))
+    return [
+        ("Pictures placed", count(statistics.num_registered), f"of {count(total)}"),
+        ("Points", count(statistics.num_points), ""),
+        ("Observations", count(statistics.num_observations), ""),
+        ("Mean reprojection error", number(statistics.mean_error_px), "px" if has_errors else ""),
+        ("Mean track length", number(statistics.mean_track_length), ""),
+        ("Time", time, ""),
+        *((name, value, "") for name, value in content.truth_errors.items()),
+    ]
+
+
+def _histograms(statistics: Statistics) -> list[tuple[str, object, str]]:
+    """Title, drawing and caption of each distribution; none of a model without observations."""
+    if not statistics.num_observations:
+        return []
+    angles = np.rad2deg(statistics.finite_angle_rad)
+    charts = (
+        ("Reprojection error", histogram_of(statistics.error_px, "pixels, per observation"), 2),
+        ("Track length", histogram_of_integers(statistics.track_length, "pictures that see a point"), 0),
+        ("Triangulation angle", histogram_of(angles, "degrees, the widest of each point"), 1),
+    )
+    return [(title, draw_histogram(chart, digits), _shown(chart)) for title, chart, digits in charts]
+
+
+def _shown(histogram: Histogram) -> str:
+    beyond = f"; {count(histogram.num_beyond)} further right" if histogram.num_beyond else ""
+    return f"{plural(int(histogram.counts.sum()), 'value')} shown{beyond}"
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Nested settings as dotted names and plain values, in order."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", str(value)

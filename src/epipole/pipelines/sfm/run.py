@@ -14,7 +14,8 @@ from epipole.config import options_of
 from epipole.errors import NoModelError
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
-from epipole.pipelines.sfm.page import render_page
+from epipole.pipelines.sfm.page import render_report
+from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
 from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress, open_run
@@ -86,8 +87,8 @@ def reconstruct(
             write_results(solution, run)
         run.warnings += [*solution.notes, *_warnings(solution, reasons, config.mapper.min_final_agreement)]
         with run.stage("report"):
-            page = render_page(solution, reasons, run, settings)
-            run.folder.write_text("report.html", page)
+            content = page_content(solution, reasons, run, settings)
+            run.folder.write_text("report.html", render_report(content))
         summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)
         run.finish(summary)
     return ReconstructionResult(

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import FileFormatError
+from epipole.image import color_map
 from epipole.pipelines.stereo.files import StereoFiles, read_stereo
 from epipole.pipelines.stereo.pairs import read_summary
-from epipole.report.plain_page import color_map
 from epipole.scene import depth_map_to_point_cloud
 from epipole.viewer import DepthView, ViewerHandle, view_depth
 

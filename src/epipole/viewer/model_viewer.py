@@ -1,9 +1,7 @@
-"""The viewer's scene and controls on a viser server."""
+"""A reconstruction on a viser server: its points and cameras, and the controls."""
 
 from __future__ import annotations
 
-import contextlib
-import io
 import threading
 import time
 from collections.abc import Callable
@@ -12,34 +10,26 @@ import numpy as np
 import viser
 
 from epipole.geometry import Rigid3, Rotation3
-from epipole.scene import Reconstruction
-from epipole.viewer.selection import downscaled, extent_of, glide, vertical_fov_rad, visible_points
-from epipole.viewer.viewer import LoadImage
+from epipole.image import downscaled
+from epipole.scene import Reconstruction, extent_of, frustum_size
+from epipole.viewer.selection import PICTURE_SIDE_PX, LoadImage, glide, vertical_fov_rad, visible_points
+from epipole.viewer.server import close_server
 
-PICTURE_SIDE_PX = 320
-"""Longer side of a picture inside its frustum."""
+_RADIUS_PERCENT = 90.0
+_FRUSTUM_SIZES = (0.01, 0.08)  # of the radius
 _FLIGHT_SECONDS, _FLIGHT_STEPS = 0.8, 40
 _CAMERA_RGB, _CHOSEN_RGB = (60, 130, 160), (240, 170, 40)
 
 
-def open_server(host: str, port: int) -> viser.ViserServer:
-    """A server at that port, or at the next free one."""
-    with _quiet():
-        return viser.ViserServer(host=host, port=port, label="epipole", verbose=False)
-
-
-def _quiet() -> contextlib.AbstractContextManager[object]:
-    """Hold back the server's banner and farewell, which it prints in any case."""
-    return contextlib.redirect_stdout(io.StringIO())
-
-
-class Room:
-    """The server's scene and controls, which the callbacks change."""
+class ModelViewer:
+    """Points and cameras on a server with its controls, which the callbacks change."""
 
     def __init__(self, server: viser.ViserServer, reconstruction: Reconstruction) -> None:
         self.server, self.reconstruction = server, reconstruction
-        self.extent = extent_of(reconstruction)
         self.images = np.flatnonzero(reconstruction.is_registered())
+        centers = reconstruction.camera_centers_in_world()[self.images]
+        self.extent = extent_of(reconstruction.points.xyz_in_world, centers, _RADIUS_PERCENT)
+        self.frustum_size = frustum_size(centers, *(share * self.extent.radius for share in _FRUSTUM_SIZES))
         self.world_from_cams = reconstruction.cams_from_world()[self.images].inverse()
         self.track_length = np.diff(reconstruction.tracks.offsets)
         self.stopped = threading.Event()
@@ -117,7 +107,7 @@ class Room:
                 f"/cameras/{image}",
                 fov=vertical_fov_rad(camera),
                 aspect=camera.width / camera.height,
-                scale=self.extent.frustum_size,
+                scale=self.frustum_size,
                 thickness=1.5,
                 thickness_units="screen",
                 color=_CAMERA_RGB,
@@ -131,7 +121,7 @@ class Room:
         with self.server.atomic():
             for frustum in self.frusta:
                 frustum.visible = self.show_cameras.value
-                frustum.scale = self.extent.frustum_size * self.frustum_scale.value
+                frustum.scale = self.frustum_size * self.frustum_scale.value
 
     def _flight_to(self, row: int) -> Callable[[viser.SceneNodePointerEvent], None]:
         return lambda event: self._fly(event.client, row)
@@ -141,9 +131,7 @@ class Room:
         self._choose(row)
         start = Rotation3.from_quat_wxyz(client.camera.wxyz)
         world_from_view = Rigid3(start.matrix, np.asarray(client.camera.position, float))
-        setback = Rigid3(
-            np.eye(3), np.array([0.0, 0.0, -1.2 * self.extent.frustum_size * self.frustum_scale.value])
-        )
+        setback = Rigid3(np.eye(3), np.array([0.0, 0.0, -1.2 * self.frustum_size * self.frustum_scale.value]))
         path = glide(world_from_view, self.world_from_cams[row] @ setback, _FLIGHT_STEPS)
         for quat_wxyz, position in zip(Rotation3(path.rotation).as_quat_wxyz(), path.translation):
             with client.atomic():
@@ -185,5 +173,4 @@ class Room:
         self.stopped.set()
         if self.loader is not None:
             self.loader.join(timeout=10.0)
-        with _quiet():
-            self.server.stop()
+        close_server(self.server)

@@ -1,22 +1,22 @@
-"""The viewer's scene and controls for the depth of one pair."""
+"""The depth of one pair on a viser server: points, the camera, and the controls."""
 
 from __future__ import annotations
 
 import threading
 
-import cv2
 import numpy as np
 import viser
-from jaxtyping import Bool, Float64, UInt8
+from jaxtyping import Bool, UInt8
 
+from epipole.image import color_map, downscaled
 from epipole.viewer.depth_view import DepthView
-from epipole.viewer.room import PICTURE_SIDE_PX
-from epipole.viewer.selection import downscaled
+from epipole.viewer.selection import PICTURE_SIDE_PX
+from epipole.viewer.server import close_server
 
 _PLAIN, _BY_DEPTH, _BY_ERROR = "picture", "depth", "error of depth"
 
 
-class DepthRoom:
+class DepthViewer:
     """Points before the camera that saw them; less certain ones can be taken away."""
 
     def __init__(self, server: viser.ViserServer, view: DepthView) -> None:
@@ -33,7 +33,7 @@ class DepthRoom:
         """Close the server; again does nothing."""
         if not self.stopped.is_set():
             self.stopped.set()
-            self.server.stop()
+            close_server(self.server)
 
     def _set_first_view(self) -> None:
         camera = self.server.initial_camera
@@ -92,12 +92,4 @@ class DepthRoom:
         if self.color.value == _PLAIN:
             return self.view.point_rgb
         values = self.view.points_in_cam[:, 2] if self.color.value == _BY_DEPTH else self.view.relative_sigma
-        return turbo(np.log(np.maximum(values, 1e-12)))
-
-
-def turbo(values: Float64[np.ndarray, " n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Turbo colours from the 1st to the 99th percentile."""
-    low, high = np.percentile(values, (1, 99)) if len(values) else (0.0, 1.0)
-    bytes_ = (255 * np.clip((values - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
-    colored = cv2.applyColorMap(bytes_.reshape(-1, 1), cv2.COLORMAP_TURBO)
-    return np.ascontiguousarray(colored.reshape(-1, 3)[:, ::-1])
+        return color_map(np.log(np.maximum(values, 1e-12)))

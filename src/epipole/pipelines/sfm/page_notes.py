@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.report.content import ReportContent
+from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page_statistics import LOW_PARALLAX_RAD, Statistics, num_low_parallax_pairs
 from epipole.report.markup import count, plural
-from epipole.report.statistics import LOW_PARALLAX_RAD, Statistics, num_low_parallax_pairs
 
 
 def notes_of(content: ReportContent, statistics: Statistics) -> tuple[tuple[str, bool], ...]:

@@ -1,0 +1,32 @@
+"""Numbers as colours."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+
+def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
+    """The values of the first and the last colour: 1st and 99th percentile of the finite ones; 0, 1 of none."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, (1, 99))
+    return float(low), float(high)
+
+
+def color_map(values: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
+    """Turbo colours (RGB) over `color_range`, blue to red; black where a value is not finite."""
+    known = np.isfinite(values)
+    low, high = color_range(values)
+    scaled = np.where(known, (values - low) / max(high - low, 1e-12), 0.0)
+    steps = (255 * np.clip(scaled, 0, 1)).astype(np.uint8)
+    bgr = (
+        cv2.applyColorMap(steps.reshape(-1, 1), cv2.COLORMAP_TURBO)
+        if steps.size
+        else np.zeros((0, 3), np.uint8)
+    )
+    rgb = bgr.reshape(*steps.shape, 3)[..., ::-1].copy()
+    rgb[~known] = 0
+    return np.asarray(rgb, np.uint8)

@@ -1,0 +1,19 @@
+"""Smaller pictures."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+
+def downscaled(
+    image: UInt8[np.ndarray, "h w *channels"], max_side_px: int
+) -> UInt8[np.ndarray, "h2 w2 *channels"]:
+    """The picture by area averages, its longer side at most so long; the same array if it is already."""
+    height, width = image.shape[:2]
+    factor = max_side_px / max(height, width)
+    if factor >= 1.0:
+        return image
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -1,0 +1,2 @@
+/* Runs last: everything before it ran to its end. */
+document.documentElement.dataset.ready = "yes";

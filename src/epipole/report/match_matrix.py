@@ -1,0 +1,27 @@
+"""Verified pairs as compact data for the matrix of matches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from epipole.robust import PairKind
+from epipole.scene import ViewGraph
+
+
+def match_matrix_payload(graph: ViewGraph, is_placed: Bool[np.ndarray, " n"]) -> dict[str, Any]:
+    """One entry per pair: its pictures, inliers, kind and angle; and which pictures have a place."""
+    angles = np.rad2deg(graph.median_angle_rad)
+    return {
+        "n": len(is_placed),
+        "placed": np.flatnonzero(is_placed).tolist(),
+        "first": graph.image1.tolist(),
+        "second": graph.image2.tolist(),
+        "count": graph.num_inliers().tolist(),
+        "putative": graph.num_putative.tolist(),
+        "kind": graph.kind.tolist(),
+        "kinds": {str(int(kind)): kind.name.lower() for kind in PairKind},
+        "angle": [round(float(a), 1) if np.isfinite(a) else None for a in angles],
+    }
