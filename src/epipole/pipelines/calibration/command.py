@@ -29,7 +29,7 @@ def calibrate(
 
     Args:
         images: Folder of pictures.
-        out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]put folder.
+        out: Output folder.
         config: Board and options.
         right: Folder of the right camera's pictures, where it is not found by name.
         strict: Exit with code 3 where the calibration fails its checks; it is written all the same.

@@ -18,7 +18,7 @@ def evaluate(
     """Compare a model's cameras with known ones.
 
     Args:
-        out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]put folder of a reconstruction, or a COLMAP model.
+        out: Output folder of a reconstruction, or a COLMAP model.
         truth: COLMAP model, folder of Strecha .camera files, or Middlebury _par.txt file.
         json: Print JSON.
     """

@@ -12,7 +12,7 @@ def undistort(out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     """Write OUT/undistorted: pictures without distortion and a PINHOLE model, for splat trainers and MVS.
 
     Args:
-        out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]put folder of a reconstruction.
+        out: Output folder of a reconstruction.
     """
     from epipole.screen import progress_on_screen
 

@@ -1,0 +1,54 @@
+"""`epipole demo`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole.pipelines.sfm.command import STAGES, show_reconstruction
+
+if TYPE_CHECKING:
+    from epipole.pipelines.demo.run import DemoResult
+
+
+def demo(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = Path("demo"),
+    num_views: int = 24,
+) -> None:
+    """Render photographs of a made-up courtyard, reconstruct it, and compare with the exact truth.
+
+    Args:
+        out: Output folder; made anew.
+        num_views: Photographs to render.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen({"render": "Rendering", **STAGES}, compiles_much=True) as progress:
+        from epipole.pipelines.demo.run import demo as run
+
+        result = run(out, num_views, progress)
+    show_reconstruction(result.reconstruction)
+    show_comparison(result)
+    if not result.success:
+        print("epipole: the demo missed its truth", file=sys.stderr)
+        sys.exit(1)
+
+
+def show_comparison(result: DemoResult) -> None:
+    """Print how far the model is from the exact truth."""
+    from rich.console import Console
+    from rich.table import Table
+
+    errors = result.errors
+    table = Table(title="Against the exact truth", box=None, show_header=False)
+    table.add_row("images placed", f"{result.num_placed} of {result.num_views}")
+    table.add_row(
+        "position error",
+        f"mean {1000 * errors.mean_position:.2f} mm = {100 * result.relative_error:.4f} % of the scene"
+        f" ({result.size_m:.1f} m)",
+    )
+    table.add_row("rotation error", f"mean {errors.mean_rotation_deg:.4f} degrees")
+    Console().print(table)
