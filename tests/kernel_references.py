@@ -1,0 +1,129 @@
+"""What kernels are compared with: the same source run as plain Python, to its last callee.
+
+A kernel that Python calls has a test marked `@reference_of(kernel)`; `architecture/test_architecture_kernels.py` looks
+for those without. Most of these tests take the arguments that the package itself hands to the kernel
+(`record_calls`) and compare what the compiled form makes of them with what the interpreter does.
+"""
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import kernel_rows
+import numpy as np
+import pytest
+
+
+def reference_of(*kernels: Any) -> Callable[[Any], Any]:
+    """Say which kernels a test compares with a reference."""
+    assert all(callable(kernel) for kernel in kernels)
+
+    def mark(test: Any) -> Any:
+        test.reference_of = (*getattr(test, "reference_of", ()), *kernels)
+        return test
+
+    return mark
+
+
+def python_form(kernel: Any) -> Any:
+    """The function that a kernel was compiled from; the kernel itself where Numba is switched off."""
+    return getattr(kernel, "py_func", kernel)
+
+
+def _without_errors(function: Callable[..., float]) -> Callable[..., float]:
+    """A function of `math` that gives NaN and infinity as kernels do, where Python raises."""
+
+    def lenient(*values: float) -> float:
+        try:
+            return function(*values)
+        except ValueError:  # the logarithm of zero has a limit, the root of a negative number none
+            return -math.inf if function is math.log and values[0] == 0.0 else math.nan
+        except OverflowError:
+            return math.inf
+
+    return lenient
+
+
+_MATH = SimpleNamespace(**{n: _without_errors(f) if callable(f) else f for n, f in vars(math).items()})
+
+
+def _plain(name: str, value: Any) -> Any:
+    if value is math:
+        return _MATH
+    if hasattr(value, "py_func"):
+        return value.py_func
+    return getattr(kernel_rows, name, value) if type(value).__name__ == "_Intrinsic" else value
+
+
+@contextmanager
+def plain_python() -> Iterator[None]:
+    """All kernels run as plain Python, and the rows of `_simd_kernels` as NumPy."""
+    replaced = []
+    modules = [m for name, m in sys.modules.items() if name.startswith("epipole.") and "_kernels" in name]
+    for module in modules:
+        for name, value in list(vars(module).items()):
+            plain = _plain(name, value)
+            if plain is not value:
+                replaced.append((module, name, value))
+                setattr(module, name, plain)
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        for module, name, value in replaced:
+            setattr(module, name, value)
+
+
+def assert_same(found: Any, expected: Any, rtol: float = 0.0, atol: float = 0.0) -> None:
+    """Equal bit by bit (but for the sign of zero), or to within a tolerance; tuples item by item."""
+    if isinstance(expected, tuple):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected):
+            assert_same(one, other, rtol, atol)
+    elif isinstance(expected, np.ndarray) and (
+        found.dtype != expected.dtype or found.shape != expected.shape
+    ):
+        raise AssertionError(f"{found.dtype} {found.shape} is not {expected.dtype} {expected.shape}")
+    elif rtol == atol == 0.0 or np.asarray(expected).dtype.kind not in "fc":
+        np.testing.assert_array_equal(found, expected)
+    else:
+        np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
+
+
+def assert_same_as_python(kernel: Any, *arguments: Any, rtol: float = 0.0, atol: float = 0.0) -> Any:
+    """Compare what a kernel returns and writes with what its Python form does, each on copies of the arguments.
+
+    Returns:
+        what the kernel returned, and its arguments as they are afterwards.
+    """
+    ours, theirs = deepcopy(arguments), deepcopy(arguments)
+    found = kernel(*ours)
+    with plain_python():
+        expected = python_form(kernel)(*theirs)
+    assert_same(found, expected, rtol, atol)
+    assert_same(ours, theirs, rtol, atol)
+    return found, ours
+
+
+def record_calls(monkeypatch: pytest.MonkeyPatch, module: ModuleType, kernel: Any) -> list[tuple[Any, ...]]:
+    """The arguments, as they were before, of all calls that `module` makes of a kernel from now on."""
+    calls: list[tuple[Any, ...]] = []
+    name = python_form(kernel).__name__
+
+    def spy(*arguments: Any) -> Any:
+        calls.append(deepcopy(arguments))
+        return kernel(*arguments)
+
+    for alias, value in list(vars(module).items()):
+        if value is kernel:
+            monkeypatch.setattr(module, alias, spy)
+            return calls
+        if isinstance(value, ModuleType | SimpleNamespace) and getattr(value, name, None) is kernel:
+            # The kernels' own module stays as it is: other kernels may be compiled meanwhile.
+            monkeypatch.setattr(module, alias, SimpleNamespace(**{**vars(value), name: spy}))
+            return calls
+    raise AssertionError(f"{module.__name__} does not call {name}")
