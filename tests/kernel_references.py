@@ -13,9 +13,10 @@ from copy import deepcopy
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-import kernel_rows
 import numpy as np
 import pytest
+
+import kernel_rows
 
 
 def reference_of(*kernels: Any) -> Callable[[Any], Any]:

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from kernel_references import assert_same_as_python, reference_of
 
 from epipole.cameras import CameraModel
 from epipole.cameras import _camera_kernels as kernels
+from kernel_references import assert_same_as_python, reference_of
 
 # Powers and arc tangents of the two differ by a unit in the last place, and Newton's method passes it on.
 ROUNDING = {"rtol": 1e-13, "atol": 1e-13}

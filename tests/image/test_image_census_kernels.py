@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from kernel_references import assert_same_as_python, reference_of
 
 from epipole.image._census_kernels import census_rows
+from kernel_references import assert_same_as_python, reference_of
 
 
 def census_by_windows(image: np.ndarray, window: tuple[int, int]) -> np.ndarray:
