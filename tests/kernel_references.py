@@ -79,15 +79,21 @@ def plain_python() -> Iterator[None]:
             setattr(module, name, value)
 
 
-def assert_same(found: Any, expected: Any, rtol: float = 0.0, atol: float = 0.0) -> None:
-    """Equal bit by bit (but for the sign of zero), or to within a tolerance; tuples item by item."""
+def assert_same(
+    found: Any, expected: Any, *, rtol: float = 0.0, atol: float = 0.0, of_largest: float = 0.0
+) -> None:
+    """Equal bit by bit (but for the sign of zero), or to within a tolerance; tuples item by item.
+
+    `of_largest` is a tolerance as a share of an array's largest number: for sums that nearly cancel.
+    """
     if isinstance(expected, tuple):
         assert len(found) == len(expected)
         for one, other in zip(found, expected):
-            assert_same(one, other, rtol, atol)
-    elif isinstance(expected, np.ndarray) and (
-        found.dtype != expected.dtype or found.shape != expected.shape
-    ):
+            assert_same(one, other, rtol=rtol, atol=atol, of_largest=of_largest)
+        return
+    if of_largest and np.asarray(expected).dtype.kind == "f":
+        atol += of_largest * np.abs(expected).max(where=np.isfinite(expected), initial=0.0)
+    if isinstance(expected, np.ndarray) and (found.dtype != expected.dtype or found.shape != expected.shape):
         raise AssertionError(f"{found.dtype} {found.shape} is not {expected.dtype} {expected.shape}")
     elif rtol == atol == 0.0 or np.asarray(expected).dtype.kind not in "fc":
         np.testing.assert_array_equal(found, expected)
@@ -95,8 +101,13 @@ def assert_same(found: Any, expected: Any, rtol: float = 0.0, atol: float = 0.0)
         np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
 
 
-def assert_same_as_python(kernel: Any, *arguments: Any, rtol: float = 0.0, atol: float = 0.0) -> Any:
+def assert_same_as_python(kernel: Any, *arguments: Any, **tolerances: float) -> Any:
     """Compare what a kernel returns and writes with what its Python form does, each on copies of the arguments.
+
+    Args:
+        kernel: what Python calls.
+        arguments: left as they are.
+        tolerances: of `assert_same`.
 
     Returns:
         what the kernel returned, and its arguments as they are afterwards.
@@ -105,8 +116,8 @@ def assert_same_as_python(kernel: Any, *arguments: Any, rtol: float = 0.0, atol:
     found = kernel(*ours)
     with plain_python():
         expected = python_form(kernel)(*theirs)
-    assert_same(found, expected, rtol, atol)
-    assert_same(ours, theirs, rtol, atol)
+    assert_same(found, expected, **tolerances)
+    assert_same(ours, theirs, **tolerances)
     return found, ours
 
 
