@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from types import ModuleType, SimpleNamespace
+from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,29 +35,48 @@ def python_form(kernel: Any) -> Any:
     return getattr(kernel, "py_func", kernel)
 
 
+def _as_in_kernels(constant: Any) -> Any:
+    """Floats as NumPy's: a division by zero gives infinity, and with a float32 the result is double, as in kernels."""
+    if type(constant) is float:
+        return np.float64(constant)
+    if isinstance(constant, CodeType):
+        return constant.replace(co_consts=_as_in_kernels(constant.co_consts))
+    return tuple(map(_as_in_kernels, constant)) if type(constant) is tuple else constant
+
+
+def _plain_function(kernel: Any) -> FunctionType:
+    """The Python form with the arithmetic of kernels."""
+    f = kernel.py_func
+    return FunctionType(_as_in_kernels(f.__code__), f.__globals__, f.__name__, f.__defaults__, f.__closure__)
+
+
 def _without_errors(function: Callable[..., float]) -> Callable[..., float]:
     """A function of `math` that gives NaN and infinity as kernels do, where Python raises."""
 
     def lenient(*values: float) -> float:
         try:
-            return function(*values)
+            return _as_in_kernels(function(*values))
         except ValueError:  # the logarithm of zero has a limit, the root of a negative number none
-            return -math.inf if function is math.log and values[0] == 0.0 else math.nan
+            return np.float64(-np.inf if function is math.log and values[0] == 0.0 else np.nan)
         except OverflowError:
-            return math.inf
+            return np.float64(np.inf)
 
     return lenient
 
 
-_MATH = SimpleNamespace(**{n: _without_errors(f) if callable(f) else f for n, f in vars(math).items()})
+_MATH = SimpleNamespace(
+    **{name: _without_errors(f) if callable(f) else _as_in_kernels(f) for name, f in vars(math).items()}
+)
 
 
 def _plain(name: str, value: Any) -> Any:
     if value is math:
         return _MATH
     if hasattr(value, "py_func"):
-        return value.py_func
-    return getattr(kernel_rows, name, value) if type(value).__name__ == "_Intrinsic" else value
+        return _plain_function(value)
+    if type(value).__name__ == "_Intrinsic":
+        return getattr(kernel_rows, name, value)
+    return _as_in_kernels(value) if type(value) is float else value
 
 
 @contextmanager
@@ -115,7 +134,8 @@ def assert_same_as_python(kernel: Any, *arguments: Any, **tolerances: float) -> 
     ours, theirs = deepcopy(arguments), deepcopy(arguments)
     found = kernel(*ours)
     with plain_python():
-        expected = python_form(kernel)(*theirs)
+        plain = _plain_function(kernel) if hasattr(kernel, "py_func") else kernel
+        expected = plain(*theirs)
     assert_same(found, expected, **tolerances)
     assert_same(ours, theirs, **tolerances)
     return found, ours
