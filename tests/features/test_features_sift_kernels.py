@@ -10,7 +10,7 @@ from epipole.features import _sift_kernels as kernels
 from epipole.features import sift
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
-# float32 rounds a sum of a few terms to this share; compilers may round in double precision what NumPy does not.
+# The exponentials of NumPy and of the compiler may differ in the last place, here of a float32.
 SINGLE = {"rtol": 1e-6, "atol": 1e-6}
 SHAPES = [(7, 11), (1, 1), (1, 6), (5, 1), (2, 2)]
 

@@ -27,7 +27,7 @@ from epipole.optim.losses import Loss
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
 # Vectors of the processor round a product and a sum once, NumPy twice; eliminating a point multiplies what that leaves.
-ROUNDING = {"rtol": 1e-9, "of_largest": 1e-10}
+ROUNDING = {"rtol": 1e-11, "of_largest": 1e-12}
 CALLED_BY = {
     bundle_system: (
         *(kernels.find_visible, kernels.linearize, kernels.substitute_back, kernels.add_images),
