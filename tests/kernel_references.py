@@ -69,9 +69,17 @@ _MATH = SimpleNamespace(
 )
 
 
+def _unwritten(shape: Any, dtype: Any = np.float64) -> np.ndarray:
+    """`np.empty` with NaN, so that the result tells whether anything was read before it was written."""
+    return np.full(shape, np.nan if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max, dtype)
+
+
+_NUMPY = SimpleNamespace(**{**vars(np), "empty": _unwritten})
+
+
 def _plain(name: str, value: Any) -> Any:
-    if value is math:
-        return _MATH
+    if value is math or value is np:
+        return _MATH if value is math else _NUMPY
     if hasattr(value, "py_func"):
         return _plain_function(value)
     if type(value).__name__ == "_Intrinsic":
@@ -99,17 +107,26 @@ def plain_python() -> Iterator[None]:
 
 
 def assert_same(
-    found: Any, expected: Any, *, rtol: float = 0.0, atol: float = 0.0, of_largest: float = 0.0
+    found: Any,
+    expected: Any,
+    *,
+    rtol: float = 0.0,
+    atol: float = 0.0,
+    of_largest: float = 0.0,
+    only_written: bool = False,
 ) -> None:
     """Equal bit by bit (but for the sign of zero), or to within a tolerance; tuples item by item.
 
-    `of_largest` is a tolerance as a share of an array's largest number: for sums that nearly cancel.
+    `of_largest` is a tolerance as a share of an array's largest number: for sums that nearly cancel. With
+    `only_written`, what is expected to be NaN may be anything: copies of room that was never written.
     """
     if isinstance(expected, tuple):
         assert len(found) == len(expected)
         for one, other in zip(found, expected):
-            assert_same(one, other, rtol=rtol, atol=atol, of_largest=of_largest)
+            assert_same(one, other, rtol=rtol, atol=atol, of_largest=of_largest, only_written=only_written)
         return
+    if only_written and isinstance(expected, np.ndarray) and expected.dtype.kind == "f":
+        found = np.where(np.isnan(expected), np.nan, found)
     if of_largest and np.asarray(expected).dtype.kind == "f":
         atol += of_largest * np.abs(expected).max(where=np.isfinite(expected), initial=0.0)
     if isinstance(expected, np.ndarray) and (found.dtype != expected.dtype or found.shape != expected.shape):
@@ -120,10 +137,20 @@ def assert_same(
         np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
 
 
+def both_ways(kernel: Any, *arguments: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """What a kernel and its Python form return, and their arguments as they are afterwards, each on copies."""
+    ours, theirs = deepcopy(arguments), deepcopy(arguments)
+    found = kernel(*ours)
+    with plain_python():
+        plain = _plain_function(kernel) if hasattr(kernel, "py_func") else kernel
+        expected = plain(*theirs)
+    return (found, ours), (expected, theirs)
+
+
 def assert_same_as_python(
-    kernel: Any, *arguments: Any, outputs: Sequence[int] | None = None, **tolerances: float
-) -> Any:
-    """Compare what a kernel returns and writes with what its Python form does, each on copies of the arguments.
+    kernel: Any, *arguments: Any, outputs: Sequence[int] | None = None, **tolerances: Any
+) -> tuple[Any, Any]:
+    """Compare what a kernel returns and writes with what its Python form does.
 
     Args:
         kernel: what Python calls.
@@ -134,11 +161,7 @@ def assert_same_as_python(
     Returns:
         what the kernel returned, and its arguments as they are afterwards.
     """
-    ours, theirs = deepcopy(arguments), deepcopy(arguments)
-    found = kernel(*ours)
-    with plain_python():
-        plain = _plain_function(kernel) if hasattr(kernel, "py_func") else kernel
-        expected = plain(*theirs)
+    (found, ours), (expected, theirs) = both_ways(kernel, *arguments)
     assert_same(found, expected, **tolerances)
     for k in range(len(arguments)) if outputs is None else outputs:
         assert_same(ours[k], theirs[k], **tolerances)
