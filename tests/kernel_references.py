@@ -125,13 +125,13 @@ def assert_same(
         for one, other in zip(found, expected):
             assert_same(one, other, rtol=rtol, atol=atol, of_largest=of_largest, only_written=only_written)
         return
-    if only_written and isinstance(expected, np.ndarray) and expected.dtype.kind == "f":
-        found = np.where(np.isnan(expected), np.nan, found)
     if of_largest and np.asarray(expected).dtype.kind == "f":
         atol += of_largest * np.abs(expected).max(where=np.isfinite(expected), initial=0.0)
     if isinstance(expected, np.ndarray) and (found.dtype != expected.dtype or found.shape != expected.shape):
         raise AssertionError(f"{found.dtype} {found.shape} is not {expected.dtype} {expected.shape}")
-    elif rtol == atol == 0.0 or np.asarray(expected).dtype.kind not in "fc":
+    if only_written and isinstance(expected, np.ndarray) and expected.dtype.kind == "f":
+        found = np.where(np.isnan(expected), np.nan, found)
+    if rtol == atol == 0.0 or np.asarray(expected).dtype.kind not in "fc":
         np.testing.assert_array_equal(found, expected)
     else:
         np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
