@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole.cameras._camera_kernels import NUM_PARAMS
-
 HELD, ELIMINATED, KEPT = 0, 1, 2
 _LINE = 64
 """Bytes that the processor's cache keeps together: a vector that lies in two such lines takes twice as long."""
@@ -104,17 +102,3 @@ def rows_of_zeros(shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarra
     room = np.zeros(size + _LINE, np.uint8)
     first = -room.ctypes.data % _LINE
     return room[first : first + size].view(dtype).reshape(shape)
-
-
-def make_scratch(wide: int) -> Scratch:
-    """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
-    return Scratch(
-        *(
-            np.empty((2, 3)),
-            np.empty((2, NUM_PARAMS)),
-            rows_of_zeros((2, wide)),
-            np.empty((2, 3)),
-            np.empty(6),
-        ),
-        rows_of_zeros((wide,)),
-    )

@@ -25,9 +25,23 @@ from epipole._simd_kernels import (
     set_rows,
     set_two_rows,
 )
-from epipole.cameras._camera_kernels import project_one, project_with_jacobian_one
-from epipole.optim._bundle_arrays import ELIMINATED, KEPT
+from epipole.cameras._camera_kernels import NUM_PARAMS, project_one, project_with_jacobian_one
+from epipole.optim._bundle_arrays import ELIMINATED, KEPT, Scratch, rows_of_zeros
 from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
+
+
+def make_scratch(wide: int) -> Scratch:
+    """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
+    return Scratch(
+        *(
+            np.empty((2, 3)),
+            np.empty((2, NUM_PARAMS)),
+            rows_of_zeros((2, wide)),
+            np.empty((2, 3)),
+            np.empty(6),
+        ),
+        rows_of_zeros((wide,)),
+    )
 
 
 @kernel(fuse=True)

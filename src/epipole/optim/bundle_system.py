@@ -195,7 +195,7 @@ class BundleSystem:
         return Linearization(gradient, reduced - gradient, blocks, corner, damp)
 
     def _scratch(self) -> arrays.Scratch:
-        return arrays.make_scratch(len(self.layout.wide))
+        return kernels.make_scratch(len(self.layout.wide))
 
     def _sum_over_points(
         self, state: BundleState, damping: float

@@ -114,6 +114,7 @@ def add_color(color, texture, light, weight, rgb):
 
 @kernel
 def hit_plane(p, ox, oy, oz, dx, dy, dz, normal):
+    """Distance along the ray to a plane, and its normal there; infinite for none."""
     nx, ny, nz = p[4] * p[8] - p[5] * p[7], p[5] * p[6] - p[3] * p[8], p[3] * p[7] - p[4] * p[6]
     facing = nx * dx + ny * dy + nz * dz
     if abs(facing) < 1e-12:
@@ -156,6 +157,7 @@ def hit_box(p, ox, oy, oz, dx, dy, dz, normal):
 
 @kernel
 def hit_sphere(p, ox, oy, oz, dx, dy, dz, normal):
+    """Distance along the ray to a sphere, and its normal there; infinite for none."""
     rx, ry, rz = ox - p[0], oy - p[1], oz - p[2]
     b = rx * dx + ry * dy + rz * dz
     root = b * b - (rx * rx + ry * ry + rz * rz - p[3] * p[3])
