@@ -23,6 +23,7 @@ from benchmarks.measure import REPOSITORY, describe_machine
 from epipole import solvers
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1, from_homogeneous
 from epipole.solvers import _absolute_pose_kernels as absolute
+from epipole.solvers import _five_point_kernels as five_point
 from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as two_view
@@ -53,7 +54,7 @@ class Case:
 @numba.njit
 def _five_point(y1, y2, out, w):
     for n in range(len(y1)):
-        two_view.essential_five_point(y1[n], y2[n], out, w)
+        five_point.essential_five_point(y1[n], y2[n], out, w)
 
 
 @numba.njit
@@ -146,7 +147,7 @@ def two_view_cases(rng: np.random.Generator, count: int) -> list[Case]:
     return [
         Case(
             "essential, 5 points", five, essential, solvers.solve_essential_five_point,
-            lambda a, b: _five_point(a, b, np.empty((10, 9)), two_view.five_point_workspace()),
+            lambda a, b: _five_point(a, b, np.empty((10, 9)), five_point.five_point_workspace()),
             lambda p: lambda a, b: p.essential_matrix_5pt(_unit(a), _unit(b)),
         ),
         Case(

@@ -14,12 +14,20 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from epipole._jit.as_python import run_as_python
+from epipole._jit.mode import KernelMode, kernel_mode
+
 _DOUBLE = ir.DoubleType()
 
 
-def row_intrinsic(function: Any) -> Any:
-    """Numba's `intrinsic`, of a function that the type checks of a test run may have wrapped."""
-    return intrinsic(unwrap(function))
+def row_intrinsic(as_python: Any) -> Any:
+    """Numba's `intrinsic`; where kernels run as Python, the given function in its place.
+
+    Functions may be wrapped by the type checks of a test run.
+    """
+    if kernel_mode() is KernelMode.PYTHON:
+        return lambda _function: run_as_python(unwrap(as_python))
+    return lambda function: intrinsic(unwrap(function))
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, width: int) -> Any:
@@ -77,41 +85,60 @@ def _combination(num_terms: int, *, adds: bool) -> Any:
     return generate
 
 
-@row_intrinsic
+def _add_rows(target, *terms):
+    width = len(terms[-1])
+    target[:width] += _sum(terms, width)
+
+
+def _set_rows(target, *terms):
+    width = len(terms[-1])
+    target[:width] = _sum(terms, width)
+
+
+def _sum(terms, width):
+    return sum(factor * row[:width].astype(float) for factor, row in zip(terms[0:-1:2], terms[1:-1:2]))
+
+
+def _add_product(target, x, y, lanes):
+    width = len(lanes)
+    target[:width] += x[:width].astype(float) * y[:width]
+
+
+@row_intrinsic(_add_rows)
 def add_rows(typingctx, target, a, x, b, y, c, z, lanes):
     """Row target += a x + b y + c z."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=True)
 
 
-@row_intrinsic
+@row_intrinsic(_add_rows)
 def add_two_rows(typingctx, target, a, x, b, y, lanes):
     """Row target += a x + b y."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=True)
 
 
-@row_intrinsic
+@row_intrinsic(_set_rows)
 def set_rows(typingctx, target, a, x, b, y, c, z, lanes):
     """Row target = a x + b y + c z; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, double, z, lanes), _combination(3, adds=False)
 
 
-@row_intrinsic
+@row_intrinsic(_set_rows)
 def scale_row(typingctx, target, a, x, lanes):
     """Row target = a x; target may be x."""
     return types.void(target, types.float64, x, lanes), _combination(1, adds=False)
 
 
-@row_intrinsic
+@row_intrinsic(_set_rows)
 def set_two_rows(typingctx, target, a, x, b, y, lanes):
     """Row target = a x + b y; target may be one of them."""
     double = types.float64
     return types.void(target, double, x, double, y, lanes), _combination(2, adds=False)
 
 
-@row_intrinsic
+@row_intrinsic(_add_product)
 def add_product(typingctx, target, x, y, lanes):
     """Row target += x y, lane by lane."""
     signature = types.void(target, x, y, lanes)

@@ -77,3 +77,33 @@ def parameters(function: Function, *, own: bool = True) -> list[ast.arg]:
     named = [*a.posonlyargs, *a.args, *a.kwonlyargs]
     extra = [x for x in (a.vararg, a.kwarg) if x is not None]
     return [x for x in [*named, *extra] if not (own and x.arg in ("self", "cls"))]
+
+
+@cache
+def _documented_methods() -> dict[str, tuple[frozenset[str], tuple[str, ...]]]:
+    """Of every class by its name: the methods with a docstring, and the names of its bases.
+
+    Classes of one name count as one.
+    """
+    found: dict[str, tuple[frozenset[str], tuple[str, ...]]] = {}
+    for source in sources():
+        for node in classes(source):
+            methods = [n for n in node.body if isinstance(n, Function) and ast.get_docstring(n)]
+            bases = tuple(ast.unparse(base).split(".")[-1] for base in node.bases)
+            known, more = found.get(node.name, (frozenset(), ()))
+            found[node.name] = (known | {method.name for method in methods}, more + bases)
+    return found
+
+
+def is_documented(name: str, function: Function) -> bool:
+    """It has a docstring, or is a method that a base class describes."""
+    if ast.get_docstring(function):
+        return True
+    *owner, method = name.split(".")
+    bases = list(owner[-1:])
+    while bases:
+        methods, more = _documented_methods().get(bases.pop(), (frozenset(), ()))
+        if method in methods:
+            return True
+        bases += more
+    return False

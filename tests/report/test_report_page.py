@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 import pytest
 from report_ring import HOSTILE, content_of, empty_model
 
+from epipole._version import __version__
 from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import ReportContent
 
@@ -88,7 +89,7 @@ def test_truth_settings_cameras_and_timings_are_told(content: ReportContent) -> 
     page = render_report(replace(content, truth_errors={"Camera position, median": "12 mm"}))
     assert "<dt>Camera position, median</dt><dd>12 mm</dd>" in page
     text = "\n".join(read(page).text)
-    for expected in ("features.max_keypoints", "8000", "PINHOLE, 640x480", "matching", "8.2 s", "1.2.3"):
+    for expected in ("features.max_keypoints", "8000", "PINHOLE, 640x480", "matching", "8.2 s", __version__):
         assert expected in text
 
 

@@ -6,6 +6,7 @@ import pytest
 from epipole.cameras import Camera, CameraModel
 from epipole.synthetic import Box, HeightField, Plane, Sphere, SyntheticScene, Texture, look_at, render
 from epipole.synthetic import _render_kernels as kernels
+from epipole.synthetic._surface_kernels import height_at
 
 WIDTH, HEIGHT = 96, 64
 CAMERAS = [
@@ -91,7 +92,7 @@ def test_ground_is_hit_on_its_surface_and_nothing_stands_before(camera: Camera) 
 
     def above_ground(t: np.ndarray) -> np.ndarray:
         at = CENTER + t[:, None] * directions
-        return at[:, 2] - 0.2 - np.array([kernels.height_at(x, y, 0.15, 1.1, 5) for x, y in at[:, :2]])
+        return at[:, 2] - 0.2 - np.array([height_at(x, y, 0.15, 1.1, 5) for x, y in at[:, :2]])
 
     np.testing.assert_allclose(above_ground(distance), 0, atol=1e-9)
     for share in (0.2, 0.6, 0.9, 0.99):

@@ -7,6 +7,7 @@ of flat arrays, given by the array and the place of their first number.
 
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -74,7 +75,46 @@ class _Code:
         return ir.Constant(_LONG, value)
 
 
-@row_intrinsic
+def _count_bits(left, at_left, right, at_right, width, planes, out, at_out, blocks):
+    total, count = np.zeros(blocks * LANES, np.uint8), blocks * LANES
+    for p in range(planes):
+        start = at_right + p * width
+        total += np.bitwise_count(left[at_left + p] ^ right[start : start + count])
+    out[at_out : at_out + count] = total
+
+
+def _extend_paths(paths, at_before, least, jump, step, costs, at_cost, at_now, sums, at_sums, blocks):
+    count, total, found = blocks * LANES, 0, []
+    cost = costs[at_cost : at_cost + count].astype(np.int64)
+    for before, low, far, now in zip(at_before, least, jump, at_now):
+        row = paths[before - 1 : before + count + 1].astype(np.int64)
+        beside = np.minimum(np.minimum(row[:-2], row[2:]) + step, 255)
+        best = np.minimum(np.minimum(row[1:-1], beside), min(low + far, 255))
+        path = np.minimum((best - low) % 256 + cost, 255)
+        paths[now : now + count] = path
+        found.append(int(path.min()))
+        total = total + path
+    sums[at_sums : at_sums + count] = total
+    return tuple(found)
+
+
+def _least_two(sums, at_sums, more, at_more, blocks):
+    row, added = sums[at_sums : at_sums + blocks * LANES], more[at_more : at_more + blocks * LANES]
+    first = int(np.argmin(row))
+    row += added
+    at = int(np.argmin(row))
+    is_far = np.abs(np.arange(len(row)) - at) > 1
+    return at, int(row[at]), int(np.where(is_far, row, 65535).min()), first, int(np.argmin(added))
+
+
+def _keep_lower(sums, at_sums, best, winners, at_best, blocks):
+    row, kept = sums[at_sums : at_sums + blocks * LANES], slice(at_best, at_best + blocks * LANES)
+    is_lower = row < best[kept]
+    winners[kept] = np.where(is_lower, np.arange(len(row)), winners[kept])
+    best[kept] = np.minimum(row, best[kept])
+
+
+@row_intrinsic(_count_bits)
 def count_bits(typingctx, left, at_left, right, at_right, width, planes, out, at_out, blocks):
     """Row of costs: out[at_out + d] = bits in which left[at_left + p] and right[at_right + p width + d] differ, p < planes."""
     long = types.int64
@@ -99,7 +139,7 @@ def count_bits(typingctx, left, at_left, right, at_right, width, planes, out, at
     return signature, generate
 
 
-@row_intrinsic
+@row_intrinsic(_extend_paths)
 def extend_paths(
     typingctx, paths, at_before, least, jump, step, costs, at_cost, at_now, sums, at_sums, blocks
 ):
@@ -166,7 +206,7 @@ class _Lowest:
         return self.code.least(builder.select(is_lowest, builder.load(self.place), self.full)), lowest
 
 
-@row_intrinsic
+@row_intrinsic(_least_two)
 def least_two(typingctx, sums, at_sums, more, at_more, blocks):
     """(d, lowest, second, d1, d2) of the row sums += more: where it is lowest, the lowest number, and the lowest not beside it.
 
@@ -211,7 +251,7 @@ def least_two(typingctx, sums, at_sums, more, at_more, blocks):
     return signature, generate
 
 
-@row_intrinsic
+@row_intrinsic(_keep_lower)
 def keep_lower(typingctx, sums, at_sums, best, winners, at_best, blocks):
     """Where sums[d] < best[at_best + d]: keep it there, and d in winners[at_best + d]."""
     long = types.int64

@@ -17,6 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from epipole._jit import kernel
+from epipole._jit.mode import KernelMode, kernel_mode
 
 WIDTH = 128  # bytes of a descriptor
 STEPS = WIDTH // 4
@@ -27,7 +28,9 @@ MOST_SIMILARITY = 1 << (32 - GROUP_BITS)
 
 
 def _lanes():
-    """Whole numbers in one register of the byte dot product; 0 where the processor has none."""
+    """Whole numbers in one register of the byte dot product; 0 where the processor has none, and in Python."""
+    if kernel_mode() is KernelMode.PYTHON:
+        return 0
     try:
         features = binding.get_host_cpu_features()
     except RuntimeError:  # unknown on this platform

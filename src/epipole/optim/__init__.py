@@ -21,5 +21,5 @@ from epipole.optim.pose_graph import PoseGraphConfig as PoseGraphConfig
 from epipole.optim.pose_graph import PoseGraphResult as PoseGraphResult
 from epipole.optim.pose_graph import initialize_pose_graph as initialize_pose_graph
 from epipole.optim.pose_graph import optimize_pose_graph as optimize_pose_graph
-from epipole.optim.pose_graph import optimize_pose_graph_robustly as optimize_pose_graph_robustly
 from epipole.optim.pose_graph import pose_graph_cost as pose_graph_cost
+from epipole.optim.robust_pose_graph import optimize_pose_graph_robustly as optimize_pose_graph_robustly

@@ -6,7 +6,8 @@ with k pivots and m >= k rows. Its front is assembled from the matrix and from w
 where U goes to the parent. Panels [L11; L21] are (m, k), updates U (m - k, m - k), both column by column, lower.
 """
 
-from typing import NamedTuple
+import ctypes
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import binding
@@ -14,12 +15,15 @@ from numba import types
 from numba.extending import get_cython_function_address
 
 from epipole._jit import kernel
+from epipole._jit.mode import KernelMode, kernel_mode
 
 
-def _linked(module: str, name: str, *arguments: types.Type) -> types.ExternalFunction:
+def _linked(module: str, name: str, *arguments: types.Type) -> Any:
     """A routine that SciPy ships, by name, so that kernels that call it can be kept on disk."""
-    symbol = f"epipole_{name}"
-    binding.add_symbol(symbol, get_cython_function_address(f"scipy.linalg.{module}", name))
+    symbol, address = f"epipole_{name}", get_cython_function_address(f"scipy.linalg.{module}", name)
+    if kernel_mode() is KernelMode.PYTHON:
+        return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * len(arguments))(address)
+    binding.add_symbol(symbol, address)
     return types.ExternalFunction(symbol, types.void(*arguments))
 
 

@@ -10,7 +10,8 @@ from jaxtyping import Float64
 from epipole import _parallel
 from epipole.config import options_of
 from epipole.errors import DegenerateGeometryError
-from epipole.optim import _bundle_kernels as kernels
+from epipole.optim import _bundle_arrays as arrays
+from epipole.optim import _bundle_reduced_kernels as reduced_kernels
 from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
 from epipole.optim.bundle_layout import BundleLayout, initial_state
 from epipole.optim.bundle_problem import NUM_PARAMS, BundleProblem
@@ -64,26 +65,45 @@ def bundle_covariance(
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )
-    state, layout = initial_state(found), system.layout
+    layout = system.layout
     layout.observations.used[:] = result.used_mask  # what was adjusted, not what is visible now
     if noise_px is None:
-        freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
-        if freedom <= 0:
-            raise DegenerateGeometryError(
-                "no more residuals than unknowns: the noise cannot be told from them"
-            )
-        noise_px = float(np.sqrt(2.0 * result.final_cost / freedom))
+        noise_px = _residual_noise(layout, result)
     with _parallel.single_threaded_blas():
-        equations = system.linearize(state, _NO_DAMPING)
+        equations = system.linearize(initial_state(found), _NO_DAMPING)
         inverse = system.inverse_blocks(equations)
+    nodes, points = _covariances_of_nodes_and_points(system, equations.blocks, inverse)
+    variance = noise_px**2
+    return BundleCovariance(
+        variance * _of_nodes(nodes, layout.nodes.frame),
+        variance * _of_nodes(nodes, layout.nodes.sensor),
+        variance * _of_params(nodes, layout),
+        variance * points,
+        noise_px,
+    )
+
+
+def _residual_noise(layout: BundleLayout, result: BundleResult) -> float:
+    """Standard deviation of the pixels that the residuals show."""
+    freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
+    if freedom <= 0:
+        raise DegenerateGeometryError("no more residuals than unknowns: the noise cannot be told from them")
+    return float(np.sqrt(2.0 * result.final_cost / freedom))
+
+
+def _covariances_of_nodes_and_points(
+    system: BundleSystem, blocks: np.ndarray, inverse: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The wanted blocks of the inverse for unit noise: of the nodes (n, lanes, lanes), of the points (p, 3, 3)."""
+    layout = system.layout
     diagonal = np.flatnonzero(system.pattern.row == system.pattern.column)
-    alone = np.einsum("nii->ni", equations.blocks[diagonal])
+    alone = np.einsum("nii->ni", blocks[diagonal])
     own = np.arange(len(layout.lanes)) < layout.entries.width[:, None]
     known_to = alone * np.einsum("nii->ni", inverse[diagonal])
     lost = ((known_to > _UNKNOWN) | (own & (alone < _NOTHING))).any(axis=1)
-    points = np.empty((len(found.point_free), 3, 3))
+    points = np.empty((len(layout.unknowns.role), 3, 3))
     _parallel.map_chunks(
-        lambda a, b, _: kernels.point_covariances(
+        lambda a, b, _: reduced_kernels.point_covariances(
             *(layout.entries, a, b, system.kept, system.row_start, system.pattern.column, inverse),
             *(layout.entries.width, points),
         ),
@@ -91,25 +111,18 @@ def bundle_covariance(
         layout.num_chunks,
     )
     points[_unknown_points(layout, lost, system.kept.factor, points)] = np.inf
-    inverse = inverse[diagonal]
-    inverse[layout.held_mask] = 0.0
-    np.swapaxes(inverse, 1, 2)[layout.held_mask] = 0.0
-    inverse[lost] = np.inf
+    nodes = inverse[diagonal]
+    nodes[layout.held_mask] = 0.0
+    np.swapaxes(nodes, 1, 2)[layout.held_mask] = 0.0
+    nodes[lost] = np.inf
     kept = layout.nodes.point >= 0
-    points[kept] = inverse[layout.nodes.point[kept], :3, :3]
-    variance = noise_px**2
-    return BundleCovariance(
-        variance * _of_nodes(inverse, layout.nodes.frame),
-        variance * _of_nodes(inverse, layout.nodes.sensor),
-        variance * _of_params(inverse, layout),
-        variance * points,
-        noise_px,
-    )
+    points[kept] = nodes[layout.nodes.point[kept], :3, :3]
+    return nodes, points
 
 
 def _num_unknowns(layout: BundleLayout) -> int:
     nodes = int(layout.entries.width.sum()) - int(layout.held_mask.sum())
-    return nodes + 3 * int((layout.unknowns.role == kernels.ELIMINATED).sum())
+    return nodes + 3 * int((layout.unknowns.role == arrays.ELIMINATED).sum())
 
 
 def _unknown_points(
@@ -132,7 +145,7 @@ def _unknown_points(
     of_known[entries.point[by_frame & ~lost[entries.node]]] = True
     of_lost[entries.point[by_frame & lost[entries.node]]] = True
     unknown = weak | (i0 == 0.0) | drifting | (of_lost & ~of_known)
-    return (layout.unknowns.role == kernels.ELIMINATED) & unknown
+    return (layout.unknowns.role == arrays.ELIMINATED) & unknown
 
 
 def _of_nodes(inverse: np.ndarray, node: np.ndarray) -> np.ndarray:

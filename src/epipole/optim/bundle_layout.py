@@ -11,7 +11,7 @@ import numpy as np
 from epipole import _parallel
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3
-from epipole.optim import _bundle_kernels as kernels
+from epipole.optim import _bundle_arrays as arrays
 from epipole.optim import _bundle_layout_kernels as layout_kernels
 from epipole.optim.block_cholesky import BlockPattern
 from epipole.optim.bundle_problem import BundleProblem
@@ -69,9 +69,9 @@ class BundleLayout:
     images: Images
     models: np.ndarray
     """(images,), of their cameras."""
-    observations: kernels.Observations
-    unknowns: kernels.Unknowns
-    entries: kernels.Entries
+    observations: arrays.Observations
+    unknowns: arrays.Unknowns
+    entries: arrays.Entries
     nodes: Nodes
     free_params: np.ndarray
     num_free: np.ndarray
@@ -92,13 +92,13 @@ class BundleLayout:
         """Nodes before the first frame: those that most others meet."""
         return self.num_nodes - int((self.nodes.frame >= 0).sum())
 
-    def scene(self, state: BundleState) -> kernels.Scene:
+    def scene(self, state: BundleState) -> arrays.Scene:
         """A state, image by image."""
         frames, sensors = state.rig_from_world[self.images.frame], state.cam_from_rig[self.images.sensor]
         together = Rigid3(sensors[:, :9].reshape(-1, 3, 3), sensors[:, 9:]) @ Rigid3(
             frames[:, :9].reshape(-1, 3, 3), frames[:, 9:]
         )
-        return kernels.Scene(
+        return arrays.Scene(
             motion_rows(together),
             sensors,
             self.models,
@@ -160,7 +160,7 @@ def lay_out(problem: BundleProblem) -> BundleLayout:
     moving, turning = nodes.frame >= 0, nodes.sensor >= 0
     held[nodes.frame[moving], :6] = problem.frame_free[moving] == 0
     held[nodes.sensor[turning], :6] = _sensor_free(problem)[turning] == 0
-    observations = kernels.Observations(
+    observations = arrays.Observations(
         np.ascontiguousarray(problem.offsets),
         image,
         np.ascontiguousarray(problem.pixels),
@@ -196,7 +196,7 @@ def _number_nodes(problem: BundleProblem, images: Images, num_free: np.ndarray, 
     joins &= num_free[images.camera] > 0
     joined = np.zeros(len(num_free), bool)
     joined[images.camera[joins]] = True
-    masks = (may_turn, (num_free > 0) & ~joined, role == kernels.KEPT, may_move)
+    masks = (may_turn, (num_free > 0) & ~joined, role == arrays.KEPT, may_move)
     counts = [int(mask.sum()) for mask in masks]
     first = [0, *accumulate(counts)]
     sensor, camera, point, frame = (_numbered(mask, at) for mask, at in zip(masks, first, strict=False))
@@ -214,11 +214,11 @@ def _unknowns(
     num_free: np.ndarray,
     free_params: np.ndarray,
     role: np.ndarray,
-) -> kernels.Unknowns:
+) -> arrays.Unknowns:
     rotation, translation = problem.cam_from_rig.rotation, problem.cam_from_rig.translation
     is_identity = (rotation == np.eye(3)).all(axis=(1, 2)) & (translation == 0).all(axis=1)
     of_sensor = nodes.sensor[images.sensor]
-    return kernels.Unknowns(
+    return arrays.Unknowns(
         (problem.frame_free * (nodes.frame >= 0)[:, None])[images.frame],
         num_free[images.camera],
         free_params[images.camera],
@@ -290,10 +290,10 @@ def _images(problem: BundleProblem) -> tuple[Images, np.ndarray]:
 
 def _roles(problem: BundleProblem) -> np.ndarray:
     """Free points are eliminated, unless a known distance ties them to others: then they cannot be, one by one."""
-    role = np.where(problem.point_free > 0, kernels.ELIMINATED, kernels.HELD).astype(np.int8)
+    role = np.where(problem.point_free > 0, arrays.ELIMINATED, arrays.HELD).astype(np.int8)
     if problem.priors is not None and problem.priors.distances is not None:
         ends = np.concatenate([problem.priors.distances.first, problem.priors.distances.second])
-        role[ends[problem.point_free[ends] > 0]] = kernels.KEPT
+        role[ends[problem.point_free[ends] > 0]] = arrays.KEPT
     return role
 
 
@@ -306,8 +306,8 @@ def _padded(width: int) -> tuple[int, ...]:
 
 
 def _entries(
-    problem: BundleProblem, image: np.ndarray, unknowns: kernels.Unknowns, width: np.ndarray
-) -> kernels.Entries:
+    problem: BundleProblem, image: np.ndarray, unknowns: arrays.Unknowns, width: np.ndarray
+) -> arrays.Entries:
     num_points, num_nodes = len(unknowns.role), len(width)
     start = np.zeros(num_points + 1, np.int64)
     slot = np.empty((len(image), 3), np.int16)
@@ -331,4 +331,4 @@ def _entries(
     np.cumsum(np.bincount(node, minlength=num_nodes), out=node_start[1:])
     point, by_node = np.empty(len(node), np.int32), np.empty(len(node), np.int64)
     layout_kernels.sort_by_node(start, node, point, by_node, node_start, np.empty(num_nodes, np.int64))
-    return kernels.Entries(start, node, slot, point, by_node, node_start, width)
+    return arrays.Entries(start, node, slot, point, by_node, node_start, width)

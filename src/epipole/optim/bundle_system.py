@@ -14,8 +14,10 @@ import numpy as np
 
 from epipole import _parallel
 from epipole.errors import DegenerateGeometryError
+from epipole.optim import _bundle_arrays as arrays
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim import _bundle_layout_kernels as layout_kernels
+from epipole.optim import _bundle_reduced_kernels as reduced_kernels
 from epipole.optim.block_cholesky import BlockPattern, CholeskyPlan, plan_cholesky
 from epipole.optim.bundle_layout import BundleLayout, BundleState, lay_out, reduced_pattern
 from epipole.optim.bundle_priors import PriorTerms, prior_terms
@@ -73,8 +75,8 @@ class BundleSystem:
         self.layout: BundleLayout = lay_out(problem)
         self._loss = (int(loss), float(loss_scale_px**2))
         entries, num_points = self.layout.entries, len(problem.points_in_world)
-        self.kept = kernels.Eliminated(
-            kernels.rows_of_zeros(
+        self.kept = arrays.Eliminated(
+            arrays.rows_of_zeros(
                 (len(entries.node), 3, len(self.layout.lanes)), np.float32 if single_precision else np.float64
             ),
             np.empty((num_points, 6)),
@@ -97,7 +99,7 @@ class BundleSystem:
     @property
     def has_unknowns(self) -> bool:
         """Whether anything may move."""
-        return self.layout.num_nodes > 0 or bool((self.layout.unknowns.role != kernels.HELD).any())
+        return self.layout.num_nodes > 0 or bool((self.layout.unknowns.role != arrays.HELD).any())
 
     @property
     def solver(self) -> LinearSolver:
@@ -170,9 +172,9 @@ class BundleSystem:
         """Form the normal equations and eliminate the points."""
         layout = self.layout
         normal, image_gradient, reduced = self._sum_over_points(state, damping)
-        blocks = kernels.rows_of_zeros((len(self.pattern.row), len(layout.lanes), len(layout.lanes)))
-        gradient = kernels.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
-        kernels.add_images(
+        blocks = arrays.rows_of_zeros((len(self.pattern.row), len(layout.lanes), len(layout.lanes)))
+        gradient = arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
+        reduced_kernels.add_images(
             layout.unknowns, normal, image_gradient, self._places, blocks, gradient, layout.wide
         )
         self._add_priors(prior_terms(self.problem.priors, layout, state), blocks, gradient)
@@ -192,7 +194,7 @@ class BundleSystem:
         blocks[self._diagonal[:, None], np.arange(len(layout.lanes)), np.arange(len(layout.lanes))] += damp
         return Linearization(gradient, reduced - gradient, blocks, corner, damp)
 
-    def _scratch(self) -> kernels.Scratch:
+    def _scratch(self) -> arrays.Scratch:
         return kernels.make_scratch(len(self.layout.wide))
 
     def _sum_over_points(
@@ -203,9 +205,9 @@ class BundleSystem:
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             sums = (
-                kernels.rows_of_zeros((images, wide, wide)),
-                kernels.rows_of_zeros((images, wide)),
-                kernels.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
+                arrays.rows_of_zeros((images, wide, wide)),
+                arrays.rows_of_zeros((images, wide)),
+                arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
             )
             kernels.linearize(
                 *(layout.observations, start, stop, scene, layout.unknowns, layout.entries),
@@ -229,7 +231,7 @@ class BundleSystem:
 
         def reduce(piece: int) -> None:
             slot = np.full(self.layout.num_nodes, -1, np.int64)
-            kernels.reduce_rows(
+            reduced_kernels.reduce_rows(
                 *(edges[piece], edges[piece + 1], self.layout.entries, self.kept.z),
                 *(row_start, column, blocks, slot, self.layout.lanes),
             )
@@ -323,8 +325,10 @@ class BundleSystem:
         def work(start: int, stop: int, _: int) -> np.ndarray:
             part = np.zeros_like(x)
             lanes = self.layout.lanes
-            room = kernels.rows_of_zeros((3, len(lanes)))
-            kernels.multiply_eliminated(self.layout.entries, start, stop, self.kept.z, x, part, room, lanes)
+            room = arrays.rows_of_zeros((3, len(lanes)))
+            reduced_kernels.multiply_eliminated(
+                self.layout.entries, start, stop, self.kept.z, x, part, room, lanes
+            )
             return part
 
         for part in _parallel.map_chunks(work, len(self.problem.points_in_world), self.layout.num_chunks):
@@ -338,9 +342,9 @@ class BundleSystem:
         layout = self.layout
         moved = layout.moved(state, step)
         parts = _parallel.map_chunks(
-            lambda a, b, _: kernels.substitute_back(
+            lambda a, b, _: reduced_kernels.substitute_back(
                 *(layout.entries, a, b, state.points, self.kept, step, damping, moved.points),
-                *(kernels.rows_of_zeros((3, len(layout.lanes))), layout.lanes),
+                *(arrays.rows_of_zeros((3, len(layout.lanes))), layout.lanes),
             ),
             len(state.points),
             layout.num_chunks,

@@ -14,6 +14,7 @@ from numba import types
 from numba.extending import overload_method
 
 from epipole._jit import overload_options
+from epipole._jit.mode import KernelMode, kernel_mode
 from epipole.robust._item_kernels import BLOCK, REASSOC, add_normal_equations, columns_within, dot_rows
 from epipole.solvers._linear_kernels import clear, clear_rows, copy_numbers
 
@@ -200,6 +201,7 @@ def compile_inside_kernels(declared_by, name):
     overload_method(types.BaseNamedTuple, name, jit_options=options)(choose)
 
 
-for _name in [name for name in vars(RobustProblem) if name[0] != "_"]:
-    compile_inside_kernels(RobustProblem, _name)
-compile_inside_kernels(MatrixProblem, "derivatives")
+if kernel_mode() is not KernelMode.PYTHON:
+    for _name in [name for name in vars(RobustProblem) if name[0] != "_"]:
+        compile_inside_kernels(RobustProblem, _name)
+    compile_inside_kernels(MatrixProblem, "derivatives")

@@ -21,13 +21,9 @@ from epipole.robust._item_kernels import (
     sampson_row,
 )
 from epipole.robust._problem_kernels import Items, MatrixProblem, compile_inside_kernels
+from epipole.solvers._five_point_kernels import essential_five_point, five_point_workspace
 from epipole.solvers._linear_kernels import copy_numbers
-from epipole.solvers._two_view_kernels import (
-    essential_five_point,
-    essential_from_motion,
-    five_point_workspace,
-    motions_from_essential,
-)
+from epipole.solvers._two_view_kernels import essential_from_motion, motions_from_essential
 
 MATRIX = 12  # where E begins in a model
 

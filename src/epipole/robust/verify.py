@@ -18,6 +18,7 @@ from epipole.geometry.epipolar import (
     essential_from_fundamental,
     fundamental_from_essential,
 )
+from epipole.robust import _model_selection_kernels as selection_kernels
 from epipole.robust import _pair_kernels as kernels
 from epipole.robust._problem_kernels import MODEL_SIZE
 from epipole.robust._wide_pair_kernels import fit_wide_motions
@@ -31,13 +32,8 @@ GUESS_FACTOR, GUESS_ITERATIONS = 3.0, 200
 """A guessed focal length is forgiven a threshold this many times as wide."""
 STILL_PX = 0.75
 """A median shift of matches below this leaves no epipolar line worth following."""
-_KINDS = {
-    kernels.GENERAL: PairKind.GENERAL,
-    kernels.PLANAR: PairKind.PLANAR,
-    kernels.ROTATION: PairKind.ROTATION,
-    kernels.NO_MOTION: PairKind.NO_MOTION,
-    kernels.DEGENERATE: PairKind.DEGENERATE,
-}
+_KINDS = (PairKind.GENERAL, PairKind.PLANAR, PairKind.ROTATION, PairKind.NO_MOTION)
+"""Of the models, in the order of their costs."""
 _CHUNKS = 256
 _WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
 
@@ -81,7 +77,7 @@ class PairGeometry:
             return f"too few of {len(self.inlier_mask)} matches agree with any geometry"
         order = np.argsort(self.costs)
         margin = float(self.costs[order[1]] - self.costs[order[0]])
-        if self.kind is PairKind.ROTATION and order[0] != kernels.ROTATION:
+        if self.kind is PairKind.ROTATION and order[0] != selection_kernels.ROTATION:
             return "a plane fits best, and a rotation under the guessed focal length fits nearly all: no depth in it"
         words = (
             f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches with {self.noise_px:.2f} px of noise best "
@@ -155,15 +151,15 @@ def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeom
     if not calibrated.all():
         loose = _search(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
         _fit_motions(packed, ~calibrated, inliers, loose, motions)
-    planes = _room(packed)
+    planes = _no_fits(packed)
     plane_search = _search(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
     kernels.fit_homographies(packed, inliers, plane_search, planes)
-    verdicts = kernels.Verdicts(
+    selection = selection_kernels.Selection(
         np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)
     )
-    kernels.judge(packed, calibrated, _search(config), epipolar, planes, motions, verdicts)
+    selection_kernels.select_models(packed, calibrated, _search(config), epipolar, planes, motions, selection)
     return [
-        _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, verdicts)
+        _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, selection)
         for p, pair in enumerate(pairs)
     ]
 
@@ -173,7 +169,7 @@ def _fit_epipolar(
 ) -> tuple[kernels.Fits, kernels.Fits]:
     """What explains each pair, E where calibrated and F elsewhere; and the motions of calibrated pairs."""
     finite = np.isfinite(packed.pixels).all(axis=0)
-    epipolar, motions, search = _room(packed), _room(packed), _search(config)
+    epipolar, motions, search = _no_fits(packed), _no_fits(packed), _search(config)
     if not calibrated.all():
         kernels.fit_fundamentals(packed, ~calibrated, finite, search, epipolar)
     if calibrated.any():
@@ -220,7 +216,7 @@ def _pack(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
     )
 
 
-def _room(packed: kernels.Pairs) -> kernels.Fits:
+def _no_fits(packed: kernels.Pairs) -> kernels.Fits:
     n = len(packed.seed)
     return kernels.Fits(
         np.full((n, MODEL_SIZE), np.nan),
@@ -273,9 +269,10 @@ def _geometry(
     epipolar: kernels.Fits,
     planes: kernels.Fits,
     motions: kernels.Fits,
-    verdicts: kernels.Verdicts,
+    selection: selection_kernels.Selection,
 ) -> PairGeometry:
-    kind = _KINDS[int(verdicts.kind[p])]
+    model = int(selection.model[p])
+    kind = PairKind.DEGENERATE if model == selection_kernels.NONE else _KINDS[model]
     blank = np.full((3, 3), np.nan)
     own = inliers[offsets[p] : offsets[p + 1]].copy()
     essential, fundamental, homography = blank, blank, blank
@@ -290,11 +287,11 @@ def _geometry(
             homography = np.linalg.solve(t2, inner @ t1)
             homography = homography / np.linalg.norm(homography)
     if kind is PairKind.ROTATION:
-        motion = Rigid3(verdicts.rotation[p].reshape(3, 3).copy(), np.zeros(3))
+        motion = Rigid3(selection.rotation[p].reshape(3, 3).copy(), np.zeros(3))
     if not pair.is_calibrated and kind in (PairKind.GENERAL, PairKind.PLANAR):
         # A plane seen by unknown lenses still has the F that was found; nothing says what its motion is.
         kind = PairKind.UNCALIBRATED
     return PairGeometry(
         *(kind, own, motion, essential, fundamental, homography),
-        *(float(verdicts.median_angle_rad[p]), float(verdicts.noise_px[p]), verdicts.cost[p].copy()),
+        *(float(selection.median_angle_rad[p]), float(selection.noise_px[p]), selection.cost[p].copy()),
     )

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.polynomial.chebyshev import cheb2poly
 
 from epipole._jit import kernel
+from epipole.solvers._five_point_kernels import essential_constraints
 from epipole.solvers._linear_kernels import null_space
 from epipole.solvers._polynomial_kernels import roots_within, roots_workspace
-from epipole.solvers._two_view_kernels import essential_constraints
 
 MOST_SHARED = 8
 """Solutions of six matches that are kept; hardly ever are there more in the range of focal lengths."""

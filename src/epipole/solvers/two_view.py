@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, from_homogeneous, to_homogeneous
+from epipole.solvers import _five_point_kernels as five_point
 from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as kernels
@@ -31,7 +32,9 @@ def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k
         as_float_array(rays2, "rays2", 5, 3, finite=True),
     )
     out = np.empty((10, 9))
-    return out[: kernels.essential_five_point(y1, y2, out, kernels.five_point_workspace())].reshape(-1, 3, 3)
+    return out[: five_point.essential_five_point(y1, y2, out, five_point.five_point_workspace())].reshape(
+        -1, 3, 3
+    )
 
 
 def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:

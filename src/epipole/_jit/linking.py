@@ -3,15 +3,30 @@
 Numba optimises every function and makes machine code of it, together with all that it calls. With six levels of calls
 the innermost function goes through LLVM six times. Here a callee stays what Numba's lowering has made of it and is
 linked so into its callers; what Python calls is optimised and translated once, with everything below it.
+
+All that stands on the inside of Numba is in this file; `mode` says what happens where it has changed.
 """
 
-from typing import Any
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
+import numba
+import numpy as np
+from numba import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
+from numba.extending import overload_method
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 
 class Kernel(CPUDispatcher):
@@ -106,3 +121,108 @@ class _LinkedLibrary(JITCodeLibrary):
         """Make no machine code."""
         self._finalize_dynamic_globals()
         self._finalized = True
+
+
+def linked_kernel(
+    function: Callable[..., Any],
+    *,
+    fastmath: set[str],
+    allocates: bool,
+    inline: bool,
+    fuse: bool,
+    folder: Path,
+) -> Kernel:
+    """A kernel, kept in the folder; the other arguments are those of `epipole._jit.kernel`."""
+    compiled = Kernel(
+        function,
+        targetoptions={
+            "nopython": True,
+            "nogil": True,
+            "error_model": "numpy",
+            "fastmath": fastmath,
+            "inline": "always" if inline else "never",
+            "forceinline": fuse,
+            "_nrt": allocates,
+            "no_cfunc_wrapper": True,  # for use as a value, which nothing here is; it took 4 % of compiling
+        },
+    )
+    compiled.enable_caching()
+    _lock_saving(compiled, folder)
+    return compiled
+
+
+def linked_overload_options(*, fastmath: set[str], allocates: bool, fuse: bool) -> dict[str, Any]:
+    """Options for Numba's `overload`, whose functions only kernels call."""
+    return {
+        "error_model": "numpy",
+        "fastmath": fastmath,
+        "forceinline": fuse,
+        "_nrt": allocates,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+        "pipeline_class": CalleeCompiler,
+    }
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Hold off other processes: Numba names a new file after those it has read of, and two could choose one name."""
+    with (folder / "lock").open("w") as stream:
+        if fcntl is not None:
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
+
+
+def _lock_saving(compiled: Any, folder: Path) -> None:
+    file = compiled._cache._cache_file
+    save = file.save
+
+    def save_alone(key: Any, data: Any) -> None:
+        with _alone_in(folder):
+            save(key, data)
+
+    file.save = save_alone
+
+
+class _Row(NamedTuple):
+    """What the trial passes around: a named tuple with a method, as the robust problems are."""
+
+    values: np.ndarray
+
+    def sum_of(self, scale):  # type: ignore[no-untyped-def]
+        """The sum of all values times the scale."""
+        total = 0.0
+        for value in self.values:
+            total += scale * value
+        return total
+
+
+def try_linking() -> None:
+    """Compile two kernels of which one calls the other, and a method, and keep them; whatever fails raises or crashes."""
+    with tempfile.TemporaryDirectory() as name:
+        cast(Any, numba.config).CACHE_DIR = name
+        borrowing: dict[str, Any] = {"fastmath": {"nsz"}, "allocates": False, "fuse": True}
+
+        def choose(self, scale):  # type: ignore[no-untyped-def]  # noqa: ARG001 - Numba compares them
+            return _Row.sum_of if self.instance_class is _Row else None
+
+        options = linked_overload_options(**borrowing)
+        cast(Any, overload_method)(types.BaseNamedTuple, "sum_of", jit_options=options)(choose)
+        callee = linked_kernel(_largest, **borrowing, inline=False, folder=Path(name))
+
+        def caller(row, out):  # type: ignore[no-untyped-def]
+            out[0] = row.sum_of(2.0)
+            return callee(row.values)
+
+        kernel = linked_kernel(caller, **{**borrowing, "fuse": False}, inline=False, folder=Path(name))
+        out = np.zeros(1)
+        answer = kernel(_Row(np.array([1.0, 4.0, 2.5])), out)
+        if answer != 4.0 or out[0] != 15.0 or callee.signatures or not any(Path(name).rglob("*.nbi")):
+            raise RuntimeError(f"linked kernels give {answer} and {out[0]}")
+
+
+def _largest(values):  # type: ignore[no-untyped-def]
+    largest = values[0]
+    for value in values:
+        largest = max(largest, value)
+    return largest

@@ -1,0 +1,105 @@
+"""How the kernels run: linked, plain, or as Python.
+
+- LINKED: callees are linked into the kernels that call them and compiled once (`linking`). It stands on the inside of
+  Numba's compiler, which every release may change.
+- PLAIN: `numba.njit` and nothing else of Numba's; the same results, but a function is compiled again for every kernel
+  that calls it: the first run on a machine takes longer.
+- PYTHON: nothing is compiled; for a debugger, and hundreds of times slower.
+
+`$EPIPOLE_KERNELS` asks for linked or plain. Without it kernels are linked where that works on this Numba, and plain, with
+a warning, where it does not. `NUMBA_DISABLE_JIT=1`, Numba's own switch, runs them as Python.
+"""
+
+import os
+import subprocess
+import sys
+import warnings
+from enum import StrEnum
+from functools import cache
+from typing import Any, cast
+
+import numba
+
+from epipole._jit.storage import cache_folder, read_note, write_note
+from epipole.errors import ConfigError
+
+VARIABLE = "EPIPOLE_KERNELS"
+_TESTED = ((0, 61), (0, 68))
+"""The oldest and the newest Numba whose inside is known to be what `linking` expects."""
+_WORKS = "works"
+_NOTE = "linking"
+_TRIAL = "from epipole._jit.linking import try_linking; try_linking()"
+_TRIAL_SECONDS = 120
+
+
+class KernelMode(StrEnum):
+    """How kernels run."""
+
+    LINKED = "linked"
+    PLAIN = "plain"
+    PYTHON = "python"
+
+
+@cache
+def kernel_mode() -> KernelMode:
+    """The mode of this process.
+
+    Raises:
+        ConfigError: `$EPIPOLE_KERNELS` asks for another.
+    """
+    if cast(Any, numba.config).DISABLE_JIT:
+        return KernelMode.PYTHON
+    asked = os.environ.get(VARIABLE, "")
+    if asked not in ("", KernelMode.LINKED, KernelMode.PLAIN):
+        raise ConfigError(f"${VARIABLE} must be linked or plain, got {asked!r}")
+    if asked:
+        return KernelMode(asked)
+    if _TESTED[0] <= _version(numba.__version__) <= _TESTED[1]:
+        return KernelMode.LINKED
+    reason = why_not_linked()
+    if not reason:
+        return KernelMode.LINKED
+    warnings.warn(
+        f"kernels cannot be linked on Numba {numba.__version__} ({reason}); they are compiled one by one,"
+        f" which takes longer the first time (${VARIABLE}=plain says so without this warning)",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return KernelMode.PLAIN
+
+
+def why_not_linked() -> str:
+    """Empty if kernels can be linked on this Numba, which is tried once, in a process of its own; else the reason."""
+    folder = cache_folder(KernelMode.LINKED)
+    answer = read_note(folder, _NOTE)
+    if answer is None:
+        answer = _try_linking()
+        write_note(folder, _NOTE, answer)
+    return "" if answer == _WORKS else answer
+
+
+def _try_linking() -> str:
+    if not sys.executable:
+        return "no Python to try it with"
+    try:
+        trial = subprocess.run(
+            [sys.executable, "-c", _TRIAL],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+            text=True,
+            timeout=_TRIAL_SECONDS,
+            env={**os.environ, VARIABLE: KernelMode.PLAIN},
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"it could not be tried: {type(error).__name__}"
+    if trial.returncode == 0:
+        return _WORKS
+    lines = trial.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the trial ended with code {trial.returncode}"
+
+
+def _version(text: str) -> tuple[int, int]:
+    """(0, 61) of 0.61.2; what cannot be read is newer than all."""
+    major, minor, *_ = [*text.split("."), "", ""]
+    return (int(major), int(minor)) if major.isdigit() and minor.isdigit() else (sys.maxsize, 0)

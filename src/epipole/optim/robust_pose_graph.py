@@ -1,0 +1,102 @@
+"""Pose graphs with false edges: graduated non-convexity (Yang, Antonante, Tzoumas and Carlone, RA-L 2020)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool
+from scipy.stats import chi2
+
+from epipole import _parallel
+from epipole.config import options_of
+from epipole.optim.pose_graph import (
+    Motion,
+    PoseGraph,
+    PoseGraphConfig,
+    PoseGraphResult,
+    optimize_weighted,
+    pose_graph_cost,
+)
+
+
+def optimize_pose_graph_robustly(
+    graph: PoseGraph,
+    may_be_wrong_mask: Bool[np.ndarray, " m"] | None = None,
+    config: PoseGraphConfig | None = None,
+) -> PoseGraphResult:
+    """Graduated non-convexity with truncated least squares (Yang, Antonante, Tzoumas and Carlone, RA-L 2020).
+
+    The loss starts nearly quadratic and hardens until each edge counts fully or not at all.
+
+    Args:
+        graph: places and edges.
+        may_be_wrong_mask: edges that may be false loop closures; None: all that do not join consecutive places.
+        config: options; `confidence` sets the largest residual of a right edge.
+
+    Raises:
+        DegenerateGeometryError: an information matrix is not positive definite.
+    """
+    with _parallel.single_threaded_blas():
+        return _optimize_robustly(graph, may_be_wrong_mask, options_of(PoseGraphConfig, config))
+
+
+def _optimize_robustly(
+    graph: PoseGraph, may_be_wrong_mask: np.ndarray | None, config: PoseGraphConfig
+) -> PoseGraphResult:
+    doubtful = np.abs(graph.second - graph.first) != 1 if may_be_wrong_mask is None else may_be_wrong_mask
+    bound = float(chi2.ppf(config.confidence, graph.dimension))
+    initial_cost = pose_graph_cost(graph)
+    weights = np.ones(len(graph.first))
+    current = optimize_weighted(
+        graph, replace(config, max_iterations=20), np.where(doubtful, 1e-6, 1.0), None
+    )
+    squared = current.squared_residuals
+    iterations = current.num_iterations
+    worst = float(squared[doubtful].max(initial=0.0))
+    mu = bound / max(2.0 * worst - bound, bound)
+    for _ in range(200):
+        high, low = (mu + 1.0) / mu * bound, mu / (mu + 1.0) * bound
+        middle = np.sqrt(bound * mu * (mu + 1.0) / np.maximum(squared, 1e-300)) - mu
+        soft = np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, middle))
+        weights = np.where(doubtful, np.clip(soft, 0.0, 1.0), 1.0)
+        current = optimize_weighted(
+            replace(graph, world_from_body=current.world_from_body),
+            replace(config, max_iterations=2),
+            weights,
+            None,
+        )
+        squared, iterations = current.squared_residuals, iterations + current.num_iterations
+        if ((weights == 0.0) | (weights == 1.0)).all() and mu > 1.0:
+            break
+        mu *= 1.4
+    final = _settled(graph, config, current.world_from_body, ~doubtful | (weights > 0.5))
+    found = _tightened(graph, config, final, doubtful, bound)
+    return replace(found, initial_cost=initial_cost, num_iterations=iterations + found.num_iterations)
+
+
+def _settled(graph: PoseGraph, config: PoseGraphConfig, places: Motion, kept: np.ndarray) -> PoseGraphResult:
+    return optimize_weighted(replace(graph, world_from_body=places), config, kept.astype(float), None)
+
+
+def _tightened(
+    graph: PoseGraph, config: PoseGraphConfig, found: PoseGraphResult, doubtful: np.ndarray, bound: float
+) -> PoseGraphResult:
+    """The same or a better choice of edges: cut at the noise that the edges show, then at the noise they claim.
+
+    Where information matrices claim far more noise than there is, a false loop may bend the graph within their bounds. Against
+    the median of all residuals it stands out.
+    """
+    claimed = float(chi2.ppf(0.5, graph.dimension))
+    share = float(np.median(found.squared_residuals[found.kept_mask])) / claimed
+    if not share < 0.5:
+        return found
+    tried = found
+    for cut in (share * bound, share * bound, bound, bound):
+        kept = ~doubtful | (tried.squared_residuals <= cut)
+        tried = _settled(graph, config, tried.world_from_body, kept)
+    truncated = [
+        float(np.where(doubtful, np.minimum(r.squared_residuals, bound), r.squared_residuals).sum())
+        for r in (found, tried)
+    ]
+    return tried if truncated[1] < truncated[0] else found
