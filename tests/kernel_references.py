@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import kernel_rows
+from epipole._jit.as_python import MATH
 
 
 def reference_of(*kernels: Any) -> Callable[[Any], Any]:
@@ -50,28 +51,9 @@ def _plain_function(kernel: Any) -> FunctionType:
     return FunctionType(_as_in_kernels(f.__code__), f.__globals__, f.__name__, f.__defaults__, f.__closure__)
 
 
-def _without_errors(function: Callable[..., float]) -> Callable[..., float]:
-    """A function of `math` that gives NaN and infinity as kernels do, where Python raises."""
-
-    def lenient(*values: float) -> float:
-        try:
-            return _as_in_kernels(function(*values))
-        except ValueError:  # the logarithm of zero has a limit, the root of a negative number none
-            return np.float64(-np.inf if function is math.log and values[0] == 0.0 else np.nan)
-        except OverflowError:
-            return np.float64(np.inf)
-
-    return lenient
-
-
-_MATH = SimpleNamespace(
-    **{name: _without_errors(f) if callable(f) else _as_in_kernels(f) for name, f in vars(math).items()}
-)
-
-
 def _unwritten(shape: Any, dtype: Any = np.float64) -> np.ndarray:
     """`np.empty` with NaN, so that the result tells whether anything was read before it was written."""
-    return np.full(shape, np.nan if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max, dtype)
+    return np.full(shape, np.iinfo(dtype).max if np.dtype(dtype).kind in "iu" else np.nan, dtype)
 
 
 _NUMPY = SimpleNamespace(**{**vars(np), "empty": _unwritten})
@@ -79,7 +61,7 @@ _NUMPY = SimpleNamespace(**{**vars(np), "empty": _unwritten})
 
 def _plain(name: str, value: Any) -> Any:
     if value is math or value is np:
-        return _MATH if value is math else _NUMPY
+        return MATH if value is math else _NUMPY
     if hasattr(value, "py_func"):
         return _plain_function(value)
     if type(value).__name__ == "_Intrinsic":

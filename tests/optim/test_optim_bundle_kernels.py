@@ -21,6 +21,8 @@ from epipole.optim import (
 )
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim import _bundle_layout_kernels as layout_kernels
+from epipole.optim import _bundle_reduced_kernels as reduced_kernels
+from epipole.optim._bundle_arrays import Entries
 from epipole.optim.bundle_problem import BundleProblem
 from epipole.optim.bundle_system import LinearSolver
 from epipole.optim.losses import Loss
@@ -30,8 +32,18 @@ from kernel_references import assert_same_as_python, record_calls, reference_of
 ROUNDING = {"rtol": 1e-11, "of_largest": 1e-12}
 CALLED_BY = {
     bundle_system: (
-        *(kernels.find_visible, kernels.linearize, kernels.substitute_back, kernels.add_images),
-        *(kernels.multiply_eliminated, kernels.total_cost, kernels.settle_points, kernels.reduce_rows),
+        *(
+            kernels.find_visible,
+            kernels.linearize,
+            reduced_kernels.substitute_back,
+            reduced_kernels.add_images,
+        ),
+        *(
+            reduced_kernels.multiply_eliminated,
+            kernels.total_cost,
+            kernels.settle_points,
+            reduced_kernels.reduce_rows,
+        ),
         layout_kernels.count_pairs,
     ),
     bundle_layout: (layout_kernels.sort_by_node, layout_kernels.find_pattern, layout_kernels.find_entries),
@@ -153,11 +165,11 @@ def test_costs(variant: str) -> None:
 
 
 @every_variant
-@reference_of(kernels.linearize, kernels.substitute_back, kernels.add_images)
+@reference_of(kernels.linearize, reduced_kernels.substitute_back, reduced_kernels.add_images)
 def test_normal_equations(variant: str) -> None:
     compare(kernels.linearize, variant, **ROUNDING)
-    compare(kernels.substitute_back, variant, **ROUNDING)
-    for _, (unknowns, normal, gradient, _, _, out, _) in compare(kernels.add_images, variant):
+    compare(reduced_kernels.substitute_back, variant, **ROUNDING)
+    for _, (unknowns, normal, gradient, _, _, out, _) in compare(reduced_kernels.add_images, variant):
         frames = unknowns.nodes[:, 0]
         expected = np.zeros((len(out), 6))
         np.add.at(expected, frames[frames >= 0], gradient[frames >= 0, :6])
@@ -165,7 +177,7 @@ def test_normal_equations(variant: str) -> None:
         assert normal.shape[0] == len(frames)
 
 
-def dense_z(entries: kernels.Entries, z: np.ndarray, num_nodes: int) -> np.ndarray:
+def dense_z(entries: Entries, z: np.ndarray, num_nodes: int) -> np.ndarray:
     """Z as one matrix (nodes * lanes, points * 3)."""
     lanes = z.shape[2]
     out = np.zeros((num_nodes, lanes, len(entries.start) - 1, 3))
@@ -175,12 +187,12 @@ def dense_z(entries: kernels.Entries, z: np.ndarray, num_nodes: int) -> np.ndarr
     return out.reshape(num_nodes * lanes, -1)
 
 
-@reference_of(kernels.reduce_rows)
+@reference_of(reduced_kernels.reduce_rows)
 def test_the_reduced_system() -> None:
     for variant in ("direct", "iterative", "distances"):
-        ((_, after), *_) = compare(kernels.reduce_rows, variant, **ROUNDING)
+        ((_, after), *_) = compare(reduced_kernels.reduce_rows, variant, **ROUNDING)
         _, stop, entries, z, row_start, column, blocks, _, _ = after
-        before = calls_of(variant)[kernels.reduce_rows][0][6]
+        before = calls_of(variant)[reduced_kernels.reduce_rows][0][6]
         lanes = z.shape[2]
         whole = dense_z(entries, z, stop)
         product = (whole @ whole.T).reshape(stop, lanes, stop, lanes)
@@ -188,21 +200,23 @@ def test_the_reduced_system() -> None:
         np.testing.assert_allclose(blocks, before - product[row, :, column], atol=1e-9 * np.abs(before).max())
 
 
-@reference_of(kernels.multiply_eliminated)
+@reference_of(reduced_kernels.multiply_eliminated)
 def test_products_without_the_matrix() -> None:
-    for _, (entries, _, _, z, x, out, _, _) in compare(kernels.multiply_eliminated, "iterative", **ROUNDING):
+    for _, (entries, _, _, z, x, out, _, _) in compare(
+        reduced_kernels.multiply_eliminated, "iterative", **ROUNDING
+    ):
         whole = dense_z(entries, z, len(x))
         np.testing.assert_allclose(out.ravel(), whole @ (whole.T @ x.ravel()), atol=1e-9 * np.abs(out).max())
 
 
-@reference_of(kernels.point_covariances)
+@reference_of(reduced_kernels.point_covariances)
 def test_covariances_of_points(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = record_calls(
-        monkeypatch, import_module("epipole.optim.bundle_covariance"), kernels.point_covariances
+        monkeypatch, import_module("epipole.optim.bundle_covariance"), reduced_kernels.point_covariances
     )
     problem = rig(1)
     bundle_covariance(problem, adjust_bundle(problem, BundleConfig(max_iterations=2)), noise_px=1.0)
     ((entries, _, stop, *rest),) = calls
     for rows in ((0, stop), (2, 3), (4, 4)):
         arguments = (entries, *rows, *rest[:-1], np.zeros_like(rest[-1]))
-        assert_same_as_python(kernels.point_covariances, *arguments, rtol=1e-10, of_largest=1e-12)
+        assert_same_as_python(reduced_kernels.point_covariances, *arguments, rtol=1e-10, of_largest=1e-12)

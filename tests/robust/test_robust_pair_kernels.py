@@ -6,6 +6,7 @@ import pytest
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
 from epipole.robust import PairKind, PairMatches, verify, verify_pairs
+from epipole.robust import _model_selection_kernels as selection_kernels
 from epipole.robust import _pair_kernels as kernels
 from epipole.robust._wide_pair_kernels import fit_wide_motions
 from epipole.synthetic.problems import two_view_problem
@@ -40,10 +41,17 @@ def some_pairs(is_calibrated: bool) -> list[PairMatches]:
 
 @pytest.mark.parametrize("is_calibrated", [True, False])
 @reference_of(
-    kernels.fit_motions, kernels.fit_fundamentals, kernels.fit_homographies, kernels.judge, fit_wide_motions
+    kernels.fit_motions,
+    kernels.fit_fundamentals,
+    kernels.fit_homographies,
+    selection_kernels.select_models,
+    fit_wide_motions,
 )
 def test_pairs(monkeypatch: pytest.MonkeyPatch, is_calibrated: bool) -> None:
-    calls = {kernel: record_calls(monkeypatch, verify, kernel) for kernel in (*FITS, kernels.judge)}
+    calls = {
+        kernel: record_calls(monkeypatch, verify, kernel)
+        for kernel in (*FITS, selection_kernels.select_models)
+    }
     kinds = {geometry.kind for geometry in verify_pairs(some_pairs(is_calibrated), FEW)}
     assert {PairKind.DEGENERATE, PairKind.NO_MOTION} <= kinds
     for kernel, recorded in calls.items():

@@ -7,6 +7,7 @@ import pytest
 
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1, to_homogeneous
 from epipole.solvers import _absolute_pose_kernels as absolute
+from epipole.solvers import _five_point_kernels as five_point
 from epipole.solvers import _focal_motion_kernels as focal_motion
 from epipole.solvers import _more_pose_kernels as more
 from epipole.solvers import _two_view_kernels as two_view
@@ -114,13 +115,15 @@ def normalized(matrix: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("trial", range(4))
-@reference_of(two_view.essential_five_point, two_view.fundamental_seven_point, two_view.homography_four_point)
+@reference_of(
+    five_point.essential_five_point, two_view.fundamental_seven_point, two_view.homography_four_point
+)
 def test_two_views(trial: int) -> None:
     rng = np.random.default_rng(trial)
     motion, points = anywhere(rng), seen(rng, 7)
     truth, moved = normalized(essential_from_cam2_from_cam1(motion)), motion.apply(points)
     for solve, count, room, work in (
-        (two_view.essential_five_point, 5, (10, 9), two_view.five_point_workspace()),
+        (five_point.essential_five_point, 5, (10, 9), five_point.five_point_workspace()),
         (two_view.fundamental_seven_point, 7, (3, 9), two_view.seven_point_workspace()),
     ):
         y1, y2, out = points[:count], moved[:count], np.zeros(room)
@@ -180,14 +183,14 @@ def test_two_views_of_other_cameras(trial: int) -> None:
     more.generalized_p3p_workspace,
     more.p4pf_workspace,
     more.upright_relative_workspace,
-    two_view.five_point_workspace,
+    five_point.five_point_workspace,
     two_view.seven_point_workspace,
     focal_motion.shared_focal_workspace,
 )
 def test_rooms_are_of_one_shape() -> None:
     for room in (
         *(absolute.p3p_workspace, more.generalized_p3p_workspace, more.p4pf_workspace),
-        *(more.upright_relative_workspace, two_view.five_point_workspace, two_view.seven_point_workspace),
+        *(more.upright_relative_workspace, five_point.five_point_workspace, two_view.seven_point_workspace),
         focal_motion.shared_focal_workspace,
     ):
         with plain_python():
