@@ -72,17 +72,24 @@ def called_from_python(modules: list[Module]) -> set[Kernel]:
     return {kernel for module in callers for kernel in named(module.tree, imported(module), kernels)}
 
 
+def references(test: ast.AST) -> Iterator[ast.Call]:
+    """The decorators `@reference_of(...)` of a test."""
+    if isinstance(test, ast.FunctionDef) and test.name.startswith("test_"):
+        for decorator in test.decorator_list:
+            called = decorator.func if isinstance(decorator, ast.Call) else decorator
+            if isinstance(called, ast.Name) and called.id == "reference_of":
+                yield decorator
+
+
 def with_a_reference(tests: list[Module], kernels: set[Kernel]) -> set[Kernel]:
-    """The kernels named in `@reference_of(...)` of a test."""
-    return {
-        kernel
-        for module in tests
-        for node in ast.walk(module.tree)
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
-        for decorator in node.decorator_list
-        if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "reference_of"
-        for kernel in named(decorator, imported(module), kernels)
-    }
+    """The kernels that are named in `@reference_of(...)`."""
+    found: set[Kernel] = set()
+    for module in tests:
+        names = imported(module)
+        for test in module.tree.body:
+            for decorator in references(test):
+                found.update(named(decorator, names, kernels))
+    return found
 
 
 def test_every_kernel_that_python_calls_has_a_reference() -> None:

@@ -1,11 +1,16 @@
 """The loops over disparities against the same loops in Python, whose rows are NumPy's."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 
+import kernel_rows
+from epipole._jit import kernel
 from epipole.disparity_search import _block_kernels, _consistency_kernels, _path_kernels, search
+from epipole.disparity_search._simd_kernels import LANES, count_bits, extend_paths, keep_lower, least_two
 from epipole.disparity_search.config import DisparityConfig
-from kernel_references import assert_same_as_python, record_calls, reference_of
+from kernel_references import assert_same, assert_same_as_python, record_calls, reference_of
 
 
 def matched(rng: np.random.Generator, shape: tuple[int, int], config: DisparityConfig) -> None:
@@ -98,3 +103,46 @@ def test_judgements(rng: np.random.Generator) -> None:
             _consistency_kernels.judge_rows,
             *((disparity, lowest, second), theirs, blank, 0, limits, *rows, out),
         )
+
+
+@kernel
+def combine(codes, costs, paths, at_before, least, jump, at_now, sums, more, best, winners, blocks):
+    """Every instruction once; what they return."""
+    count_bits(codes, 3, codes, 40, 70, 3, costs, 1, blocks)
+    low = extend_paths(paths, at_before, least, jump, 20, costs, 1, at_now, sums, 2, blocks)
+    found = least_two(sums, 2, more, 5, blocks)
+    keep_lower(sums, 2, best, winners, 4, blocks)
+    return low, found
+
+
+def combine_by_numpy(codes, costs, paths, at_before, least, jump, at_now, sums, more, best, winners, blocks):
+    kernel_rows.count_bits(codes, 3, codes, 40, 70, 3, costs, 1, blocks)
+    low = kernel_rows.extend_paths(paths, at_before, least, jump, 20, costs, 1, at_now, sums, 2, blocks)
+    found = kernel_rows.least_two(sums, 2, more, 5, blocks)
+    kernel_rows.keep_lower(sums, 2, best, winners, 4, blocks)
+    return low, found
+
+
+@pytest.mark.parametrize("trial", range(8))
+def test_rows_do_what_numpy_does(trial: int) -> None:
+    """On any numbers, those at the ends of their types too, with ties, and with rows that begin anywhere."""
+    rng = np.random.default_rng(trial)
+    blocks = 1 + trial % 3
+    count = blocks * LANES
+    codes = rng.integers(0, 256, 500).astype(np.uint8)
+    costs, out = np.zeros(count + 2, np.uint8), np.zeros(count + 3, np.uint16)
+    paths = np.full(6 * (count + LANES), 255, np.uint8)
+    at = [LANES + k * (count + LANES) for k in range(4)]
+    for start in at[:2]:
+        paths[start : start + count] = rng.integers(0, 256 if trial % 2 else 4, count)
+    least = tuple(int(paths[start : start + count].min()) for start in at[:2])
+    more = rng.integers(0, 6 if trial < 4 else 50_000, count + 6).astype(np.uint16)
+    best = rng.integers(0, 65_536, count + 5).astype(np.uint16)
+    winners = rng.integers(0, 65_536, count + 5).astype(np.uint16)
+    arguments = (
+        *(codes, costs, paths, tuple(at[:2]), least, (255 - trial, 30), tuple(at[2:]), out),
+        *(more, best, winners, blocks),
+    )
+    ours, theirs = deepcopy(arguments), deepcopy(arguments)
+    assert_same(combine(*ours), combine_by_numpy(*theirs))
+    assert_same(ours, theirs)

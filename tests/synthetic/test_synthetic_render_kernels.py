@@ -1,11 +1,10 @@
-"""The ray caster against equations written out: every shape and lens, occlusion, sampling, compiled = read."""
+"""The ray caster against equations written out: every shape and lens, occlusion and sampling."""
 
 import numpy as np
 import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.synthetic import Box, HeightField, Plane, Sphere, SyntheticScene, Texture, look_at, render
-from epipole.synthetic import _render_kernels as kernels
 from epipole.synthetic._surface_kernels import height_at
 
 WIDTH, HEIGHT = 96, 64
@@ -146,27 +145,3 @@ def test_sensor_noise_has_the_asked_size() -> None:
     noisy = render(scene, CAMERAS[0], away, noise_sigma=4.0, seed=3).rgb.astype(float)
     # Rounding adds 1/12 to the variance; 18432 values know their deviation to 0.5 %.
     assert (noisy - clean).std() == pytest.approx(np.sqrt(16 + 1 / 12), rel=0.03)
-
-
-@pytest.mark.parametrize("texture", list(Texture))
-def test_compiled_is_as_written(texture: Texture) -> None:
-    camera = Camera(CameraModel.PINHOLE, 6, 4, np.array([5.0, 5.0, 2.5, 1.5]))
-    scene = SyntheticScene.of(
-        [
-            Sphere(center=(0, 0, 0.8), radius=0.7, texture=texture, seed=3),
-            Box(center=(0.8, 0.6, 0.4), half_size=(0.5, 0.4, 0.6), angle_rad=0.3, texture=texture, seed=4),
-            HeightField(
-                center=(0, 0, 0), half_size=(3, 3), amplitude=0.1, wavelength=1.0, texture=texture, seed=5
-            ),
-        ]
-    )
-    columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
-    motion = np.concatenate([VIEW.rotation.ravel(), VIEW.translation])
-    pictures = []
-    for rows in (kernels.render_rows, kernels.render_rows.py_func):
-        rgb, depth = np.zeros((4, 6, 3)), np.full((4, 6), np.nan)
-        rows(columns, int(camera.model), camera.padded_params(), motion, 0, 4, 6, rgb, depth)
-        pictures.append((rgb, depth))
-    assert np.isfinite(pictures[0][1]).sum() > 5
-    np.testing.assert_allclose(pictures[0][0], pictures[1][0], atol=1e-9)
-    np.testing.assert_allclose(pictures[0][1], pictures[1][1], atol=1e-9)
