@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test clean
+.PHONY: demo test test-numba clean
 
 demo: $(STAMP)
 	$(BIN)/epipole demo
@@ -16,8 +16,21 @@ test: $(STAMP)
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest
 
+# Kernels on the oldest Numba that is allowed and on the newest there is, each in an environment of its own.
+NUMBA_TESTS := tests/test_jit.py tests/test_kernel_modes.py tests/test_simd.py tests/robust tests/optim
+test-numba: .venv-oldest/.installed .venv-newest/.installed
+	.venv-oldest/bin/python -m pytest $(NUMBA_TESTS)
+	.venv-newest/bin/python -m pytest $(NUMBA_TESTS)
+
+.venv-oldest/.installed: CHOICE := numba==0.61.*
+.venv-newest/.installed: CHOICE := --upgrade numba
+.venv-oldest/.installed .venv-newest/.installed: pyproject.toml
+	$(PYTHON) -m venv $(@D)
+	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check -e '.[dev]' $(CHOICE)
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) .venv-oldest .venv-newest demo build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
 	rm -rf src/*.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -10,7 +10,7 @@ from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
 from epipole.robust import PairKind, PairMatches, estimate_relative_pose, verify_pairs
 from epipole.robust._relative_pose_kernels import RelativePoseProblem
 from epipole.robust._wide_motion_kernels import WideMotionProblem
-from epipole.robust.rays import is_wide, rays_on_plane, rays_with_slopes
+from epipole.robust.rays import is_wide, rays_on_plane
 from epipole.synthetic.problems import two_view_problem
 
 
@@ -65,8 +65,12 @@ def test_sampson_on_the_rays_of_a_pinhole_is_sampson_on_its_plane(rng):
     y1, y2 = (rays_on_plane(p.camera1, x) for x in (p.pixels1, p.pixels2))
     scale = p.camera1.focal_px
     plane = RelativePoseProblem(np.ascontiguousarray(np.concatenate([y1, y2], axis=1).T))
-    rays = rays_with_slopes(p.camera1, p.pixels1, p.camera2, p.pixels2, scale)
-    wide = WideMotionProblem(np.ascontiguousarray(rays.T))
+    (rays1, slopes1), (rays2, slopes2) = (
+        p.camera1.unproject_with_jacobian(p.pixels1),
+        p.camera2.unproject_with_jacobian(p.pixels2),
+    )
+    columns = [rays1, rays2, *(scale * slopes.reshape(-1, 6) for slopes in (slopes1, slopes2))]
+    wide = WideMotionProblem(np.ascontiguousarray(np.concatenate(columns, axis=1).T))
     model = np.zeros(32)
     motion = p.cam2_from_cam1
     model[:9], model[9:12] = motion.rotation.ravel(), motion.translation

@@ -11,6 +11,8 @@ are kept on the way, so that no similarity is ever written to memory.
 The same numbers come out of `_matching_kernels.top_two` on any processor, from a float32 product.
 """
 
+from contextlib import suppress
+
 import numpy as np
 from llvmlite import binding, ir
 from numba import types
@@ -40,19 +42,40 @@ def _lanes():
     return 8 if features.get("avxvnni") else 0
 
 
+def _dot_in(module, lanes, factors):
+    """The instruction, declared in a module for vectors of these factors."""
+    words = ir.VectorType(ir.IntType(32), lanes)
+    name = f"llvm.x86.avx512.vpdpbusd.{32 * lanes}"
+    return module.declare_intrinsic(name, fnty=ir.FunctionType(words, [words, factors, factors]))
+
+
+def _factors(lanes):
+    """How this LLVM declares the factors, as bytes or, up to version 21, as words; None if it does not know them."""
+    for kind in (ir.VectorType(ir.IntType(8), 4 * lanes), ir.VectorType(ir.IntType(32), lanes)):
+        module = ir.Module()
+        dot = _dot_in(module, lanes, kind)
+        builder = ir.IRBuilder(ir.Function(module, dot.ftype, "trial").append_basic_block())
+        builder.ret(builder.call(dot, builder.function.args))
+        with suppress(RuntimeError):
+            binding.parse_assembly(str(module)).verify()
+            return kind
+    return None
+
+
 LANES = _lanes()
+FACTORS = _factors(LANES) if LANES else None
+if FACTORS is None:
+    LANES = 0
 COLUMNS = VECTORS * LANES
 MOST_COLUMNS = LANES << GROUP_BITS
 
 
 def _emit_tile(builder, address, tile):
     """LLVM code of the micro-kernel; `address` maps a name to the pointer of that array."""
-    byte, word, long = ir.IntType(8), ir.IntType(32), ir.IntType(64)
-    words, bytes_ = ir.VectorType(word, LANES), ir.VectorType(byte, 4 * LANES)
+    word, long = ir.IntType(32), ir.IntType(64)
+    words = ir.VectorType(word, LANES)
     size = 4 * LANES
-    dot = builder.module.declare_intrinsic(
-        f"llvm.x86.avx512.vpdpbusd.{32 * LANES}", fnty=ir.FunctionType(words, [words, bytes_, bytes_])
-    )
+    dot = _dot_in(builder.module, LANES, FACTORS)
     pairs = [(r, v) for r in range(ROWS) for v in range(VECTORS)]
 
     def place(name, offset, kind):
@@ -88,12 +111,13 @@ def _emit_tile(builder, address, tile):
     sums = {pair: builder.phi(words) for pair in pairs}
     column_step = builder.mul(step, ir.Constant(long, size * VECTORS))
     columns = [
-        load("columns", builder.add(column_step, ir.Constant(long, size * v)), bytes_) for v in range(VECTORS)
+        load("columns", builder.add(column_step, ir.Constant(long, size * v)), FACTORS)
+        for v in range(VECTORS)
     ]
     row_step = builder.mul(step, ir.Constant(long, 4))
     rows = [
         builder.bitcast(
-            splat(load("rows", builder.add(row_step, ir.Constant(long, WIDTH * r)), word)), bytes_
+            splat(load("rows", builder.add(row_step, ir.Constant(long, WIDTH * r)), word)), FACTORS
         )
         for r in range(ROWS)
     ]

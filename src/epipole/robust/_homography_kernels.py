@@ -77,6 +77,12 @@ def retract_matrix(model, delta, out):
 class HomographyProblem(RobustProblem, Items):
     """Matches of order one, rows u1, v1, u2, v2."""
 
+    has_unit_steps = True
+
+    def breadth(self):
+        """Planes of the world are not quite plane, and the matches that show it lie beyond any threshold for pixels."""
+        return 1.5
+
     __slots__ = ()
 
     def sample_size(self):

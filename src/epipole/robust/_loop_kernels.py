@@ -87,14 +87,14 @@ def noise_variance(residuals, threshold_sq, size):
 
 
 @kernel(allocates=True)
-def polish(problem, model, threshold_sq, residuals, breadth):
+def polish(problem, model, threshold_sq, residuals):
     """Iteratively reweighted least squares at the scale of the noise, in place; returns the score.
 
     Truncation at the threshold weighs every inlier alike and drops good items where the noise is wide (at two
     deviations: a tenth of the accuracy). Here items count up to three deviations of the noise, with Cauchy's
     weights, which hardly touch Gaussian noise and listen less to the tail where most items are better than that.
     """
-    size = problem.degrees_of_freedom()
+    size, breadth = problem.degrees_of_freedom(), problem.breadth()
     a, b = np.empty((MOST_FREEDOM, MOST_FREEDOM)), np.empty(MOST_FREEDOM)
     tried, before = np.empty(MODEL_SIZE), np.empty(MODEL_SIZE)
     copy_numbers(model, before)
@@ -253,7 +253,6 @@ def _start_of_ranked(n, size):
 def ransac(
     problem,
     asked_sq,
-    breadth,
     confidence,
     min_iterations,
     max_iterations,
@@ -267,10 +266,11 @@ def ransac(
     """Write the best model, the squared residuals (n) and J^T J of its inliers (MOST_FREEDOM, MOST_FREEDOM).
 
     Samples are uniform, or PROSAC's if `ranking` holds the items, best first (None: not even compiled). Models that are
-    only nearly true, as planes of the world are nearly plane, are searched for at `breadth` times the threshold and
+    only nearly true, as planes of the world are nearly plane, are searched for at their breadth times the threshold and
     polished far beyond it: there the threshold takes the part of MAGSAC's greatest deviation (Barath et al., CVPR 2020).
     Returns (score, iterations); the score is infinite if no model was found.
     """
+    breadth = problem.breadth()
     threshold_sq = breadth * breadth * asked_sq
     n, size = problem.num_items(), problem.sample_size()
     state, sample = np.empty(1, np.uint64), np.empty(16, np.int64)
@@ -315,7 +315,7 @@ def ransac(
         problem.escape(best, residuals, threshold_sq, state)
         refine(problem, best, threshold_sq, np.int64(FINAL_STEPS))
         problem.residuals_sq(best, threshold_sq, residuals)
-        best_score = polish(problem, best, threshold_sq, residuals, breadth)
+        best_score = polish(problem, best, threshold_sq, residuals)
         if breadth > 1.0:
             best_score = problem.score(best, asked_sq, math.inf)
         problem.residuals_sq(best, asked_sq, residuals)

@@ -175,7 +175,7 @@ def select_models(pairs, calibrated, search, epipolar, planes, motions, selectio
         selection.noise_px[p] = selection.median_angle_rad[p] = math.nan
         selection.cost[p, :] = math.nan
         selection.rotation[p, :] = math.nan
-        if epipolar.iterations[p] < 0 or count < search.min_inliers:
+        if not epipolar.best_score[p] < math.inf or count < search.min_inliers:
             continue
         chosen = chosen[:count]
         rays1, rays2, sizes = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
@@ -226,5 +226,5 @@ def select_models(pairs, calibrated, search, epipolar, planes, motions, selectio
             best = ROTATION
         selection.model[p] = best
         selection.noise_px[p] = math.sqrt(variance)
-        if best < ROTATION and motions.iterations[p] >= 0:
+        if best < ROTATION and motions.best_score[p] < math.inf:
             selection.median_angle_rad[p] = _parallax(motions.raw[p], rays1, rays2)

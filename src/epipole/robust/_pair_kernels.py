@@ -13,7 +13,6 @@ from epipole.cameras._camera_kernels import unproject_one
 from epipole.robust._fundamental_kernels import FundamentalProblem
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._loop_kernels import next_random, ransac
-from epipole.robust._problem_kernels import MOST_FREEDOM
 from epipole.robust._relative_pose_kernels import RelativePoseProblem
 
 LEAST_DEPTH = 1e-3  # rays flatter than this do not cross the plane z = 1
@@ -59,9 +58,15 @@ class Fits(NamedTuple):
     residuals_px: np.ndarray
     """(matches,), infinite for what was left out."""
     frame: np.ndarray
-    """(pairs, 5): coordinates are (pixel - centre) / spread; u1, v1, u2, v2 of the centres, the spread."""
+    """(pairs, 5): coordinates are (pixel - centre) / spread; u1, v1, u2, v2 of the centres, the spread.
+
+    Of relative poses, whose coordinates are rays, the spread alone: the focal length."""
     iterations: np.ndarray
-    """(pairs,); -1 for a pair that gave no model."""
+    """(pairs,)"""
+    best_score: np.ndarray
+    """(pairs,), MSAC's in these coordinates; infinite for a pair that gave no model."""
+    information: np.ndarray
+    """(pairs, MOST_FREEDOM, MOST_FREEDOM), J^T J of the inliers."""
 
 
 @kernel
@@ -92,6 +97,12 @@ def shuffle(chosen, count, seed):
     for k in range(count - 1, 0, -1):
         other = np.int64(next_random(state) % np.uint64(k + 1))
         chosen[k], chosen[other] = chosen[other], chosen[k]
+
+
+@kernel
+def mean_focal(pairs, p):
+    """Harmonic mean of both focal lengths: what turns an error of rays into pixels."""
+    return 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
 
 
 @kernel(fuse=True)
@@ -126,33 +137,40 @@ def least_share(search, count):
 
 
 @kernel(allocates=True)
-def search_pair(pairs, p, problem, is_enough, chosen, scale, search, fits):
-    """The best model of pair p, whose items are its chosen matches in pixels over `scale`, and who agrees with it."""
-    count = problem.num_items()
+def _ranking(quality, chosen, count):
+    """The chosen matches, best first; None where nobody knows (and PROSAC is not even compiled)."""
+    if quality is None:
+        return None
+    return np.argsort(-quality[chosen[:count]], kind="mergesort")
+
+
+@kernel(allocates=True)
+def search_pair(pairs, p, problem, chosen, quality, search, fits):
+    """The best model of pair p, whose items are its chosen matches in the coordinates of `fits.frame`; and who agrees."""
+    count, scale = problem.num_items(), fits.frame[p, 4]
     residuals = np.full(count, math.inf)
-    fits.iterations[p] = -1
-    if is_enough:
+    fits.best_score[p], fits.iterations[p] = math.inf, 0
+    if count >= problem.sample_size():
         score, iterations = ransac(
             problem,
             (search.max_error_px / scale) ** 2,
-            1.0,
             search.confidence,
             search.min_iterations,
             search.max_iterations,
             least_share(search, count),
             pairs.seed[p],
-            None,
+            _ranking(quality, chosen, count),
             fits.raw[p],
             residuals,
-            np.empty((MOST_FREEDOM, MOST_FREEDOM)),
+            fits.information[p],
         )
-        fits.iterations[p] = iterations if score < math.inf else -1
+        fits.best_score[p], fits.iterations[p] = score, iterations
     keep(pairs, p, chosen, count, residuals, scale, fits)
 
 
 @kernel(allocates=True)
-def fit_motions(pairs, wanted, use, search, fits):
-    """Relative poses of the wanted pairs over the matches marked in `use`."""
+def fit_motions(pairs, wanted, use, quality, search, fits):
+    """Relative poses of the wanted pairs over the matches marked in `use`; quality (matches,) or None."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):
@@ -167,14 +185,15 @@ def fit_motions(pairs, wanted, use, search, fits):
             ):
                 chosen[seen] = chosen[c]
                 seen += 1
-        scale = 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
+        fits.frame[p, 4] = mean_focal(pairs, p)
         problem = RelativePoseProblem(items[:, :seen].copy())
-        search_pair(pairs, p, problem, seen >= max(5, search.min_inliers), chosen, scale, search, fits)
+        search_pair(pairs, p, problem, chosen, quality, search, fits)
 
 
 @kernel
 def _normalize(pairs, chosen, count, frame, items):
-    """Centre both pictures' matches and divide by one length; False where they coincide."""
+    """Centre both pictures' matches and divide by one length; returns their number, or 0 where they coincide."""
+    frame[4] = 1.0
     for r in range(4):
         total = 0.0
         for c in range(count):
@@ -188,16 +207,16 @@ def _normalize(pairs, chosen, count, frame, items):
                 total += (pairs.pixels[r, chosen[c]] - frame[r]) ** 2
         spread = max(spread, math.sqrt(total / count))
     if not (spread > 1e-9 and spread < math.inf):
-        return False
+        return 0
     frame[4] = spread
     for r in range(4):
         for c in range(count):
             items[r, c] = (pairs.pixels[r, chosen[c]] - frame[r]) / spread
-    return True
+    return count
 
 
 @kernel(allocates=True)
-def fit_fundamentals(pairs, wanted, use, search, fits):
+def fit_fundamentals(pairs, wanted, use, quality, search, fits):
     """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
@@ -206,23 +225,19 @@ def fit_fundamentals(pairs, wanted, use, search, fits):
             continue
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
-        fits.frame[p, 4] = 1.0
-        is_enough = count >= max(7, search.min_inliers) and _normalize(
-            pairs, chosen, count, fits.frame[p], items
-        )
+        count = _normalize(pairs, chosen, count, fits.frame[p], items)
         problem = FundamentalProblem(items[:, :count].copy())
-        search_pair(pairs, p, problem, is_enough, chosen, fits.frame[p, 4], search, fits)
+        search_pair(pairs, p, problem, chosen, quality, search, fits)
 
 
 @kernel(allocates=True)
-def fit_homographies(pairs, use, search, fits):
+def fit_homographies(pairs, use, quality, search, fits):
     """Homographies of all pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
-        fits.frame[p, 4] = 1.0
-        is_enough = count >= 4 and _normalize(pairs, chosen, count, fits.frame[p], items)
+        count = _normalize(pairs, chosen, count, fits.frame[p], items)
         problem = HomographyProblem(items[:, :count].copy())
-        search_pair(pairs, p, problem, is_enough, chosen, fits.frame[p, 4], search, fits)
+        search_pair(pairs, p, problem, chosen, quality, search, fits)

@@ -70,6 +70,13 @@ class RobustProblem:
 
     # Most problems keep these.
 
+    has_unit_steps = False
+    """Python only: steps are of one unit, so that one which moves nothing can be told by its size."""
+
+    def breadth(self):
+        """Above 1 if a model is only nearly true: thresholds to search at, before looking farther still."""
+        return 1.0
+
     def num_items(self):
         """All items."""
         return self.items.shape[1]
@@ -157,6 +164,7 @@ class MatrixProblem(RobustProblem):
     """
 
     __slots__ = ()
+    has_unit_steps = True
 
     def derivatives(self, model, d):
         """Fill d (freedom, 9): the entries of the matrix by the parameters of a step."""
@@ -185,7 +193,10 @@ _SUMS = {"error_sq", "agreeing", "score_block"}
 
 
 def compile_inside_kernels(declared_by, name):
-    """Let kernels call the method `name` of the classes of problems that derive from `declared_by`."""
+    """Let kernels call the method `name` of the classes of problems that derive from `declared_by`.
+
+    Numba then takes the name for a method of all named tuples: none that kernels see may have a field of that name.
+    """
 
     def choose(self, *_arguments):
         kind = self.instance_class
@@ -202,6 +213,6 @@ def compile_inside_kernels(declared_by, name):
 
 
 if kernel_mode() is not KernelMode.PYTHON:
-    for _name in [name for name in vars(RobustProblem) if name[0] != "_"]:
+    for _name in [name for name, value in vars(RobustProblem).items() if name[0] != "_" and callable(value)]:
         compile_inside_kernels(RobustProblem, _name)
     compile_inside_kernels(MatrixProblem, "derivatives")

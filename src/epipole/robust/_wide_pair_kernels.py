@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.cameras._camera_kernels import NUM_PARAMS, project_with_jacobian_one, unproject_one
-from epipole.robust._pair_kernels import choose, longest, search_pair, shuffle
+from epipole.robust._pair_kernels import choose, longest, mean_focal, search_pair, shuffle
 from epipole.robust._wide_motion_kernels import WideMotionProblem
 
 
@@ -32,7 +32,7 @@ def _ray(pairs, p, k, which, scale, by_point, by_params, out, column):
 
 
 @kernel(allocates=True)
-def fit_wide_motions(pairs, wanted, use, search, fits):
+def fit_wide_motions(pairs, wanted, use, quality, search, fits):
     """Relative poses of the wanted pairs over the matches marked in `use`."""
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((18, most))
@@ -42,7 +42,8 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
             continue
         count = choose(pairs, p, use, chosen)
         shuffle(chosen, count, pairs.seed[p])
-        scale = 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
+        scale = mean_focal(pairs, p)
+        fits.frame[p, 4] = scale
         seen = 0
         for c in range(count):
             k = chosen[c]
@@ -52,4 +53,4 @@ def fit_wide_motions(pairs, wanted, use, search, fits):
                 chosen[seen] = k
                 seen += 1
         problem = WideMotionProblem(items[:, :seen].copy())
-        search_pair(pairs, p, problem, seen >= max(5, search.min_inliers), chosen, scale, search, fits)
+        search_pair(pairs, p, problem, chosen, quality, search, fits)

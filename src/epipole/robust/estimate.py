@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -138,23 +138,8 @@ def failed(reason: Reason, n: int, freedom: int, num_iterations: int = 0) -> Fou
     )
 
 
-class ModelTraits(NamedTuple):
-    """What the loop has to know of a kind of model."""
-
-    of_order_one: bool = False
-    """Its steps are of one unit, so that one which moves nothing can be told by its size."""
-    breadth: float = 1.0
-    """Above 1 if it is only nearly true: thresholds to search at, before looking farther still."""
-
-
 def run_loop(
-    problem: Any,
-    order: np.ndarray,
-    n: int,
-    scale_px: float,
-    config: RansacConfig,
-    quality: np.ndarray | None,
-    traits: ModelTraits = ModelTraits(),  # noqa: B008 - immutable
+    problem: Any, order: np.ndarray, n: int, scale_px: float, config: RansacConfig, quality: np.ndarray | None
 ) -> Found:
     """Robustly fit a problem whose column k is the caller's item order[k].
 
@@ -165,20 +150,16 @@ def run_loop(
         scale_px: the unit of the problem's residuals in the caller's unit.
         config: threshold in the caller's unit.
         quality: (n,) for PROSAC, or None.
-        traits: of the kind of model.
     """
     m = len(order)
-    size, freedom = int(problem.sample_size()), int(problem.degrees_of_freedom())
-    if m < size:
-        return failed(Reason.TOO_FEW, n, freedom)
+    if m < problem.sample_size():
+        return failed(Reason.TOO_FEW, n, int(problem.degrees_of_freedom()))
     ranking = None if quality is None else np.argsort(-quality[order], kind="stable")
     raw, residuals = np.zeros(MODEL_SIZE), np.full(m, np.inf)
     information = np.zeros((MOST_FREEDOM, MOST_FREEDOM))
-    threshold_sq = (config.max_error_px / scale_px) ** 2
     score, iterations = loop.ransac(
         problem,
-        float(threshold_sq),
-        traits.breadth,
+        float((config.max_error_px / scale_px) ** 2),
         config.confidence,
         config.min_iterations,
         config.max_iterations,
@@ -189,23 +170,49 @@ def run_loop(
         residuals,
         information,
     )
-    if not np.isfinite(score):
-        return failed(Reason.NO_MODEL, n, freedom, int(iterations))
     out = np.full(n, np.inf)
     out[order] = np.sqrt(residuals) * scale_px
-    inlier_mask = out < config.max_error_px
-    num_inliers = int(inlier_mask.sum())
-    noise = untruncated_noise(out[inlier_mask], config.max_error_px, int(problem.residual_size()), freedom)
-    covariance, determined = invert_information(
-        information[:freedom, :freedom], noise / scale_px, of_order_one=traits.of_order_one
+    return found_by_loop(problem, score, int(iterations), raw, out, information, scale_px, config)
+
+
+def found_by_loop(
+    problem: Any,
+    score: float,
+    num_iterations: int,
+    raw: np.ndarray,
+    residuals: np.ndarray,
+    information: np.ndarray,
+    scale_px: float,
+    config: RansacConfig,
+) -> Found:
+    """What the loop's answer says: who agrees, how wide the noise is, and how well the model is determined.
+
+    Args:
+        problem: of the class that was fitted; its items do not matter.
+        score: the loop's, in the problem's coordinates.
+        num_iterations: how many samples were drawn.
+        raw: the model as the problem's kernels keep it.
+        residuals: (n,) in the caller's order and unit.
+        information: J^T J of the inliers.
+        scale_px: the unit of the problem's residuals in the caller's unit.
+        config: threshold in the caller's unit, inliers needed.
+    """
+    freedom = int(problem.degrees_of_freedom())
+    if not np.isfinite(score):
+        return failed(Reason.NO_MODEL, len(residuals), freedom, num_iterations)
+    inlier_mask = residuals < config.max_error_px
+    noise = untruncated_noise(
+        residuals[inlier_mask], config.max_error_px, int(problem.residual_size()), freedom
     )
-    if num_inliers < config.min_inliers:
+    covariance, determined = invert_information(
+        information[:freedom, :freedom], noise / scale_px, of_order_one=problem.has_unit_steps
+    )
+    if int(inlier_mask.sum()) < config.min_inliers:
         reason = Reason.TOO_FEW_INLIERS
     else:
         reason = Reason.OK if determined else Reason.DEGENERATE
-    return Found(
-        reason, raw, out, inlier_mask, int(iterations), float(score) * scale_px**2, noise, covariance
-    )
+    score_px = float(score) * scale_px**2
+    return Found(reason, raw, residuals, inlier_mask, num_iterations, score_px, noise, covariance)
 
 
 def untruncated_noise(residuals: np.ndarray, threshold: float, size: int, freedom: int) -> float:

@@ -11,7 +11,7 @@ from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
 from epipole.robust._focal_motion_kernels import FOCAL1, FOCAL2, SharedFocalProblem, TwoFocalsProblem
-from epipole.robust.estimate import Estimate, ModelTraits, random_order, run_loop, usable_rows
+from epipole.robust.estimate import Estimate, random_order, run_loop, usable_rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ def _fit(
     spread = float(np.sqrt((usable**2).mean() * 2.0)) if len(usable) else 1.0
     spread = spread if spread > 0 else 1.0
     problem = kind(np.ascontiguousarray((usable / spread).T))
-    found = run_loop(problem, order, n, spread, config, None, ModelTraits(of_order_one=True))
+    found = run_loop(problem, order, n, spread, config, None)
     motion = Rigid3(found.raw[9:18].reshape(3, 3).copy(), found.raw[18:21].copy())
     model = FocalMotion(motion, float(spread * found.raw[FOCAL1]), float(spread * found.raw[FOCAL2]))
     return found.estimate(model)

@@ -35,13 +35,3 @@ def is_wide(camera: Camera) -> bool:
     _, jacobian, _ = camera.project_with_jacobian(on_plane)
     sizes = np.linalg.svd(jacobian[:, :, :2] / camera.focal_px, compute_uv=False)
     return bool((sizes > _UNEVEN).any() or (sizes < 1.0 / _UNEVEN).any())
-
-
-def rays_with_slopes(
-    camera1: Camera, pixels1: Any, camera2: Camera, pixels2: Any, scale_px: float
-) -> Float64[np.ndarray, "n 18"]:
-    """Rows of `WideMotionProblem`: both unit rays, and their derivatives by pixels, times `scale_px`."""
-    y1, slope1 = camera1.unproject_with_jacobian(pixels1)
-    y2, slope2 = camera2.unproject_with_jacobian(pixels2)
-    slopes = (scale_px * slope.reshape(-1, 6) for slope in (slope1, slope2))
-    return np.concatenate([y1, y2, *slopes], axis=1)

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import bdtrc
 
-from epipole._checks import as_points, require_same_length
+from epipole._checks import require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
+from epipole.robust import _pair_kernels as kernels
 from epipole.robust._fundamental_kernels import (
     FundamentalProblem,
     derivatives_of_fundamental,
@@ -21,19 +22,26 @@ from epipole.robust._fundamental_kernels import (
 from epipole.robust._homography_kernels import HomographyProblem
 from epipole.robust._relative_pose_kernels import RelativePoseProblem, tangent_of_direction
 from epipole.robust._upright_motion_kernels import UprightMotionProblem
-from epipole.robust._wide_motion_kernels import WideMotionProblem
 from epipole.robust.absolute_pose import turn_upright
 from epipole.robust.estimate import (
     Estimate,
     Found,
-    ModelTraits,
     Reason,
     checked_quality,
     random_order,
     run_loop,
     usable_rows,
 )
-from epipole.robust.rays import is_wide, rays_on_plane, rays_with_slopes
+from epipole.robust.pair_batch import (
+    fit_motions,
+    found_of_one,
+    no_fits,
+    pack_pairs,
+    search_for,
+    to_coordinates,
+    usable_matches,
+)
+from epipole.robust.rays import rays_on_plane
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
@@ -103,9 +111,8 @@ def estimate_upright_motion(
         ShapeError: the arrays do not fit, or a direction is zero.
     """
     up1, up2 = (turn_upright(down, f"down_in_cams[{k}]") for k, down in enumerate(down_in_cams))
-    found = _fit_motion(
-        pixels1, pixels2, camera1, camera2, options_of(RansacConfig, config), None, (up1, up2)
-    )
+    cameras, options = (camera1, camera2), options_of(RansacConfig, config)
+    found = _fit_upright_motion(pixels1, pixels2, cameras, (up1, up2), options)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _twist_covariance(found))
 
@@ -149,7 +156,7 @@ def estimate_essential_matrix(
     )
 
 
-_BREADTH_OF_PLANES = 1.5
+_NO_ITEMS = np.empty((4, 0))
 _ALL_BUT_CHANCE = 0.8
 """Share of the inliers on one plane above which those off it may agree by chance alone."""
 
@@ -176,8 +183,13 @@ def estimate_fundamental_matrix(
         ShapeError: the arrays do not fit.
     """
     config = options_of(RansacConfig, config)
-    problem, found, t1, t2 = _fit_pixels(FundamentalProblem, pixels1, pixels2, config, quality)
-    if found.reason is Reason.OK and _is_held_by_a_plane(problem, found.raw, config.max_error_px * t1[0, 0]):
+    pairs = pack_pairs([(pixels1, pixels2)], None, [config.seed])
+    use, fits = usable_matches(pairs), no_fits(pairs)
+    quality = checked_quality(quality, len(use))
+    kernels.fit_fundamentals(pairs, np.ones(1, bool), use, quality, search_for(config), fits)
+    found = found_of_one(FundamentalProblem(_NO_ITEMS), use, fits, config)
+    t1, t2 = to_coordinates(fits, 0)
+    if found.reason is Reason.OK and _is_held_by_a_plane(pairs, use, fits, config):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -208,7 +220,11 @@ def estimate_homography(
         ShapeError: the arrays do not fit.
     """
     config = options_of(RansacConfig, config)
-    _, found, t1, t2 = _fit_pixels(HomographyProblem, pixels1, pixels2, config, quality, _BREADTH_OF_PLANES)
+    pairs = pack_pairs([(pixels1, pixels2)], None, [config.seed])
+    use, fits = usable_matches(pairs), no_fits(pairs)
+    kernels.fit_homographies(pairs, use, checked_quality(quality, len(use)), search_for(config), fits)
+    found = found_of_one(HomographyProblem(_NO_ITEMS), use, fits, config)
+    t1, t2 = to_coordinates(fits, 0)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -222,62 +238,42 @@ def _fit_motion(
     camera2: Camera,
     config: RansacConfig,
     quality: Any,
-    upright: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Found:
-    y1, y2 = rays_on_plane(camera1, pixels1, "pixels1"), rays_on_plane(camera2, pixels2, "pixels2")
+    pairs = pack_pairs([(pixels1, pixels2)], [(camera1, camera2)], [config.seed])
+    use, fits = usable_matches(pairs), no_fits(pairs)
+    fit_motions(pairs, np.ones(1, bool), use, checked_quality(quality, len(use)), search_for(config), fits)
+    return found_of_one(RelativePoseProblem(_NO_ITEMS), use, fits, config)
+
+
+def _fit_upright_motion(
+    pixels1: Any,
+    pixels2: Any,
+    cameras: tuple[Camera, Camera],
+    upright: tuple[np.ndarray, np.ndarray],
+    config: RansacConfig,
+) -> Found:
+    y1, y2 = rays_on_plane(cameras[0], pixels1, "pixels1"), rays_on_plane(cameras[1], pixels2, "pixels2")
     n = require_same_length(pixels1=y1, pixels2=y2)
-    scale_px = 2.0 / (1.0 / camera1.focal_px + 1.0 / camera2.focal_px)
-    wide = upright is None and (is_wide(camera1) or is_wide(camera2))
-    if wide:
-        matches = rays_with_slopes(camera1, pixels1, camera2, pixels2, scale_px)
-    else:
-        matches = np.concatenate([y1, y2], axis=1)
+    matches = np.concatenate([y1, y2], axis=1)
     order = random_order(usable_rows(matches), config)
-    columns = np.ascontiguousarray(matches[order].T)
-    problem: Any = WideMotionProblem(columns) if wide else RelativePoseProblem(columns)
-    if upright is not None:
-        problem = UprightMotionProblem(columns, *upright)
-    return run_loop(
-        problem, order, n, scale_px, config, checked_quality(quality, n), ModelTraits(of_order_one=True)
-    )
+    problem = UprightMotionProblem(np.ascontiguousarray(matches[order].T), *upright)
+    scale_px = 2.0 / (1.0 / cameras[0].focal_px + 1.0 / cameras[1].focal_px)
+    return run_loop(problem, order, n, scale_px, config, None)
 
 
-def _fit_pixels(
-    kind: Any, pixels1: Any, pixels2: Any, config: RansacConfig, quality: Any, breadth: float = 1.0
-) -> tuple[Any, Found, np.ndarray, np.ndarray]:
-    """Fit in coordinates centred and divided by one common length, so that one threshold serves both pictures."""
-    p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
-    n = require_same_length(pixels1=p1, pixels2=p2)
-    matches = np.concatenate([p1, p2], axis=1)
-    order = random_order(usable_rows(matches), config)
-    usable = matches[order]
-    center, spread = np.zeros(4), 1.0
-    if len(usable):
-        center = usable.mean(axis=0)
-        deviation = usable.std(axis=0)
-        spread = max(
-            float(np.hypot(deviation[0], deviation[1])), float(np.hypot(deviation[2], deviation[3])), 1e-9
-        )
-    problem = kind(np.ascontiguousarray(((usable - center) / spread).T))
-    quality = checked_quality(quality, n)
-    found = run_loop(
-        problem, order, n, spread, config, quality, ModelTraits(of_order_one=True, breadth=breadth)
-    )
-    t1, t2 = (
-        np.array([[1 / spread, 0, -u / spread], [0, 1 / spread, -v / spread], [0, 0, 1]])
-        for u, v in (center[:2], center[2:])
-    )
-    return problem, found, t1, t2
-
-
-def _is_held_by_a_plane(problem: FundamentalProblem, raw: np.ndarray, max_error: float) -> bool:
+def _is_held_by_a_plane(
+    pairs: kernels.Pairs, use: np.ndarray, fits: kernels.Fits, config: RansacConfig
+) -> bool:
     """Whether F stands on a plane and on no more matches off it than chance gives.
 
     Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
     expected to give to a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). Of 800 noisy planes none
     passed for a scene with depth; few points off the plane may pass for none.
     """
-    share, num_off, agreed, chance = parallax_support(raw, problem.items, max_error**2, np.uint64(0))
+    center, spread = fits.frame[0, :4, None], fits.frame[0, 4]
+    items = np.ascontiguousarray((pairs.pixels[:, use] - center) / spread)
+    max_error_sq = (config.max_error_px / spread) ** 2
+    share, num_off, agreed, chance = parallax_support(fits.raw[0], items, max_error_sq, np.uint64(0))
     if share < _ALL_BUT_CHANCE:
         return False
     pairs = 0.5 * num_off * (num_off - 1)

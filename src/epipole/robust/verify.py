@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._checks import as_points, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
@@ -20,10 +19,15 @@ from epipole.geometry.epipolar import (
 )
 from epipole.robust import _model_selection_kernels as selection_kernels
 from epipole.robust import _pair_kernels as kernels
-from epipole.robust._problem_kernels import MODEL_SIZE
-from epipole.robust._wide_pair_kernels import fit_wide_motions
+from epipole.robust.pair_batch import (
+    fit_motions,
+    no_fits,
+    pack_pairs,
+    search_for,
+    to_coordinates,
+    usable_matches,
+)
 from epipole.robust.pair_kind import PairKind
-from epipole.robust.rays import is_wide
 
 PLANE_SHARE = 0.7
 """A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
@@ -131,10 +135,10 @@ def find_guide(
 ) -> Float64[np.ndarray, "3 3"] | None:
     """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move."""
     pair = PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)
-    packed = _pack([pair], config)
+    packed = _packed([pair], config)
     epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
     inliers = epipolar.residuals_px < config.max_error_px
-    if epipolar.iterations[0] < 0 or inliers.sum() < config.min_inliers:
+    if not np.isfinite(epipolar.best_score[0]) or inliers.sum() < config.min_inliers:
         return None
     shift = packed.pixels[2:, inliers] - packed.pixels[:2, inliers]
     if np.median(np.hypot(shift[0], shift[1])) < STILL_PX:
@@ -143,21 +147,23 @@ def find_guide(
 
 
 def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeometry]:
-    packed = _pack(pairs, config)
+    packed = _packed(pairs, config)
     n = len(pairs)
     calibrated = np.array([pair.is_calibrated for pair in pairs], bool)
     epipolar, motions = _fit_epipolar(packed, calibrated, config)
     inliers = epipolar.residuals_px < config.max_error_px
     if not calibrated.all():
-        loose = _search(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
-        _fit_motions(packed, ~calibrated, inliers, loose, motions)
-    planes = _no_fits(packed)
-    plane_search = _search(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
-    kernels.fit_homographies(packed, inliers, plane_search, planes)
+        loose = search_for(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
+        fit_motions(packed, ~calibrated, inliers, None, loose, motions)
+    planes = no_fits(packed)
+    plane_search = search_for(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
+    kernels.fit_homographies(packed, inliers, None, plane_search, planes)
     selection = selection_kernels.Selection(
         np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)
     )
-    selection_kernels.select_models(packed, calibrated, _search(config), epipolar, planes, motions, selection)
+    selection_kernels.select_models(
+        packed, calibrated, search_for(config), epipolar, planes, motions, selection
+    )
     return [
         _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, selection)
         for p, pair in enumerate(pairs)
@@ -168,83 +174,24 @@ def _fit_epipolar(
     packed: kernels.Pairs, calibrated: np.ndarray, config: RansacConfig
 ) -> tuple[kernels.Fits, kernels.Fits]:
     """What explains each pair, E where calibrated and F elsewhere; and the motions of calibrated pairs."""
-    finite = np.isfinite(packed.pixels).all(axis=0)
-    epipolar, motions, search = _no_fits(packed), _no_fits(packed), _search(config)
+    use = usable_matches(packed)
+    epipolar, motions, search = no_fits(packed), no_fits(packed), search_for(config)
     if not calibrated.all():
-        kernels.fit_fundamentals(packed, ~calibrated, finite, search, epipolar)
+        kernels.fit_fundamentals(packed, ~calibrated, use, None, search, epipolar)
     if calibrated.any():
-        _fit_motions(packed, calibrated, finite, search, motions)
+        fit_motions(packed, calibrated, use, None, search, motions)
         of_calibrated = np.repeat(calibrated, np.diff(packed.offsets))
         np.copyto(epipolar.residuals_px, motions.residuals_px, where=of_calibrated)
-        np.copyto(epipolar.iterations, motions.iterations, where=calibrated)
+        np.copyto(epipolar.best_score, motions.best_score, where=calibrated)
     return epipolar, motions
 
 
-def _fit_motions(
-    packed: kernels.Pairs,
-    wanted: np.ndarray,
-    use: np.ndarray,
-    search: kernels.Search,
-    motions: kernels.Fits,
-) -> None:
-    """Relative poses, of wide lenses on their rays."""
-    wide = wanted & (packed.wide[packed.camera1] | packed.wide[packed.camera2])
-    if (wanted & ~wide).any():
-        kernels.fit_motions(packed, wanted & ~wide, use, search, motions)
-    if wide.any():
-        fit_wide_motions(packed, wide, use, search, motions)
-
-
-def _pack(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
-    columns = []
-    for pair in pairs:
-        p1, p2 = as_points(pair.pixels1, "pixels1", 2), as_points(pair.pixels2, "pixels2", 2)
-        require_same_length(pixels1=p1, pixels2=p2)
-        columns.append(np.concatenate([p1, p2], axis=1))
-    cameras = list({id(c): c for pair in pairs for c in (pair.camera1, pair.camera2)}.values())
-    row = {id(camera): k for k, camera in enumerate(cameras)}
-    return kernels.Pairs(
-        np.ascontiguousarray(np.concatenate(columns).T),
-        np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64),
-        np.array([row[id(pair.camera1)] for pair in pairs], np.int64),
-        np.array([row[id(pair.camera2)] for pair in pairs], np.int64),
-        np.array([int(c.model) for c in cameras], np.int64),
-        np.stack([c.padded_params() for c in cameras]),
-        np.array([c.focal_px for c in cameras]),
-        np.array([is_wide(c) for c in cameras], bool),
-        np.array([(config.seed + pair.seed) % 2**64 for pair in pairs], np.uint64),
+def _packed(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
+    return pack_pairs(
+        [(pair.pixels1, pair.pixels2) for pair in pairs],
+        [(pair.camera1, pair.camera2) for pair in pairs],
+        [config.seed + pair.seed for pair in pairs],
     )
-
-
-def _no_fits(packed: kernels.Pairs) -> kernels.Fits:
-    n = len(packed.seed)
-    return kernels.Fits(
-        np.full((n, MODEL_SIZE), np.nan),
-        np.full(packed.pixels.shape[1], np.inf),
-        np.zeros((n, 5)),
-        np.full(n, -1, np.int64),
-    )
-
-
-def _search(
-    config: RansacConfig, factor: float = 1.0, most: int | None = None, share: float | None = None
-) -> kernels.Search:
-    most = config.max_iterations if most is None else min(most, config.max_iterations)
-    return kernels.Search(
-        float(factor * config.max_error_px),
-        float(config.confidence),
-        min(config.min_iterations, most),
-        most,
-        config.min_inliers,
-        float(config.min_inlier_ratio if share is None else share),
-    )
-
-
-def _in_pixels(fits: kernels.Fits, p: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The fitted matrix and the maps of both pictures' pixels to its coordinates."""
-    u1, v1, u2, v2, s = fits.frame[p]
-    t1, t2 = (np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1]]) for u, v in ((u1, v1), (u2, v2)))
-    return fits.raw[p, :9].reshape(3, 3), t1, t2
 
 
 def _matrices(
@@ -255,8 +202,8 @@ def _matrices(
         essential = motions.raw[p, 12:21].reshape(3, 3)
         fundamental = fundamental_from_essential(essential, pair.camera1.K, pair.camera2.K)
     else:
-        inner, t1, t2 = _in_pixels(epipolar, p)
-        fundamental = t2.T @ inner @ t1
+        t1, t2 = to_coordinates(epipolar, p)
+        fundamental = t2.T @ epipolar.raw[p, :9].reshape(3, 3) @ t1
         essential = essential_from_fundamental(fundamental, pair.camera1.K, pair.camera2.K)
     return essential / np.linalg.norm(essential), fundamental / np.linalg.norm(fundamental)
 
@@ -282,9 +229,9 @@ def _geometry(
     else:
         essential, fundamental = _matrices(pair, p, epipolar, motions)
         motion = Rigid3(motions.raw[p, :9].reshape(3, 3).copy(), motions.raw[p, 9:12].copy())
-        if planes.iterations[p] >= 0:
-            inner, t1, t2 = _in_pixels(planes, p)
-            homography = np.linalg.solve(t2, inner @ t1)
+        if np.isfinite(planes.best_score[p]):
+            t1, t2 = to_coordinates(planes, p)
+            homography = np.linalg.solve(t2, planes.raw[p, :9].reshape(3, 3) @ t1)
             homography = homography / np.linalg.norm(homography)
     if kind is PairKind.ROTATION:
         motion = Rigid3(selection.rotation[p].reshape(3, 3).copy(), np.zeros(3))
