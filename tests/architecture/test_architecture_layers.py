@@ -92,7 +92,17 @@ def test_kernels_are_imported_by_kernels_and_by_their_own_room_only() -> None:
 
 def test_kernel_files_import_little() -> None:
     """NumPy, the standard library, the decorator, other kernels and private modules of the room: no result class."""
-    allowed = {"numpy", "numba", "llvmlite", "math", "ctypes", "contextlib", "inspect", "typing", "__future__"}
+    allowed = {
+        "numpy",
+        "numba",
+        "llvmlite",
+        "math",
+        "ctypes",
+        "contextlib",
+        "inspect",
+        "typing",
+        "__future__",
+    }
     wrong = []
     for source in sources():
         if not source.is_kernels:

@@ -11,6 +11,7 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.robust import _absolute_pose_kernels as absolute_kernels
 from epipole.robust import _loop_kernels as loop
+from epipole.robust import _pair_kernels as pair_kernels
 from epipole.robust import (
     absolute_pose,
     estimate,
@@ -27,8 +28,11 @@ from epipole.robust import (
     estimate_similarity,
     estimate_upright_motion,
     estimate_upright_pose,
+    pair_batch,
+    two_view,
 )
 from epipole.robust._fundamental_kernels import EPIPOLE, SENSE
+from epipole.robust._wide_pair_kernels import fit_wide_motions
 from kernel_references import assert_same, assert_same_as_python, both_ways, record_calls, reference_of
 
 PINHOLE = Camera(CameraModel.PINHOLE, 1000, 800, np.array([900.0, 900.0, 499.5, 399.5]))
@@ -40,7 +44,7 @@ FEW = RansacConfig(max_error_px=3.0, min_iterations=3, max_iterations=6, min_inl
 # Sums may be taken in any order (`reassoc`), and a descent stops when it gains little.
 ORDER = {"rtol": 1e-5, "of_largest": 1e-6}
 
-BEST = 9  # among the loop's arguments
+BEST = 8  # among the loop's arguments
 
 
 def scene(count: int = 24, plane: bool = False) -> np.ndarray:
@@ -97,6 +101,9 @@ PROBLEMS: dict[str, Callable[[], Any]] = {
         scene(), seen(PINHOLE, TURN.apply(scene())), CENTER, FEW
     ),
     "relative pose": lambda: estimate_relative_pose(*two_views(), PINHOLE, PINHOLE, FEW),
+    "relative pose, ranked": lambda: estimate_relative_pose(
+        *two_views(), PINHOLE, PINHOLE, FEW, quality=with_quality()
+    ),
     "wide motion": lambda: estimate_relative_pose(*two_views(FISHEYE), FISHEYE, FISHEYE, FEW),
     "essential": lambda: estimate_essential_matrix(*two_views(), PINHOLE, PINHOLE, FEW),
     "upright motion": lambda: estimate_upright_motion(*two_views(), PINHOLE, PINHOLE, (DOWN, DOWN), FEW),
@@ -113,19 +120,35 @@ PROBLEMS: dict[str, Callable[[], Any]] = {
 }
 
 
+CALLERS = {
+    loop.ransac: estimate,
+    pair_kernels.fit_motions: pair_batch,
+    fit_wide_motions: pair_batch,
+    pair_kernels.fit_fundamentals: two_view,
+    pair_kernels.fit_homographies: two_view,
+}
+
+
 @pytest.mark.parametrize("name", list(PROBLEMS))
-@reference_of(loop.ransac)
+@reference_of(
+    loop.ransac,
+    pair_kernels.fit_motions,
+    fit_wide_motions,
+    pair_kernels.fit_fundamentals,
+    pair_kernels.fit_homographies,
+)
 def test_searches(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    calls = record_calls(monkeypatch, estimate, loop.ransac)
+    calls = {kernel: record_calls(monkeypatch, module, kernel) for kernel, module in CALLERS.items()}
     PROBLEMS[name]()
-    assert calls
-    for arguments in calls:
-        ours, theirs = both_ways(loop.ransac, *arguments)
-        if "focal" in name:
-            for _, after in (ours, theirs):
-                turn_epipole(after[BEST])
-        # A model takes the first places of its room.
-        assert_same(ours, theirs, only_written=True, **ORDER)
+    assert any(calls.values())
+    for kernel, recorded in calls.items():
+        for arguments in recorded:
+            ours, theirs = both_ways(kernel, *arguments)
+            if "focal" in name:
+                for _, after in (ours, theirs):
+                    turn_epipole(after[BEST])
+            # A model takes the first places of its room.
+            assert_same(ours, theirs, only_written=True, **ORDER)
 
 
 def turn_epipole(model: np.ndarray) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
-from epipole.robust import PairKind, PairMatches, verify, verify_pairs
+from epipole.robust import PairKind, PairMatches, pair_batch, verify, verify_pairs
 from epipole.robust import _model_selection_kernels as selection_kernels
 from epipole.robust import _pair_kernels as kernels
 from epipole.robust._wide_pair_kernels import fit_wide_motions
@@ -16,6 +16,13 @@ FEW = RansacConfig(max_error_px=3.0, min_iterations=3, max_iterations=8, min_inl
 FISHEYE = Camera(CameraModel.OPENCV_FISHEYE, 1280, 960, np.array([400.0, 410.0, 640.0, 480.0, 0.01, 0, 0, 0]))
 # Sums may be taken in any order (`reassoc`), and a descent stops when it gains little.
 ORDER = {"rtol": 1e-5, "atol": 1e-9, "of_largest": 1e-6, "only_written": True}
+CALLERS = {
+    kernels.fit_motions: pair_batch,
+    fit_wide_motions: pair_batch,
+    kernels.fit_fundamentals: verify,
+    kernels.fit_homographies: verify,
+    selection_kernels.select_models: verify,
+}
 FITS = kernels.fit_motions, kernels.fit_fundamentals, kernels.fit_homographies, fit_wide_motions
 
 
@@ -48,10 +55,7 @@ def some_pairs(is_calibrated: bool) -> list[PairMatches]:
     fit_wide_motions,
 )
 def test_pairs(monkeypatch: pytest.MonkeyPatch, is_calibrated: bool) -> None:
-    calls = {
-        kernel: record_calls(monkeypatch, verify, kernel)
-        for kernel in (*FITS, selection_kernels.select_models)
-    }
+    calls = {kernel: record_calls(monkeypatch, module, kernel) for kernel, module in CALLERS.items()}
     kinds = {geometry.kind for geometry in verify_pairs(some_pairs(is_calibrated), FEW)}
     assert {PairKind.DEGENERATE, PairKind.NO_MOTION} <= kinds
     for kernel, recorded in calls.items():
@@ -62,19 +66,21 @@ def test_pairs(monkeypatch: pytest.MonkeyPatch, is_calibrated: bool) -> None:
 
 @reference_of(kernels.fit_motions, kernels.fit_fundamentals, kernels.fit_homographies, fit_wide_motions)
 def test_no_pair_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls = {kernel: record_calls(monkeypatch, verify, kernel) for kernel in FITS}
+    calls = {kernel: record_calls(monkeypatch, CALLERS[kernel], kernel) for kernel in FITS}
     verify_pairs(some_pairs(False), FEW)
     for kernel, recorded in calls.items():
-        pairs, *wanted, use, search, fits = recorded[0]
+        pairs, *wanted, use, quality, search, fits = recorded[0]
         nothing = [np.zeros_like(w) for w in wanted]
-        _, (*_, after) = assert_same_as_python(kernel, pairs, *nothing, np.zeros_like(use), search, fits)
+        _, (*_, after) = assert_same_as_python(
+            kernel, pairs, *nothing, np.zeros_like(use), quality, search, fits
+        )
         assert not (after.residuals_px < np.inf).any()
 
 
 @reference_of(kernels.fit_motions)
 def test_matches_that_coincide(monkeypatch: pytest.MonkeyPatch) -> None:
     """All motions explain them: rounding says which one comes, but not how well it fits."""
-    calls = record_calls(monkeypatch, verify, kernels.fit_motions)
+    calls = record_calls(monkeypatch, pair_batch, kernels.fit_motions)
     p, same = two_view_problem(1), np.full((12, 2), 5.0)
     verify_pairs([PairMatches(same, same, p.camera1, p.camera2)], FEW)
     (_, ours), (_, theirs) = both_ways(kernels.fit_motions, *calls[0])
