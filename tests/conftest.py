@@ -6,11 +6,22 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Every annotated function of the package checks the shapes and types of its arguments and results in the test
 # run; an int may stand for a float, as in mypy. This must come before the first import of epipole.
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 jaxtyping.install_import_hook("epipole", CHECKER)
+
+# Made-up examples are the same in every run, few, and may take as long as a kernel compiles.
+settings.register_profile(
+    "epipole",
+    derandomize=True,
+    deadline=None,
+    max_examples=30,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+)
+settings.load_profile("epipole")
 
 
 @pytest.fixture
