@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from any_geometry import HEIGHT, WIDTH, cameras, numbers, pixels, points_ahead, vectors
 from hypothesis import given
 from hypothesis import strategies as st
 
+from any_geometry import HEIGHT, WIDTH, cameras, numbers, pixels, points_ahead, vectors
 from epipole.cameras import CameraModel
 
 MODELS = [pytest.param(model, id=model.name) for model in CameraModel]

@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from any_geometry import GROUPS, rotations, similarity_tangents, turns, twists, vectors
 from hypothesis import given
 from hypothesis import strategies as st
 
+from any_geometry import GROUPS, rotations, similarity_tangents, turns, twists, vectors
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, align_points
 
 KINDS = [pytest.param(kind, id=kind.__name__) for kind in GROUPS]
