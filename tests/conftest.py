@@ -19,7 +19,7 @@ settings.register_profile(
     derandomize=True,
     deadline=None,
     max_examples=30,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 settings.load_profile("epipole")
 

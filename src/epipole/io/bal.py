@@ -85,9 +85,10 @@ def write_bal(path: str | Path, problem: BundleProblem) -> None:
         WorkspaceError: the file cannot be written.
     """
     num_frames = len(problem.rig_from_world.translation)
-    camera = np.zeros(num_frames, np.int64)
+    # A frame that sees nothing has the camera of its own row, as `read_bal` gives it.
+    camera = np.minimum(np.arange(num_frames), len(problem.camera_params) - 1)
     camera[problem.frame] = problem.camera
-    used = np.unique(problem.camera)
+    used = np.unique(camera)
     if (camera[problem.frame] != problem.camera).any() or problem.cam_from_rig.log().any():
         raise ShapeError("the format holds one camera for each frame, and no rigs")
     if (problem.camera_model[used] != int(CameraModel.RADIAL)).any() or problem.camera_params[
