@@ -13,14 +13,13 @@ from hypothesis import HealthCheck, settings
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 jaxtyping.install_import_hook("epipole", CHECKER)
 
-# Made-up examples are the same in every run, few, and may take as long as a kernel compiles.
+# Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
+# `--hypothesis-profile=hunt` looks for new ones.
+QUIET = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 settings.register_profile(
-    "epipole",
-    derandomize=True,
-    deadline=None,
-    max_examples=30,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    "epipole", derandomize=True, deadline=None, max_examples=40, suppress_health_check=QUIET
 )
+settings.register_profile("hunt", deadline=None, max_examples=600, suppress_health_check=QUIET, database=None)
 settings.load_profile("epipole")
 
 
