@@ -67,7 +67,7 @@ def cameras(draw: st.DrawFn, bend: float = 0.03, model: CameraModel | None = Non
     model = draw(MODELS) if model is None else model
     focal = [draw(numbers(400.0, 2000.0)) for _ in model.focal_indices]
     middle = [draw(numbers(250.0, 390.0)), draw(numbers(180.0, 300.0))]
-    lens = [draw(numbers(-bend, bend)) for _ in model.distortion_indices]
+    lens = [round(draw(numbers(-bend, bend)), 9) for _ in model.distortion_indices]
     if model in (CameraModel.OPENCV, CameraModel.FULL_OPENCV):
         lens[2:4] = [0.05 * value for value in lens[2:4]]  # decentring is small
     return Camera(model, WIDTH, HEIGHT, np.array([*focal, *middle, *lens]))

@@ -15,7 +15,8 @@ from epipole.errors import EpipoleError
 
 MOST_BYTES = 48 << 20
 """More than this no reader may take for the small files of these tests."""
-MOST_SECONDS = 5.0
+MOST_SECONDS = 10.0
+"""Of the processor, not of the clock: other work on the machine does not count."""
 
 NUMBERS = (
     *("0", "-1", "1", "-0.0", "0.5", "255", "256", "65536", "2147483647", "2147483648", "-2147483649"),
@@ -113,7 +114,7 @@ def read_or_refuse(read: Callable[..., Any], *arguments: Any, names: str = "") -
 
     Any other exception passes; too much memory or time is an assertion's failure.
     """
-    start = time.perf_counter()
+    start = time.process_time()
     tracemalloc.start()
     try:
         return read(*arguments)
@@ -125,7 +126,7 @@ def read_or_refuse(read: Callable[..., Any], *arguments: Any, names: str = "") -
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < MOST_BYTES, f"reading took {peak >> 20} MB"
-        assert time.perf_counter() - start < MOST_SECONDS
+        assert time.process_time() - start < MOST_SECONDS
 
 
 def assert_motions(motions: Any) -> None:

@@ -176,6 +176,13 @@ def test_yaml_that_trips_its_own_reader(folder: Path, line: str) -> None:
         read_calibration(folder / "tripping.yaml")
 
 
+def test_a_name_that_is_no_text(folder: Path, valid: dict[str, bytes]) -> None:
+    """OpenCV hands names on as they are."""
+    (folder / "bytes.yaml").write_bytes(valid["opencv.yaml"].replace(b"image_width", b"\xe9mage_width"))
+    with pytest.raises(FileFormatError, match=r"bytes\.yaml: OpenCV cannot read it"):
+        read_calibration(folder / "bytes.yaml")
+
+
 def test_a_few_lines_of_aliases_are_not_a_billion_numbers(folder: Path) -> None:
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 10)]

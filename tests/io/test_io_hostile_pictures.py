@@ -146,7 +146,19 @@ def test_the_list_of_frames_of_an_earlier_call(folder: Path, video: bytes, data:
     (out / "frames.json").write_bytes(data.draw(spoilt(manifest, is_text=True)))
     found = extract_frames(path, out, max_frames=2)
     assert all((out / name).is_file() and Path(name).name == name for name in found.name)
-    (out / "frames.json").unlink()
+
+
+@pytest.mark.parametrize("name", ["own.jpg", "frames.json", ".", "../own.jpg", "frame_" + "9" * 300 + ".jpg"])
+def test_a_list_of_frames_that_names_other_files_removes_none(folder: Path, video: bytes, name: str) -> None:
+    path, out = folder / "valid.avi", folder / "kept"
+    extract_frames(path, out, max_frames=2)
+    (out / "own.jpg").write_bytes(b"mine")
+    (folder / "own.jpg").write_bytes(b"mine")
+    content = json.loads((out / "frames.json").read_text())
+    content["frames"][0]["name"] = name
+    (out / "frames.json").write_text(json.dumps(content))
+    assert len(extract_frames(path, out, max_frames=3)) == 3
+    assert (out / "own.jpg").read_bytes() == (folder / "own.jpg").read_bytes() == b"mine"
 
 
 def lying_png(width: int, height: int) -> bytes:

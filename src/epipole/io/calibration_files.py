@@ -257,7 +257,7 @@ def _opencv_storage(path: Path) -> dict[str, Any]:
             elif node.isReal() or node.isInt():
                 out[key] = node.real()
         storage.release()
-    except (cv2.error, SystemError) as error:
+    except (cv2.error, SystemError, UnicodeDecodeError) as error:
         raise FileFormatError(path, "OpenCV cannot read it") from error
     if not out:
         raise FileFormatError(path, "OpenCV finds nothing in it")
