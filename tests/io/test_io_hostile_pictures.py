@@ -137,12 +137,16 @@ def test_stereo_videos(folder: Path, video: bytes, data: st.DataObject) -> None:
     assert found is None or 1 <= len(found) <= 3
 
 
+@pytest.fixture(scope="module")
+def manifest(folder: Path, video: bytes) -> bytes:
+    extract_frames(folder / "valid.avi", folder / "listed", max_frames=2)
+    return (folder / "listed" / "frames.json").read_bytes()
+
+
 @given(data=st.data())
-def test_the_list_of_frames_of_an_earlier_call(folder: Path, video: bytes, data: st.DataObject) -> None:
+def test_the_list_of_frames_of_an_earlier_call(folder: Path, manifest: bytes, data: st.DataObject) -> None:
     """A damaged list is read anew from the video, or its frames are there; never a file outside of the folder."""
     path, out = folder / "valid.avi", folder / "listed"
-    extract_frames(path, out, max_frames=2)
-    manifest = (out / "frames.json").read_bytes()
     (out / "frames.json").write_bytes(data.draw(spoilt(manifest, is_text=True)))
     found = extract_frames(path, out, max_frames=2)
     assert all((out / name).is_file() and Path(name).name == name for name in found.name)
