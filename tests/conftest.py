@@ -6,11 +6,21 @@ from pathlib import Path
 import jaxtyping
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 # Every annotated function of the package checks the shapes and types of its arguments and results in the test
 # run; an int may stand for a float, as in mypy. This must come before the first import of epipole.
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 jaxtyping.install_import_hook("epipole", CHECKER)
+
+# Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
+# `--hypothesis-profile=hunt` looks for new ones.
+QUIET = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+settings.register_profile(
+    "epipole", derandomize=True, deadline=None, max_examples=40, suppress_health_check=QUIET
+)
+settings.register_profile("hunt", deadline=None, max_examples=600, suppress_health_check=QUIET, database=None)
+settings.load_profile("epipole")
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Int32, UInt8
 
 
 def train_vocabulary(
-    descriptors: Sequence[UInt8[np.ndarray, "n d"]], num_words: int = 64, seed: int = 0, rounds: int = 10
+    descriptors: Sequence[UInt8[np.ndarray, "_ d"]], num_words: int = 64, seed: int = 0, rounds: int = 10
 ) -> Float32[np.ndarray, "w d"]:
     """Lloyd's k-means over a sample of all pictures' descriptors (Lloyd 1982); the words' centres."""
     random = np.random.default_rng(seed)

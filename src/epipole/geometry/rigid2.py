@@ -24,7 +24,8 @@ class Rigid2:
     def __post_init__(self) -> None:
         """Bring the angle into (-pi, pi]."""
         turned = np.asarray(self.angle_rad, dtype=np.float64)
-        object.__setattr__(self, "angle_rad", np.pi - np.mod(np.pi - turned, 2 * np.pi))
+        # Arithmetic on an array without axes gives a plain number: make it an array again.
+        object.__setattr__(self, "angle_rad", np.asarray(np.pi - np.mod(np.pi - turned, 2 * np.pi)))
 
     @staticmethod
     def identity(*batch: int) -> Rigid2:
@@ -66,11 +67,11 @@ class Rigid2:
     def inverse(self) -> Rigid2:
         """source_from_target."""
         back = np.swapaxes(self.rotation(), -1, -2)
-        return Rigid2(-self.angle_rad, -(back @ self.translation[..., None])[..., 0])
+        return Rigid2(np.asarray(-self.angle_rad), -(back @ self.translation[..., None])[..., 0])
 
     def __matmul__(self, other: Rigid2) -> Rigid2:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        return Rigid2(self.angle_rad + other.angle_rad, self.apply(other.translation))
+        return Rigid2(np.asarray(self.angle_rad + other.angle_rad), self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 2"]:
         """Move points (..., 2) from source to target coordinates; the batch shapes broadcast."""
@@ -91,11 +92,11 @@ class Rigid2:
             motion.rotation[..., 1, 0] - motion.rotation[..., 0, 1],
             motion.rotation[..., 0, 0] + motion.rotation[..., 1, 1],
         )
-        return Rigid2(angle, motion.translation[..., :2].copy())
+        return Rigid2(np.asarray(angle), motion.translation[..., :2].copy())
 
     def __getitem__(self, index: Any) -> Rigid2:
         """Select from the batch."""
-        return Rigid2(self.angle_rad[index], self.translation[index])
+        return Rigid2(np.asarray(self.angle_rad[index]), self.translation[index])
 
     def __len__(self) -> int:
         return len(self.translation)

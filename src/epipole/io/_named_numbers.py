@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from epipole.errors import FileFormatError
 
 _MOST_PIXELS = 1 << 20  # along a side
+_ROUNDED = 1e-4
 
 
 def numbers_of(path: Path, content: Mapping[str, Any], key: str, *shape: int) -> np.ndarray:
@@ -30,12 +32,40 @@ def numbers_of(path: Path, content: Mapping[str, Any], key: str, *shape: int) ->
     try:
         array = np.asarray(value, np.float64)
         array = array.reshape(shape) if shape else array.ravel()
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         what = f"{' x '.join(map(str, shape))} numbers" if shape else "a list of numbers"
         raise FileFormatError(path, f"{key} is not {what}") from error
     if not np.isfinite(array).all():
         raise FileFormatError(path, f"{key} has values that are not finite")
     return array
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether it is one but for rounding: files hold few digits."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() <= _ROUNDED and np.linalg.det(matrix) > 0)
+
+
+def yaml_values(text: str) -> Any:
+    """What a YAML text holds.
+
+    Raises:
+        ValueError: it is none, or an alias stands inside of what has an anchor: a few such lines can mean billions of
+            values.
+    """
+    depth = 0  # of collections, from one that has an anchor on
+    try:
+        for event in yaml.parse(text, Loader=yaml.SafeLoader):
+            if isinstance(event, yaml.AliasEvent) and depth:
+                raise ValueError("an alias stands inside an anchor")
+            if isinstance(event, yaml.CollectionStartEvent):
+                depth += bool(depth or event.anchor)
+            elif isinstance(event, yaml.CollectionEndEvent):
+                depth -= bool(depth)
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, LookupError, AttributeError, TypeError, ArithmeticError, RecursionError) as error:
+        # PyYAML's own constructors raise what they stumble over: `!!int ''` is an IndexError.
+        raise ValueError(str(error) or type(error).__name__) from error
 
 
 def size_of(path: Path, width: float, height: float) -> tuple[int, int]:

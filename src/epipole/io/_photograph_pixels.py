@@ -31,6 +31,8 @@ MAX_LOSSLESS_PX = 150_000_000
 MAX_JPEG_PX = 2**30
 """Largest JPEG, in pixels."""
 
+_MOST_JPEG_PX_PER_BYTE = 1024
+
 _PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm"})
 HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
 AVIF_SUFFIXES = frozenset({".avif"})
@@ -59,7 +61,7 @@ _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
     "BMP": BmpImageFile,
     "PPM": PpmImageFile,
 }
-_PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError)
+_PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
 _JPEG_MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _REDUCED_FLAGS = {
     1: (cv2.IMREAD_GRAYSCALE, cv2.IMREAD_COLOR),
@@ -167,24 +169,28 @@ def stored_size(image: ImageFile) -> tuple[int, int]:
     return image.size
 
 
-def refuse_huge(path: Path, image: ImageFile) -> None:
+def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
     """Raise before the memory is used.
 
     Raises:
-        FileFormatError: more pixels than the format's limit.
+        FileFormatError: more pixels than the format's limit, or than a JPEG of so many bytes can hold.
     """
     width, height = image.size
     limit = MAX_JPEG_PX if isinstance(image, JpegImageFile) else MAX_LOSSLESS_PX
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
         raise FileFormatError(path, f"{sizes}, the limit for {image.format}; save it smaller or as JPEG")
+    # Each block of 8 x 8 takes a bit at the least; a decoder makes up what is missing.
+    if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:
+        problem = f"{num_bytes} bytes cannot hold {width} x {height} pixels"
+        raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
 
 
 def decode(path: Path, grey: bool, max_size_px: int | None) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
     data = read_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
-    refuse_huge(path, image)
+    refuse_huge(path, image, len(data))
     if isinstance(image, JpegImageFile):
         orientation = orientation_of(exif_of(image))
         full_size = image.size

@@ -20,6 +20,7 @@ from epipole.optim import BundleProblem, free_params_mask
 
 _TURN = np.diag([1.0, -1.0, -1.0])
 _PER_CAMERA = 9
+_MOST_UNPACKED = 200  # bytes of text to a byte of an archive; problems have about 4
 
 
 def read_bal(path: str | Path) -> BundleProblem:
@@ -31,25 +32,28 @@ def read_bal(path: str | Path) -> BundleProblem:
     path = Path(path)
     try:
         data = path.read_bytes()
-        words = (bz2.decompress(data) if path.suffix == ".bz2" else data).split()
-    except (OSError, ValueError) as error:
+        words = (_unpacked(data) if path.suffix == ".bz2" else data).split()
+    except (OSError, ValueError, EOFError) as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     try:
         num_cameras, num_points, num_seen = (int(word) for word in words[:3])
         values = np.array(words[3:], np.float64)
     except ValueError as error:
         raise FileFormatError(path, f"is no bundle problem: {error}") from error
+    if not 0 <= min(num_cameras, num_points, num_seen) <= max(num_cameras, num_points, num_seen) < len(words):
+        raise FileFormatError(
+            path, f"line 1: its counts do not fit: only {len(values)} numbers must hold them"
+        )
     wanted = 4 * num_seen + _PER_CAMERA * num_cameras + 3 * num_points
-    if min(num_cameras, num_points, num_seen) < 0 or len(values) != wanted:
+    if len(values) != wanted:
         raise FileFormatError(path, f"must hold {wanted} numbers after the first three, has {len(values)}")
     if not np.isfinite(values).all():
         raise FileFormatError(path, "holds numbers that are not finite")
     seen = values[: 4 * num_seen].reshape(-1, 4)
     cameras = values[4 * num_seen :][: _PER_CAMERA * num_cameras].reshape(-1, _PER_CAMERA)
     points = values[len(values) - 3 * num_points :].reshape(-1, 3)
-    if num_seen and not (
-        seen[:, :2].min() >= 0 and seen[:, 0].max() < num_cameras and seen[:, 1].max() < num_points
-    ):
+    index = seen[:, :2]
+    if not (index >= 0).all() or (index >= [num_cameras, num_points]).any() or (index % 1 != 0).any():
         raise FileFormatError(path, "an observation names a camera or a point that is not there")
     seen = seen[np.argsort(seen[:, 1], kind="stable")]
     counts = np.bincount(seen[:, 1].astype(np.int64), minlength=num_points)
@@ -74,6 +78,17 @@ def read_bal(path: str | Path) -> BundleProblem:
     )
 
 
+def _unpacked(data: bytes) -> bytes:
+    """What a bzip2 file holds; a few bytes of one may stand for gigabytes, which no numbers do."""
+    unpacker = bz2.BZ2Decompressor()
+    out = unpacker.decompress(data, max_length=_MOST_UNPACKED * len(data) + 1)
+    if len(out) > _MOST_UNPACKED * len(data):
+        raise ValueError(f"it unpacks to more than {_MOST_UNPACKED} times its size")
+    if not unpacker.eof:
+        raise ValueError("the archive ends early")
+    return out
+
+
 def write_bal(path: str | Path, problem: BundleProblem) -> None:
     """Write a problem whose frames each have one picture, by a RADIAL camera with its principal point at (0, 0).
 
@@ -85,9 +100,10 @@ def write_bal(path: str | Path, problem: BundleProblem) -> None:
         WorkspaceError: the file cannot be written.
     """
     num_frames = len(problem.rig_from_world.translation)
-    camera = np.zeros(num_frames, np.int64)
+    # A frame that sees nothing has the camera of its own row, as `read_bal` gives it.
+    camera = np.minimum(np.arange(num_frames), len(problem.camera_params) - 1)
     camera[problem.frame] = problem.camera
-    used = np.unique(problem.camera)
+    used = np.unique(camera)
     if (camera[problem.frame] != problem.camera).any() or problem.cam_from_rig.log().any():
         raise ShapeError("the format holds one camera for each frame, and no rigs")
     if (problem.camera_model[used] != int(CameraModel.RADIAL)).any() or problem.camera_params[

@@ -22,7 +22,7 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
 from epipole.io._bytes import file_bytes
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
-from epipole.io._named_numbers import numbers_of, size_of
+from epipole.io._named_numbers import is_rotation, numbers_of, size_of, yaml_values
 from epipole.io.atomic import atomic_write
 from epipole.scene import StereoRig
 
@@ -61,6 +61,18 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     files = [Path(p) for p in paths]
     if len(files) not in (1, 2):
         raise FileFormatError(files[0] if files else "calibration", "give one or two files")
+    found = _read(files, size)
+    for k, (rotation, translation) in enumerate(
+        zip(found.cam_from_rig.rotation, found.cam_from_rig.translation)
+    ):
+        if not (np.isfinite(translation).all() and is_rotation(rotation)):
+            raise FileFormatError(
+                files[-1], f"the place of camera {k} is no motion: not finite, or R R^T is not 1"
+            )
+    return found
+
+
+def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
     contents = [_parse(path) for path in files]
     with_camera = [k for k, content in enumerate(contents) if _is_single(content)]
     if len(files) == 2 and len(with_camera) == 2:
@@ -221,9 +233,9 @@ def _parse(path: Path) -> dict[str, Any]:
         if lines := datasets.named_lines(text):
             return lines
         text = text.removeprefix("%YAML:1.0")  # OpenCV's way to write it, which YAML itself does not know
-        content = json.loads(text) if head.startswith(b"{") else yaml.safe_load(text)
-    except (ValueError, yaml.YAMLError, RecursionError) as error:
-        raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).splitlines()[0]}") from error
+        content = json.loads(text) if head.startswith(b"{") else yaml_values(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).split(chr(10))[0]}") from error
     if not isinstance(content, dict):
         raise FileFormatError(path, "it holds no named values")
     return {str(key): value for key, value in content.items()}
@@ -245,7 +257,7 @@ def _opencv_storage(path: Path) -> dict[str, Any]:
             elif node.isReal() or node.isInt():
                 out[key] = node.real()
         storage.release()
-    except (cv2.error, SystemError) as error:
+    except (cv2.error, SystemError, UnicodeDecodeError) as error:
         raise FileFormatError(path, "OpenCV cannot read it") from error
     if not out:
         raise FileFormatError(path, "OpenCV finds nothing in it")
@@ -351,19 +363,21 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         for own in content["cameras"]:
             model = camera_model_named(str(own["model"]))
             params = np.array([float(own["params"][name]) for name in model.param_names])
-            cameras.append(Camera(model, int(own["width"]), int(own["height"]), params))
+            cameras.append(Camera(model, *size_of(path, float(own["width"]), float(own["height"])), params))
             place = own["cam_from_rig"]
             quaternion = np.asarray(place["quat_wxyz"], np.float64).reshape(4)
-            if not (np.isfinite(quaternion).all() and np.linalg.norm(quaternion) > 1e-9):
+            if not 1e-9 < np.abs(quaternion).max() < 1e9:
                 raise FileFormatError(path, "a quaternion is zero or not finite")
             rotations.append(Rotation3.from_quat_wxyz(quaternion).matrix)
             translations.append(np.asarray(place["translation"], np.float64).reshape(3))
         if not cameras:
             raise FileFormatError(path, "it holds no camera")
         covariance = content.get("covariance")
-        matrix = None if covariance is None else np.asarray(covariance, np.float64)
+        matrix = None if covariance is None else np.asarray(covariance, np.float64).reshape(30, 30)
     except KeyError as error:
         raise FileFormatError(path, f"the key {error.args[0]} is missing") from error
-    except (TypeError, ValueError) as error:
+    except FileFormatError:
+        raise
+    except (TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(path, f"its values do not fit: {error}") from error
     return CalibrationFile(tuple(cameras), Rigid3(np.stack(rotations), np.stack(translations)), matrix)

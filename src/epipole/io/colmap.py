@@ -49,6 +49,11 @@ def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, te
         WorkspaceError: the folder cannot be written.
     """
     tables = _tables_of(reconstruction)
+    for image in tables.images if text else ():
+        if image.name != image.name.strip():
+            raise ConfigError(
+                f"the image name {image.name!r} cannot be written as text: it would lose its spaces"
+            )
     names = [f"{name}.{suffix}" for name in FILE_NAMES for suffix in ("bin", "txt")]
     with atomic_folder(folder, stale=names) as part:
         (write_text if text else write_binary)(tables, part)
@@ -83,10 +88,11 @@ def check_image_names(names: Iterable[str]) -> None:
     """Refuse names that would break a file.
 
     Raises:
-        ConfigError: a name is empty or holds a line break or a zero.
+        ConfigError: a name is empty, holds a line break or a zero, or is no text (bytes that are not UTF-8).
     """
     for name in names:
-        if not name or any(c in name for c in "\0\r\n"):
+        is_text = name.encode(errors="replace").decode() == name
+        if not (name and is_text) or any(c in name for c in "\0\r\n"):
             raise ConfigError(f"the image name {name!r} cannot be written to a COLMAP file")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,9 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
         raise FileFormatError(path, "its header is not that of a PFM file") from error
     if kind != b"Pf":
         raise FileFormatError(path, f"it begins with {kind[:8]!r}; a one-channel PFM begins with 'Pf'")
-    if not 0 < width * height <= _MOST_PIXELS or width < 0 or scale == 0 or len(data) != 4 * width * height:
+    if min(width, height) < 1 or width * height > _MOST_PIXELS or not (np.isfinite(scale) and scale):
+        raise FileFormatError(path, "line 2 or 3: no map has this size or scale")
+    if len(data) != 4 * width * height:
         raise FileFormatError(
             path, f"{width} x {height} pixels need {4 * width * height} bytes, it has {len(data)}"
         )
@@ -85,11 +88,21 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
     path = Path(path)
     data = file_bytes(path)
     # OpenCV would take other formats by their first letters, a PFM's among them.
-    is_png = data.startswith(b"\x89PNG\r\n\x1a\n")
-    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
+    array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
     if array is None or array.ndim != 2 or array.dtype != np.uint16:
         raise FileFormatError(path, "it is not a 16-bit PNG of one channel")
     return np.where(array > 0, array / np.float32(scale), np.float32(np.nan)).astype(np.float32)
+
+
+def _is_png16(data: bytes) -> bool:
+    """Whether the header is that of a 16-bit grey PNG whose pixels these bytes can hold (PNG 1.2, 4.1.1).
+
+    Deflate packs 1032 bytes into one at best: a larger picture is a lie, and is not decoded.
+    """
+    if not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR" or len(data) < 26:
+        return False
+    width, height, depth, color = struct.unpack_from(">IIBB", data, 16)
+    return (depth, color) == (16, 0) and 2 * width * height <= min(1032 * len(data), 2 * _MOST_PIXELS)
 
 
 def _map(values: Any) -> np.ndarray:

@@ -67,6 +67,12 @@ def read_g2o(path: str | Path) -> G2oFile:
             raise FileFormatError(path, f"line {number}: {error}") from error
         if len(numbers) != wanted or len(index) != names or not np.isfinite(numbers).all():
             raise FileFormatError(path, f"line {number}: {wanted} finite numbers are needed after the names")
+        if not all(-(2**63) <= i < 2**63 for i in index):
+            raise FileFormatError(path, f"line {number}: a name must be a number of 64 bits")
+        if not _is_motion(numbers[:size]):
+            raise FileFormatError(
+                path, f"line {number}: {words[0]} holds no unit quaternion or no positive scale"
+            )
         if what == "VERTEX":
             if index[0] in vertices:
                 raise FileFormatError(path, f"line {number}: vertex {index[0]} stands there twice")
@@ -125,6 +131,12 @@ def _assemble(
         information,
     )
     return G2oFile(graph, ids)
+
+
+def _is_motion(numbers: list[float]) -> bool:
+    """Whether a row can be a motion: a quaternion near unit length, a scale above zero."""
+    longest = max((abs(part) for part in numbers[3:7]), default=1.0)
+    return 1e-6 < longest < 1e6 and all(scale > 0 for scale in numbers[7:])
 
 
 def _motions(kind: str, rows: np.ndarray) -> Rigid2 | Rigid3 | Similarity3:

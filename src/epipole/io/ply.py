@@ -217,5 +217,7 @@ def _text_columns(path: Path, data: bytes, header: _Header) -> dict[str, np.ndar
         raise FileFormatError(path, f"the vertices are not all numbers: {error}") from error
     columns = {}
     for name, kind, column in zip(header.names, header.types, table.T):
-        columns[name] = column if kind.startswith("f") else np.nan_to_num(column).astype(np.int64)
+        if not kind.startswith("f") and not (np.abs(column) < 2.0**53).all():
+            raise FileFormatError(path, f"the vertices' {name} is not all whole numbers")
+        columns[name] = column if kind.startswith("f") else column.astype(np.int64)
     return columns

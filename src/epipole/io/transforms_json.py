@@ -114,7 +114,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
             name = _image_name(path, frame)
             camera = _camera(path, {**content, **frame}, name)
             worlds_from_cams.append(_world_from_cam(frame))
-        except (ConfigError, KeyError, TypeError, ValueError, OverflowError) as error:
+        except (ConfigError, KeyError, TypeError, ValueError, ArithmeticError, OSError) as error:
             problem = f"there is no {error}" if isinstance(error, KeyError) else str(error)
             raise FileFormatError(path, f"frame {number}: {problem}") from error
         key = (int(camera.model), camera.width, camera.height, camera.params.tobytes())
@@ -180,7 +180,7 @@ def _picture_size(file: Path) -> tuple[int, int]:
     try:
         with Image.open(file) as picture:
             return picture.size
-    except OSError as error:
+    except (OSError, Image.DecompressionBombError) as error:
         raise ConfigError(f"w and h are not given, and the picture {file} cannot be read") from error
 
 
@@ -199,9 +199,14 @@ def _world_from_cam(frame: dict[str, Any]) -> np.ndarray:
 
 def _points(path: Path, content: dict[str, Any]) -> Points:
     name = content.get("ply_file_path")
-    if not isinstance(name, str) or not (path.parent / name).is_file():
+    file = path.parent / name if isinstance(name, str) else path.parent
+    try:
+        is_there = file.is_file()
+    except OSError as error:
+        raise FileFormatError(path, f"ply_file_path: {error.strerror}") from error
+    if not is_there:
         return Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
-    cloud = read_points_ply(path.parent / name)
+    cloud = read_points_ply(file)
     rgb = cloud.rgb if cloud.rgb is not None else np.full((len(cloud), 3), 128, np.uint8)
     return Points(cloud.xyz, rgb, np.full(len(cloud), np.nan))
 

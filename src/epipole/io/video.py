@@ -8,6 +8,7 @@ compressed video is not exact.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +40,7 @@ VIDEO_SUFFIXES = frozenset(
 )
 
 _MANIFEST = "frames.json"
+_FRAME = re.compile(r"frame_[0-9]{6,12}\.jpg")
 _MAX_WINDOW = 7
 _SHARPNESS_SIZE_PX = 640
 _JPEG_QUALITY = 95
@@ -238,13 +240,15 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
     try:
         content = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
         rows = content["frames"]
+        if not all(_FRAME.fullmatch(row["name"]) for row in rows):  # these are read, and removed when stale
+            return None
         frames = VideoFrames(
-            tuple(Path(row["name"]).name for row in rows),
+            tuple(row["name"] for row in rows),
             np.array([row["index"] for row in rows], np.int64),
             np.array([np.nan if row["time_s"] is None else row["time_s"] for row in rows], np.float64),
         )
         return content["request"], frames
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -213,13 +213,14 @@ class IncrementalMapper:
         for n, image in enumerate(waiting):
             rows = model.rows_of_image[image]
             rows = rows[seen[rows]]
+            least, before = self.config.resection_min_inliers, self.rejections.get(int(image))
+            was_tried = before is not None and before.num_points_in_sight >= least
             # An image is tried again only when it sees more of the model than when it failed.
-            before = self.rejections.get(int(image))
-            stale = before is not None and len(rows) <= 1.1 * before.num_points_in_sight
-            if len(rows) >= self.config.resection_min_inliers and not stale:
+            stale = before is not None and was_tried and len(rows) <= 1.1 * before.num_points_in_sight
+            if len(rows) >= least and not stale:
                 camera = model.cameras[int(model.camera_of_image[image])]
                 scores[n] = spread_score(model.row_pixel[rows], camera.width, camera.height)
-            elif before is None:
+            elif not was_tried:  # what it sees grows with the model
                 self.rejections[int(image)] = Rejection(int(image), len(rows), 0)
         order = np.argsort(-scores, kind="stable")
         return waiting[order[scores[order] > 0]]

@@ -114,12 +114,14 @@ def summary_of(
 
 
 def read_summary(out: Path) -> dict[str, Any]:
-    """What an earlier run over many pairs has written of them; empty where there was none."""
+    """What an earlier run over many pairs has written of them; empty where there was none, or it is damaged."""
     try:
         content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return content if isinstance(content, dict) else {}
+    tables = ("known", "warnings", "problems", "pictures")
+    is_sound = isinstance(content, dict) and all(isinstance(content.get(part, {}), dict) for part in tables)
+    return content if is_sound and isinstance(content.get("done", []), list) else {}
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:

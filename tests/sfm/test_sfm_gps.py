@@ -1,0 +1,161 @@
+"""GPS gives a model its scale, heading and place; fixes that are wrong or too few do not."""
+
+import numpy as np
+import pytest
+from photographs import CAMERA, FOCAL_35MM, neighbouring_views
+
+from epipole import reconstruct
+from epipole.geometry import Rotation3, Similarity3
+from epipole.io.exif import gps_to_enu
+from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
+from epipole.pipelines.sfm.orientation import align_to_gps, rotation_between, upright_from_world
+from epipole.synthetic import courtyard, courtyard_views, render
+
+REACH_M = 15.0
+TILT = Similarity3(np.array(1.0), Rotation3.exp([0.4, -0.7, 0.2]).matrix, np.array([1.0, 2.0, 3.0]))
+"""upright_from_world of the models below: as they come, they lie on their side."""
+ENU_FROM_UPRIGHT = Similarity3(
+    np.array(12.5), Rotation3.exp([0.0, 0.0, 2.1]).matrix, np.array([120.0, -45.0, 7.0])
+)
+
+
+def walk(kind: str, count: int = 12) -> np.ndarray:
+    """Upright camera centres: along a line, around a block, or up a hill and around."""
+    t = np.linspace(0, 1, count)
+    x, y = 4 * np.cos(5 * t), 4 * np.sin(5 * t)
+    return {
+        "line": np.stack([6 * t, 2 * t, 0 * t], axis=1),
+        "block": np.stack([x, y, 0 * t], axis=1),
+        "hill": np.stack([x, y, 2 * np.sin(7 * t)], axis=1),
+    }[kind]
+
+
+def aligned(upright_centers: np.ndarray, fixes: np.ndarray):
+    return align_to_gps(TILT.inverse().apply(upright_centers), TILT, fixes, REACH_M)
+
+
+@pytest.mark.parametrize("kind", ["line", "block", "hill"])
+def test_exact_fixes_give_the_similarity_that_made_them(kind: str) -> None:
+    centers = walk(kind)
+    found = aligned(centers, ENU_FROM_UPRIGHT.apply(centers))
+    assert found is not None and found.residuals_m.max() < 1e-8 and found.median_m < 1e-8
+    expected = ENU_FROM_UPRIGHT @ TILT
+    np.testing.assert_allclose(found.enu_from_world.scale, 12.5, rtol=1e-9)
+    np.testing.assert_allclose(found.enu_from_world.rotation, expected.rotation, atol=1e-8)
+    np.testing.assert_allclose(found.enu_from_world.translation, expected.translation, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["line", "block", "hill"])
+def test_wrong_fixes_have_no_say(kind: str) -> None:
+    """Four of twelve are hundreds of metres off; the rest decide alone."""
+    centers = walk(kind)
+    fixes = ENU_FROM_UPRIGHT.apply(centers)
+    wrong = np.array([0, 3, 7, 11])
+    fixes[wrong] += np.array([[400.0, 0, 0], [0, -300, 0], [250, 250, 0], [0, 0, 500]])
+    found = aligned(centers, fixes)
+    right = np.setdiff1d(np.arange(12), wrong)
+    assert found.residuals_m[right].max() < 1e-8
+    np.testing.assert_allclose(found.residuals_m[wrong], [400, 300, 250 * np.sqrt(2), 500], rtol=1e-8)
+
+
+def test_noise_of_the_fixes_is_averaged(rng: np.random.Generator) -> None:
+    """40 fixes of 2 m: the scale to 2 m / (50 m sqrt 40) or so, and residuals as large as the noise."""
+    centers = walk("block", 40)
+    fixes = ENU_FROM_UPRIGHT.apply(centers) + rng.normal(0, 2.0, (40, 3))
+    found = aligned(centers, fixes)
+    assert found.enu_from_world.scale == pytest.approx(12.5, rel=0.03)
+    assert 2.0 < found.median_m < 4.0
+    error = found.enu_from_world.apply(TILT.inverse().apply(centers)) - ENU_FROM_UPRIGHT.apply(centers)
+    assert np.linalg.norm(error, axis=1).max() < 2.5
+
+
+def test_pictures_without_fix_or_place_stand_aside() -> None:
+    centers = walk("hill")
+    fixes = ENU_FROM_UPRIGHT.apply(centers)
+    fixes[2], centers[5] = np.nan, np.nan
+    found = aligned(centers, fixes)
+    assert np.flatnonzero(np.isnan(found.residuals_m)).tolist() == [2, 5]
+    assert np.nanmax(found.residuals_m) < 1e-8
+
+
+@pytest.mark.parametrize("case", ["none", "two", "one place", "one camera"])
+def test_fixes_that_cannot_tell_give_nothing(case: str) -> None:
+    """Fewer than three, all within their own error, or a model without extent: no scale is better than a wrong one."""
+    centers = walk("block")
+    fixes = ENU_FROM_UPRIGHT.apply(centers)
+    if case == "one place":
+        fixes = 0.1 * (fixes - fixes.mean(axis=0))  # ten metres across
+    if case == "one camera":
+        centers = np.zeros_like(centers)
+    if case in ("none", "two"):
+        fixes[{"none": 0, "two": 2}[case] :] = np.nan
+    assert aligned(centers, fixes) is None
+
+
+def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
+    """Level cameras around a corner, which look down: up comes out of their x axes, whichever way the model lay."""
+    views = courtyard_views(24)
+    tilted = TILT.move_cam_from_source(views)
+    points = TILT.apply(np.random.default_rng(0).normal(size=(200, 3)))
+    upright = upright_from_world(tilted, points)
+    up = (upright @ TILT).rotation @ np.array([0.0, 0.0, 1.0])
+    assert np.rad2deg(np.arccos(up[2])) < 1.0
+    moved = upright.apply(points)
+    assert np.median(np.linalg.norm(moved, axis=1)) == pytest.approx(1.0, rel=0.05)
+    np.testing.assert_allclose(np.median(moved, axis=0), 0.0, atol=0.2)
+
+
+@pytest.mark.parametrize("target", [[0.0, 0, 1], [0.0, 0, -1], [1.0, 0, 0], [0.6, 0, 0.8]])
+def test_the_smallest_turn_between_two_directions(target: list[float]) -> None:
+    source, target = np.array([0.0, 0, 1]), np.array(target)
+    rotation = rotation_between(source, target)
+    np.testing.assert_allclose(rotation @ source, target, atol=1e-12)
+    angle = np.arccos(np.clip(source @ target, -1, 1))
+    assert float(Rotation3(rotation).angle_rad()) == pytest.approx(angle, abs=1e-9)
+
+
+METRES_PER_UNIT = 20.0
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    """Seven pictures whose EXIF holds where they were taken, in a courtyard a hundred metres across; one is 2 km off."""
+    folder = tmp_path_factory.mktemp("gps") / "photographs"
+    folder.mkdir()
+    views = neighbouring_views(7)
+    enu = METRES_PER_UNIT * views.centers()
+    for n in range(7):
+        east, north, up = enu[n] + ([2000.0, 0, 0] if n == 4 else [0.0, 0, 0])
+        lat_deg = 46.5 + np.rad2deg(north / 6_368_000.0)
+        lon_deg = 7.25 + np.rad2deg(east / (6_388_000.0 * np.cos(np.deg2rad(46.5))))
+        picture = render(courtyard(), CAMERA, views[n], noise_sigma=1.5, seed=n)
+        path = folder / f"view_{n:02d}.jpg"
+        write_jpeg_with_exif(path, picture.rgb, focal_35mm=FOCAL_35MM, gps=(lat_deg, lon_deg, 500.0 + up))
+    return folder
+
+
+def test_a_model_of_photographs_with_gps_stands_in_metres(photographs, tmp_path) -> None:
+    result = reconstruct(photographs, tmp_path / "out")
+    assert result.model.is_registered().all() and result.summary["is_metric"]
+    headers = [read_header(photographs / name) for name in result.model.images.name]
+    fixes = gps_to_enu(np.array([(h.gps.lat_deg, h.gps.lon_deg, h.gps.alt_m) for h in headers]))
+    off = np.linalg.norm(result.model.cams_from_world().centers() - fixes, axis=1)
+    assert np.delete(off, 4).max() < 1.0  # of views that stand ten metres apart
+    assert abs(off[4] - 2000.0) < 20.0
+    assert result.summary["median_gps_residual_m"] < 1.0
+    truth = METRES_PER_UNIT * neighbouring_views(7).centers()
+    length = np.linalg.norm(np.diff(result.model.cams_from_world().centers(), axis=0), axis=1)
+    np.testing.assert_allclose(length, np.linalg.norm(np.diff(truth, axis=0), axis=1), rtol=0.03)
+
+
+def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, tmp_path) -> None:
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    for path in sorted(photographs.iterdir())[:4]:
+        (folder / path.name).write_bytes(path.read_bytes())
+    for path in sorted(folder.iterdir())[2:]:
+        write_jpeg_with_exif(path, read_rgb(path), focal_35mm=FOCAL_35MM)
+    result = reconstruct(folder, tmp_path / "out")
+    assert not result.summary["is_metric"]
+    assert result.summary["median_gps_residual_m"] is None
+    assert result.model.is_registered().all()

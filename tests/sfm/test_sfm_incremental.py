@@ -1,0 +1,220 @@
+"""The incremental mapper alone: exact tracks in, the true cameras out, and a reason for each image that has no place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epipole.geometry import Rigid3, Rotation3, align_points, essential_from_cam2_from_cam1
+from epipole.geometry import fundamental_from_essential as fundamental_of
+from epipole.mapping import ModelBuilder, connect_matches
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.incremental import IncrementalMapper, spread_score
+from epipole.robust import PairKind
+from epipole.scene import Reconstruction, ViewGraph
+from epipole.synthetic.problems import bundle_problem
+
+EXACT = MapperConfig(refine_distortion=False)
+
+
+def shared_keypoints(model: Reconstruction, i: int, j: int) -> np.ndarray:
+    """Rows (keypoint in i, keypoint in j) of the points that both see."""
+    point = model.tracks.point_of_observation()
+    own = [
+        dict(zip(point[rows], model.tracks.keypoint[rows]))
+        for rows in (model.tracks.image == i, model.tracks.image == j)
+    ]
+    common = sorted(own[0].keys() & own[1].keys())
+    return np.array([(own[0][p], own[1][p]) for p in common], np.int32).reshape(-1, 2)
+
+
+def view_graph_of(model: Reconstruction, least: int = 30) -> ViewGraph:
+    """All pairs that share points, with their true motions; wide angles for near pairs of the ring."""
+    cams, K = model.cams_from_world(), model.cameras[0].K
+    pairs, matches, motions, angles = [], [], [], []
+    for i in range(len(cams)):
+        for j in range(i + 1, len(cams)):
+            shared = shared_keypoints(model, i, j)
+            if len(shared) >= least:
+                motion = cams[j] @ cams[i].inverse()
+                motions.append(
+                    Rigid3(motion.rotation, motion.translation / np.linalg.norm(motion.translation))
+                )
+                pairs.append((i, j))
+                matches.append(shared)
+                a, b = cams.centers()[[i, j]]
+                angles.append(np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b)))
+    flat, n = np.concatenate(matches), len(pairs)
+    essential = np.array([essential_from_cam2_from_cam1(m) for m in motions])
+    return ViewGraph(
+        *np.array(pairs, np.int32).T.copy(),
+        kind=np.full(n, PairKind.GENERAL, np.int32),
+        num_putative=np.array([len(m) for m in matches], np.int32),
+        match_offsets=np.concatenate([[0], np.cumsum([len(m) for m in matches])]).astype(np.int64),
+        keypoint1=flat[:, 0].copy(),
+        keypoint2=flat[:, 1].copy(),
+        cam2_from_cam1=Rigid3(
+            np.array([m.rotation for m in motions]), np.array([m.translation for m in motions])
+        ),
+        essential=essential,
+        fundamental=np.array([fundamental_of(E, K, K) for E in essential]),
+        homography=np.full((n, 3, 3), np.nan),
+        median_angle_rad=np.array(angles),
+    )
+
+
+def mapper_of(model: Reconstruction, graph: ViewGraph, config: MapperConfig = EXACT) -> IncrementalMapper:
+    offsets = model.images.keypoint_offsets
+    keypoints = [model.images.keypoints_of(i) for i in range(len(model.images))]
+    components = connect_matches(graph, offsets)
+    cameras = replace(model.cameras, is_constant=np.ones(1, bool))
+    return IncrementalMapper(
+        ModelBuilder(cameras, model.camera_of_image, keypoints, components), graph, config
+    )
+
+
+@pytest.fixture(scope="module")
+def ring() -> Reconstruction:
+    """Twelve images around a ball of points, five of which see each point, without noise."""
+    return bundle_problem(12, 900, 5).truth
+
+
+@pytest.fixture(scope="module")
+def graph(ring: Reconstruction) -> ViewGraph:
+    return view_graph_of(ring)
+
+
+def errors_of(mapper: IncrementalMapper, truth: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    """Distance and turn of each registered image from its true place, up to a similarity."""
+    registered = mapper.model.registered
+    found, expected = mapper.model.registered_places(), truth.cams_from_world()[np.flatnonzero(registered)]
+    truth_from_found = align_points(found.centers(), expected.centers())
+    off = np.linalg.norm(truth_from_found.apply(found.centers()) - expected.centers(), axis=1)
+    turned = expected.rotation @ truth_from_found.rotation @ np.swapaxes(found.rotation, 1, 2)
+    return off, Rotation3(turned).angle_rad()
+
+
+def test_exact_tracks_give_the_true_cameras_and_points(ring: Reconstruction, graph: ViewGraph) -> None:
+    mapper, told = mapper_of(ring, graph), []
+    assert mapper.run(np.ones(12, bool), lambda done, total: told.append((done, total)))
+    assert mapper.model.registered.all() and mapper.rejections == {}
+    off, turned = errors_of(mapper, ring)
+    assert off.max() < 1e-5 and turned.max() < 1e-6
+    assert told[-1] == (12, 12) and all(total == 12 for _, total in told)
+    assert len(mapper.model.living_points()) == len(ring.points)
+    assert mapper.consistency.overall(mapper.model) == pytest.approx(1.0)
+
+
+def test_a_frozen_model_holds_every_observation(ring: Reconstruction, graph: ViewGraph) -> None:
+    mapper = mapper_of(ring, graph)
+    mapper.run(np.ones(12, bool))
+    model = mapper.model.freeze(ring.images.name, None, np.full(12, np.nan))
+    assert len(model.tracks.image) == len(ring.tracks.image)
+    assert model.mean_reprojection_error_px() < 1e-4
+
+
+def test_noise_moves_cameras_by_little() -> None:
+    """Half a pixel at a focal length of hundreds, seen 75 times an image and more: some thousandths of the radius."""
+    noisy = bundle_problem(12, 900, 5, noise_px=0.5, seed=3).truth
+    mapper = mapper_of(noisy, view_graph_of(noisy))
+    assert mapper.run(np.ones(12, bool)) and mapper.model.registered.all()
+    off, turned = errors_of(mapper, noisy)
+    radius = np.linalg.norm(noisy.cams_from_world().centers(), axis=1).mean()
+    assert off.max() < 0.005 * radius and np.rad2deg(turned).max() < 0.3
+    assert np.median(off) > 1e-6  # the noise does arrive
+
+
+def test_only_usable_images_take_part(ring: Reconstruction, graph: ViewGraph) -> None:
+    usable = np.ones(12, bool)
+    usable[[2, 7]] = False
+    mapper = mapper_of(ring, graph)
+    assert mapper.run(usable)
+    np.testing.assert_array_equal(mapper.model.registered, usable)
+    assert errors_of(mapper, ring)[0].max() < 1e-5
+
+
+def spoilt_image(ring: Reconstruction, image: int, rng: np.random.Generator) -> Reconstruction:
+    """The same matches, but the keypoints of one image lie anywhere."""
+    first, last = ring.images.keypoint_offsets[image : image + 2]
+    pixels = ring.images.keypoints_px.copy()
+    camera = ring.cameras[0]
+    pixels[first:last] = rng.uniform(0, [camera.width, camera.height], (last - first, 2))
+    return replace(ring, images=replace(ring.images, keypoints_px=pixels))
+
+
+def test_an_image_whose_keypoints_agree_on_no_place_is_rejected_with_its_numbers(
+    ring: Reconstruction, graph: ViewGraph, rng: np.random.Generator
+) -> None:
+    spoilt = spoilt_image(ring, 5, rng)
+    mapper = mapper_of(spoilt, graph)
+    assert mapper.run(np.ones(12, bool))
+    assert np.flatnonzero(~mapper.model.registered).tolist() == [5]
+    rejection = mapper.rejections[5]
+    assert rejection.image == 5 and rejection.num_points_in_sight > 100
+    assert rejection.num_inliers < EXACT.resection_min_ratio * rejection.num_points_in_sight
+    assert errors_of(mapper, ring)[0].max() < 1e-5
+
+
+def test_an_image_that_sees_too_little_is_rejected_with_its_numbers(ring: Reconstruction) -> None:
+    """Image 5 keeps twenty of its matches, where thirty are needed."""
+    graph = view_graph_of(ring)
+    pair = np.repeat(np.arange(len(graph)), graph.num_inliers())
+    of_5 = (graph.image1[pair] == 5) | (graph.image2[pair] == 5)
+    own = np.where(graph.image1[pair] == 5, graph.keypoint1, graph.keypoint2)
+    few = np.unique(own[of_5])[:20]
+    keep = ~of_5 | np.isin(own, few)
+    counts = np.bincount(pair[keep], minlength=len(graph))
+    thinned = replace(
+        graph,
+        keypoint1=graph.keypoint1[keep],
+        keypoint2=graph.keypoint2[keep],
+        match_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+    )
+    mapper = mapper_of(ring, thinned)
+    assert mapper.run(np.ones(12, bool))
+    assert np.flatnonzero(~mapper.model.registered).tolist() == [5]
+    assert mapper.rejections[5].num_points_in_sight == 20 and mapper.rejections[5].num_inliers == 0
+
+
+@pytest.mark.parametrize("kind", [PairKind.ROTATION, PairKind.NO_MOTION, PairKind.DEGENERATE])
+def test_pairs_without_depth_start_nothing(ring: Reconstruction, graph: ViewGraph, kind: PairKind) -> None:
+    flat = replace(graph, kind=np.full(len(graph), kind, np.int32))
+    mapper = mapper_of(ring, flat)
+    assert not mapper.run(np.ones(12, bool))
+    assert not mapper.model.registered.any()
+
+
+def test_two_separate_rings_are_mapped_one_after_the_other(ring: Reconstruction, graph: ViewGraph) -> None:
+    """Without the pairs between them, images 0 to 5 and 6 to 11 are two models."""
+    half = np.arange(12) < 6
+    within = half[graph.image1] == half[graph.image2]
+    pair = np.repeat(np.arange(len(graph)), graph.num_inliers())
+    counts = graph.num_inliers()[within]
+    cut = replace(
+        graph,
+        **{
+            name: getattr(graph, name)[within]
+            for name in ("image1", "image2", "kind", "num_putative", "cam2_from_cam1", "essential")
+        },
+        **{name: getattr(graph, name)[within] for name in ("fundamental", "homography", "median_angle_rad")},
+        keypoint1=graph.keypoint1[within[pair]],
+        keypoint2=graph.keypoint2[within[pair]],
+        match_offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+    )
+    first = mapper_of(ring, cut)
+    assert first.run(np.ones(12, bool))
+    registered = first.model.registered.copy()
+    assert registered.sum() == 6 and len(set(half[registered])) == 1
+    second = mapper_of(ring, cut)
+    assert second.run(~registered)
+    np.testing.assert_array_equal(second.model.registered, ~registered)
+
+
+def test_the_better_spread_points_count_more() -> None:
+    """Points over the whole picture score higher than as many in a corner, and none score nothing."""
+    rng = np.random.default_rng(0)
+    spread = rng.uniform(0, [640, 480], (60, 2))
+    assert spread_score(spread, 640, 480) > 3 * spread_score(spread / 20, 640, 480) > 0
+    assert spread_score(np.zeros((0, 2)), 640, 480) == 0.0
+    # One point hits one cell of each level: 4 + 16 + ... + 4096.
+    assert spread_score(spread[:1], 640, 480) == sum(4.0**level for level in range(1, 7))

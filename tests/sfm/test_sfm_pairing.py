@@ -1,0 +1,123 @@
+"""Which pictures are compared: every method against pairs written down by hand."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from epipole.errors import ConfigError, FileFormatError
+from epipole.pipelines.sfm.config import PairingConfig
+from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs, sorted_pairs
+
+NO_GPS = (np.nan, np.nan, np.nan)
+
+
+def pictures_of(subjects: list[int]) -> list[np.ndarray]:
+    """Descriptors of pictures: those of one subject have the same features but for noise."""
+    rng = np.random.default_rng(5)
+    features = rng.integers(0, 230, (max(subjects) + 1, 150, 128))
+    return [(features[s] + rng.integers(0, 20, (150, 128))).astype(np.uint8) for s in subjects]
+
+
+def places(metres_north: list[float | None]) -> np.ndarray:
+    """Rows (lat, lon, alt) along a meridian."""
+    rows = [NO_GPS if m is None else (46.0 + m / 111_150.0, 7.0, 400.0) for m in metres_north]
+    return np.array(rows, np.float64)
+
+
+def chosen(descriptors, lat_lon_alt, *, is_video=False, **options) -> set[tuple[int, int]]:
+    pairs = choose_pairs(descriptors, lat_lon_alt, PairingConfig(**options), is_video=is_video)
+    assert pairs.dtype == np.int32 and (pairs[:, 0] < pairs[:, 1]).all()
+    assert sorted(map(tuple, pairs.tolist())) == list(map(tuple, pairs.tolist()))
+    return set(map(tuple, pairs.tolist()))
+
+
+def test_few_pictures_are_compared_each_with_each() -> None:
+    pictures = pictures_of([0, 1, 2, 3])
+    expected = set(combinations(range(4), 2))
+    assert chosen(pictures, places([None] * 4)) == expected
+    assert chosen(pictures, places([None] * 4), exhaustive_limit=4) == expected
+    assert chosen(pictures, places([None] * 4), exhaustive_limit=3, neighbours=1) < expected
+    assert chosen(pictures[:1], places([None])) == set()
+
+
+@pytest.mark.parametrize("method", ["sequential", "auto"])
+def test_frames_of_a_video_are_compared_with_the_next_ones_and_their_look_alikes(method: str) -> None:
+    """Six frames, the last three on the way back: 5 shows what 0 shows, 4 what 1, 3 what 2."""
+    pictures, nowhere = pictures_of([0, 1, 2, 2, 1, 0]), places([None] * 6)
+    found = chosen(pictures, nowhere, is_video=True, method=method, overlap=2, neighbours=1)
+    following = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3), (2, 4), (3, 4), (3, 5), (4, 5)}
+    assert found == following | {(0, 5), (1, 4)}
+
+
+def test_look_alikes_are_compared() -> None:
+    pictures, nowhere = pictures_of([0, 1, 2, 1, 0, 2, 2]), places([None] * 7)
+    expected = {(0, 4), (1, 3), (2, 5), (2, 6), (5, 6)}
+    assert chosen(pictures, nowhere, method="retrieval", neighbours=1) <= expected
+    two = chosen(pictures, nowhere, method="retrieval", neighbours=2)
+    assert expected <= two
+    assert chosen(pictures, nowhere, exhaustive_limit=6, neighbours=2) == two
+
+
+def test_pictures_taken_near_each_other_are_compared() -> None:
+    """Two subjects of six pictures, taken in turns along a road: 10 m from one to the other, 90 m to the next."""
+    pictures = pictures_of([0] * 6 + [1] * 6)
+    road = places([100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)])
+    look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
+    near = {(k, k + 6) for k in range(6)}
+    assert chosen(pictures, road, method="spatial", neighbours=1) == look_alikes | near
+    assert chosen(pictures, road, exhaustive_limit=11, neighbours=1) == look_alikes | near
+    further = {(k + 1, k + 6) for k in range(5)}  # 90 m onwards
+    assert chosen(pictures, road, method="spatial", neighbours=2) == look_alikes | near | further
+
+
+def test_a_picture_without_a_place_is_compared_with_its_look_alikes() -> None:
+    pictures = pictures_of([0] * 6 + [1] * 6)
+    road = [100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)]
+    found = chosen(pictures, places([None, *road[1:]]), method="spatial", neighbours=1)
+    look_alikes = {*combinations(range(6), 2), *combinations(range(6, 12), 2)}
+    # Picture 6 has lost its neighbour at 0 m; the next one stands at 100 m.
+    assert found == look_alikes | {(k, k + 6) for k in range(1, 6)} | {(1, 6)}
+
+
+def test_places_are_needed_for_pairs_by_place() -> None:
+    pictures = pictures_of([0, 1, 2])
+    with pytest.raises(ConfigError, match="need GPS"):
+        chosen(pictures, places([0.0, None, None]), method="spatial")
+    # Nine in ten pictures must have one before they decide by themselves.
+    scattered = places([0.0, 10.0, None])
+    by_looks = chosen(pictures, scattered, method="retrieval", neighbours=1)
+    assert chosen(pictures, scattered, exhaustive_limit=2, neighbours=1) == by_looks
+
+
+def test_pictures_without_features_are_pairs_of_something_all_the_same() -> None:
+    blank = np.zeros((0, 128), np.uint8)
+    found = chosen([*pictures_of([0, 1]), blank], places([None] * 3), method="retrieval", neighbours=1)
+    assert {i for pair in found for i in pair} == {0, 1, 2}
+
+
+def test_pairs_stand_once_and_in_order() -> None:
+    assert sorted_pairs([(3, 1), (1, 3), (2, 2), (0, 3)]).tolist() == [[0, 3], [1, 3]]
+    assert sorted_pairs([]).shape == (0, 2)
+
+
+def test_pairs_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "pairs.txt"
+    path.write_text("# by hand\nb.jpg a.jpg\n\na.jpg b.jpg\nc/d.jpg a.jpg\n")
+    assert read_pairs(path, ["a.jpg", "b.jpg", "c/d.jpg"]).tolist() == [[0, 1], [0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"a.jpg\n", "line 1: expected two picture names, got 1"),
+        (b"\na.jpg b.jpg c.jpg\n", "line 2: expected two picture names, got 3"),
+        (b"a.jpg z.jpg\n", "line 1: no picture 'z.jpg'"),
+        (b"a.jpg \xff.jpg\n", "cannot be read as a list of pairs"),
+    ],
+)
+def test_a_list_of_pairs_that_is_none_says_where(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "pairs.txt").write_bytes(content)
+    with pytest.raises(FileFormatError, match=message):
+        read_pairs(tmp_path / "pairs.txt", ["a.jpg", "b.jpg", "c.jpg"])
