@@ -16,10 +16,10 @@ from epipole import _parallel
 from epipole._parallel import (
     available_cpus,
     chunk_bounds,
+    inline_here,
     map_chunks,
     map_items,
     num_threads,
-    run_inline_here,
     set_num_threads,
     single_threaded_blas,
 )
@@ -87,8 +87,8 @@ def test_a_thread_can_ask_to_run_inline() -> None:
     seen: list[set[int]] = []
 
     def body() -> None:
-        run_inline_here()
-        seen.append({threading.get_ident(), *map_items(lambda _: threading.get_ident(), 4)})
+        with inline_here():
+            seen.append({threading.get_ident(), *map_items(lambda _: threading.get_ident(), 4)})
 
     thread = threading.Thread(target=body)
     thread.start()

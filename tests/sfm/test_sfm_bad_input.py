@@ -1,5 +1,6 @@
 """Bad input gets clear words, the rest is reconstructed, and what was made stays."""
 
+import json
 import shutil
 import signal
 import subprocess
@@ -131,9 +132,15 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
         reconstruct(rendered, tmp_path / "other")
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["precious.txt"]
     (tmp_path / "held").mkdir()
-    (tmp_path / "held" / "epipole.json").write_text('{"format": 1, "source": "/elsewhere"}')
-    (tmp_path / "held" / "work").mkdir()
-    with pytest.raises(WorkspaceError, match="holds the reconstruction of /elsewhere"):
+    mark = {
+        "format": 2,
+        "kind": "reconstruct",
+        "source": "/elsewhere",
+        "finished": "",
+        "files": {"model": ["a.bin"]},
+    }
+    (tmp_path / "held" / "epipole.json").write_text(json.dumps(mark))
+    with pytest.raises(WorkspaceError, match="holds the results of `epipole reconstruct` of /elsewhere"):
         reconstruct(rendered, tmp_path / "held")
 
 
@@ -172,7 +179,8 @@ def test_masks_remove_features(rendered, tmp_path):
 KILLED_IN = """
 import os, signal, sys
 import epipole.api as api
-import epipole.pipelines.sfm.pipeline as pipeline
+import epipole.pipelines.sfm.results as results
+import epipole.pipelines.sfm.run as run
 
 stage, images, out = sys.argv[1:]
 
@@ -184,9 +192,9 @@ def progress(event):
         die()
 
 if stage == "write":
-    pipeline.write_scene_ply = die  # the model is written, the rest is not
+    results.write_scene_ply = die  # the model is written, the rest is not
 if stage == "report":
-    api.render_report = die
+    run.render_report = die
 api.reconstruct(images, out, progress=progress)
 """
 

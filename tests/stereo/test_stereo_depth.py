@@ -212,11 +212,12 @@ def test_nothing_of_the_users_is_lost(pair_files, tmp_path):
         api.stereo(left, right, tmp_path, config)
     out = tmp_path / "own"
     out.mkdir()
-    (out / "cloud.ply").write_text("mine")
-    with pytest.raises(WorkspaceError, match=r"cloud\.ply, which no earlier run"):
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(WorkspaceError, match="not made by epipole"):
         api.stereo(left, right, out, config)
-    assert (out / "cloud.ply").read_text() == "mine" and left.is_file()
-    (out / "cloud.ply").rename(out / "notes.txt")
+    assert [path.name for path in out.iterdir()] == ["notes.txt"] and left.is_file()
+    (out / "notes.txt").rename(tmp_path / "notes.txt")
     api.stereo(left, right, out, config)
+    (out / "notes.txt").write_text("mine")
     api.stereo(left, right, out, config)  # its own results may go
     assert (out / "notes.txt").read_text() == "mine"

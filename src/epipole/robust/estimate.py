@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -172,31 +172,33 @@ def run_loop(
     )
     out = np.full(n, np.inf)
     out[order] = np.sqrt(residuals) * scale_px
-    return found_by_loop(problem, score, int(iterations), raw, out, information, scale_px, config)
+    answer = LoopAnswer(float(score), int(iterations), raw, out, information)
+    return found_by_loop(problem, answer, scale_px, config)
 
 
-def found_by_loop(
-    problem: Any,
-    score: float,
-    num_iterations: int,
-    raw: np.ndarray,
-    residuals: np.ndarray,
-    information: np.ndarray,
-    scale_px: float,
-    config: RansacConfig,
-) -> Found:
-    """What the loop's answer says: who agrees, how wide the noise is, and how well the model is determined.
+class LoopAnswer(NamedTuple):
+    """What the loop gives, in the problem's coordinates but for the residuals."""
+
+    score: float
+    num_iterations: int
+    raw: np.ndarray
+    """(MODEL_SIZE,), the model as the problem's kernels keep it."""
+    residuals: np.ndarray
+    """(n,), in the caller's order and unit."""
+    information: np.ndarray
+    """J^T J of the inliers."""
+
+
+def found_by_loop(problem: Any, answer: LoopAnswer, scale_px: float, config: RansacConfig) -> Found:
+    """What the answer says: who agrees, how wide the noise is, and how well the model is determined.
 
     Args:
         problem: of the class that was fitted; its items do not matter.
-        score: the loop's, in the problem's coordinates.
-        num_iterations: how many samples were drawn.
-        raw: the model as the problem's kernels keep it.
-        residuals: (n,) in the caller's order and unit.
-        information: J^T J of the inliers.
+        answer: the loop's.
         scale_px: the unit of the problem's residuals in the caller's unit.
         config: threshold in the caller's unit, inliers needed.
     """
+    score, num_iterations, raw, residuals, information = answer
     freedom = int(problem.degrees_of_freedom())
     if not np.isfinite(score):
         return failed(Reason.NO_MODEL, len(residuals), freedom, num_iterations)
@@ -211,7 +213,7 @@ def found_by_loop(
         reason = Reason.TOO_FEW_INLIERS
     else:
         reason = Reason.OK if determined else Reason.DEGENERATE
-    score_px = float(score) * scale_px**2
+    score_px = score * scale_px**2
     return Found(reason, raw, residuals, inlier_mask, num_iterations, score_px, noise, covariance)
 
 

@@ -13,7 +13,7 @@ from epipole.config import RansacConfig
 from epipole.robust import _pair_kernels as kernels
 from epipole.robust._problem_kernels import MODEL_SIZE, MOST_FREEDOM
 from epipole.robust._wide_pair_kernels import fit_wide_motions
-from epipole.robust.estimate import LARGEST, Found, Reason, failed, found_by_loop
+from epipole.robust.estimate import LARGEST, Found, LoopAnswer, Reason, failed, found_by_loop
 from epipole.robust.rays import is_wide
 
 _NO_CAMERA = Camera(CameraModel.SIMPLE_PINHOLE, 1, 1, np.array([1.0, 0.0, 0.0]))
@@ -117,13 +117,6 @@ def found_of_one(problem: Any, use: np.ndarray, fits: kernels.Fits, config: Rans
     n, usable = len(use), int(use.sum())
     if usable < problem.sample_size():
         return failed(Reason.TOO_FEW, n, int(problem.degrees_of_freedom()))
-    return found_by_loop(
-        problem,
-        float(fits.best_score[0]),
-        int(fits.iterations[0]),
-        fits.raw[0],
-        fits.residuals_px,
-        fits.information[0],
-        float(fits.frame[0, 4]),
-        config,
-    )
+    score, iterations = float(fits.best_score[0]), int(fits.iterations[0])
+    answer = LoopAnswer(score, iterations, fits.raw[0], fits.residuals_px, fits.information[0])
+    return found_by_loop(problem, answer, float(fits.frame[0, 4]), config)

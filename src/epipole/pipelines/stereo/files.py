@@ -96,10 +96,10 @@ def read_stereo(out: Path) -> StereoFiles:
         )
     try:
         K = np.array(json.loads((out / "rig.json").read_text())["K"], np.float64).reshape(3, 3)
-        if not np.isfinite(K).all():
-            raise ValueError("the camera matrix is not finite")
     except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise FileFormatError(out / "rig.json", "it is missing or damaged") from error
+    if not np.isfinite(K).all():
+        raise FileFormatError(out / "rig.json", "its camera matrix is not finite")
     files = StereoFiles(
         read_rgb(out / "left.png"), read_pfm(out / "depth.pfm"), read_pfm(out / "sigma_depth.pfm"), K
     )
