@@ -61,12 +61,12 @@ class MatchConfig:
     max_bits: int = 64
     """ORB: largest Hamming distance of a match."""
     preemptive_features: int = 2048
-    """SIFT: of both pictures so many features at most, the largest third, are compared first; their geometry
-    guides the rest. 0: never."""
+    """SIFT: of both pictures so many features at most, the largest third, are matched first (preemptive matching); the
+    others then along their epipolar lines. 0: all with all."""
     preemptive_min_matches: int = 12
-    """Fewer matches of the scouts mean that the pictures do not overlap."""
+    """Fewer preemptive matches mean that the pictures do not overlap."""
     preemptive_min_inliers: int = 30
-    """Fewer consistent scouts guide nobody: all features are compared with all."""
+    """Fewer preemptive inliers give no epipolar geometry: all features are then compared with all."""
     band_px: float = 3.0
     """Guided matches lie within so many pixels of their epipolar line."""
 

@@ -15,7 +15,7 @@ from epipole.pipelines.calibration.comparison import cross_check, projection_dif
 from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
 from epipole.pipelines.calibration.observations import warp_shapes
 from epipole.pipelines.calibration.uncertainty import projection_sigma
-from epipole.pipelines.calibration.verdict import judge
+from epipole.pipelines.calibration.verdict import assess
 
 BOARD = BoardConfig(columns=9, rows=6, square=0.025)
 CONFIG = CalibrationConfig(board=BOARD)
@@ -147,9 +147,9 @@ def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     check = cross_check(views, found)
     assert check is not None and check.held_out_rms_px < 1.2 * check.fitted_rms_px
     assert check.difference_px[0] < 1.0
-    assert judge(found, check).passes
+    assert assess(found, check).passes
     few = calibrate_views([views[0][:4]], [SIZE], CONFIG)
-    verdict = judge(few, cross_check([views[0][:4]], few))
+    verdict = assess(few, cross_check([views[0][:4]], few))
     assert not verdict.passes and "views are used" in verdict.sentence
 
 
@@ -190,7 +190,7 @@ def test_what_cannot_be_calibrated_is_said():
         found = calibrate_views(frontal, [SIZE], CONFIG)
     except DegenerateGeometryError:
         return
-    assert not judge(found, cross_check(frontal, found)).passes
+    assert not assess(found, cross_check(frontal, found)).passes
     assert found.params_sigma(0)[0] > 5.0  # parallel boards do not tell the focal length
 
 

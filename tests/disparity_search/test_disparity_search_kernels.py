@@ -87,7 +87,7 @@ def test_bottoms(rng: np.random.Generator, with_other: bool) -> None:
         assert_same_as_python(_consistency_kernels.bottom_of_v, winner, lowest, beside, other, -3, *rows, out)
 
 
-@reference_of(_consistency_kernels.judge_rows)
+@reference_of(_consistency_kernels.check_rows)
 def test_judgements(rng: np.random.Generator) -> None:
     shape = (6, 9)
     disparity, theirs = (rng.uniform(-4, 9, shape).astype(np.float32) for _ in range(2))
@@ -100,7 +100,7 @@ def test_judgements(rng: np.random.Generator) -> None:
     out = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
     for rows, limits in (((0, 6), (0.0, 1.25)), ((2, 5), (0.2, 4.0)), ((3, 3), (0.0, 0.0))):
         assert_same_as_python(
-            _consistency_kernels.judge_rows,
+            _consistency_kernels.check_rows,
             *((disparity, lowest, second), theirs, blank, 0, limits, *rows, out),
         )
 

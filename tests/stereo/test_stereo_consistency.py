@@ -1,4 +1,4 @@
-"""The judging loops against the same statements over whole arrays."""
+"""The consistency checks against the same statements over whole arrays."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def bottom_by_arrays(winner, lowest, beside, other, low):
     return winner + offset + np.float32(low), np.where(at_end, np.minimum(down, up), steepness), others
 
 
-def judge_by_arrays(disparity, lowest, second, theirs, blank, low, limits):
+def check_by_arrays(disparity, lowest, second, theirs, blank, low, limits):
     height, width = disparity.shape
     x = np.arange(width)
     matched = np.rint(x - disparity).astype(np.int64)
@@ -56,8 +56,8 @@ def test_loops_say_what_arrays_say(rng, low):
     blank = (rng.random(SHAPE) < 0.2, rng.random(SHAPE) < 0.2)
     for limits in ((0.0, 1.25), (0.1, 4.0)):
         found = (np.empty(SHAPE, np.float32), np.empty(SHAPE, np.uint8))
-        consistency.judge_rows((disparity, lowest, second), others, blank, low, limits, 0, SHAPE[0], found)
-        apart, reason = judge_by_arrays(disparity, lowest, second, others, blank, low, limits)
+        consistency.check_rows((disparity, lowest, second), others, blank, low, limits, 0, SHAPE[0], found)
+        apart, reason = check_by_arrays(disparity, lowest, second, others, blank, low, limits)
         np.testing.assert_array_equal(found[0], apart)
         np.testing.assert_array_equal(found[1], reason)
         assert len(np.unique(reason)) == 5  # every reason that is given here occurs

@@ -38,7 +38,7 @@ def bottom_of_v(winner, lowest, beside, other, first, start, stop, out):
 
 
 @kernel
-def judge_rows(mine, theirs, blank, first, limits, start, stop, out):
+def check_rows(mine, theirs, blank, first, limits, start, stop, out):
     """Difference from the other picture's disparity and reason of each pixel of rows start..stop.
 
     mine = (disparity, lowest sum, second), theirs = the other picture's disparities, blank = (of this picture, of the other): where

@@ -100,7 +100,7 @@ def match_with_evidence(
         mine = _winners(_look(one, config), _look(two, config), low, high, config)
         theirs = mine.other
     blank = _parallel.map_chunks(lambda k, *_: _is_textureless((one, two)[k]), 2, 2)
-    apart, reason = _judge(mine, theirs, low, config, (blank[0], blank[1]))
+    apart, reason = _checked(mine, theirs, low, config, (blank[0], blank[1]))
     disparity = cv2.medianBlur(mine.disparity, config.median_px) if config.median_px else mine.disparity
     reason[_speckles(disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
     smoothing = np.abs(disparity - mine.disparity)
@@ -160,7 +160,7 @@ def _largest_disparity(left: np.ndarray, right: np.ndarray, config: DisparityCon
     small = [cv2.resize(picture, size, interpolation=cv2.INTER_AREA) for picture in (left, right)]
     low, high = config.min_disparity_px // _COARSE, max(size[0] // 2, config.min_disparity_px // _COARSE + 1)
     found = _winners(_look(small[0], config), _look(small[1], config), low, high, config)
-    seen = _judge(found, found.other, low, config)[1] == StereoReason.OK
+    seen = _checked(found, found.other, low, config)[1] == StereoReason.OK
     if not seen.any():
         return left.shape[1] // 4
     scale = left.shape[1] / size[0]
@@ -234,7 +234,7 @@ def _both_winners(
     mirrored = right[:, ::-1], left[:, ::-1]
     out = []
     for pair, mine, theirs in (((left, right), *coarse), (mirrored, *coarse[::-1])):
-        _, reason = _judge(mine, theirs.disparity[:, ::-1], low // 2, config)
+        _, reason = _checked(mine, theirs.disparity[:, ::-1], low // 2, config)
         reason[_speckles(mine.disparity, reason, config.min_region_px)] = StereoReason.SPECKLE
         trusted = np.where(reason == StereoReason.OK, mine.disparity, np.float32(np.nan))
         out.append(_winners_by_tiles(*pair, trusted, (low, high), config))
@@ -318,7 +318,7 @@ def _brightness(grey: UInt16[np.ndarray, "h w"]) -> np.ndarray:
     return np.clip((grey - low) * (255.0 / max(high - low, 1.0)), 0, 255).astype(np.int16)
 
 
-def _judge(
+def _checked(
     mine: _Winners,
     theirs: Float32[np.ndarray, "h w"],
     low: int,
@@ -336,7 +336,7 @@ def _judge(
     limits = (float(config.min_margin), float(config.max_left_right_px))
     _by_rows(
         shape[0],
-        lambda start, stop, _: consistency.judge_rows(
+        lambda start, stop, _: consistency.check_rows(
             found, theirs, blank or (nowhere, nowhere), low, limits, start, stop, (apart, reason)
         ),
     )

@@ -83,7 +83,7 @@ class Eliminated(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for one observation's Jacobians."""
+    """Working arrays for one observation's Jacobians."""
 
     by_point_in_cam: np.ndarray
     by_params: np.ndarray
@@ -99,6 +99,6 @@ class Scratch(NamedTuple):
 def rows_of_zeros(shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
     """An array of zeros that begins with a line of the cache, as NumPy's own do not."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    room = np.zeros(size + _LINE, np.uint8)
-    first = -room.ctypes.data % _LINE
-    return room[first : first + size].view(dtype).reshape(shape)
+    memory = np.zeros(size + _LINE, np.uint8)
+    first = -memory.ctypes.data % _LINE
+    return memory[first : first + size].view(dtype).reshape(shape)

@@ -31,7 +31,7 @@ from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 
 
 def make_scratch(wide: int) -> Scratch:
-    """Room for one thread: made here, as a kernel that makes arrays counts references to all."""
+    """Working arrays of one thread: made here, as a kernel that makes arrays counts references to all."""
     return Scratch(
         *(
             np.empty((2, 3)),

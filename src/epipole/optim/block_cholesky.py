@@ -310,7 +310,7 @@ def _independent_subtrees(parent: np.ndarray, work: np.ndarray) -> tuple[np.ndar
 def _stack_updates(
     parent: np.ndarray, sizes: np.ndarray, groups: tuple[np.ndarray, ...]
 ) -> tuple[np.ndarray, int]:
-    """Where each update stands while its parent waits for it, and the room for all.
+    """Where each update stands while its parent waits for it, and the length of all.
 
     A front reads its children while it writes its own, so generations take turns on two stacks; each group has
     its own two, as groups run at the same time. The last group, all above the others, shares nothing.

@@ -241,11 +241,11 @@ def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points
     if with_points:
         mark, count = np.empty((2, n), np.int64)
         arguments = (entries.start, entries.node, entries.point, entries.by_node, entries.node_start, mark)
-        # Few nodes have room for all pairs; else the pairs are counted first.
-        room = n * (n + 1) // 2 if n < _FEW_NODES else 0
-        column = np.empty(room, np.int64)
+        # Of few nodes all pairs fit; else the pairs are counted first.
+        space = n * (n + 1) // 2 if n < _FEW_NODES else 0
+        column = np.empty(space, np.int64)
         total = layout_kernels.find_pattern(*arguments, count, column)
-        if total and not room:
+        if total and not space:
             column = np.empty(total, np.int64)
             layout_kernels.find_pattern(*arguments, count, column)
         column = column[:total]

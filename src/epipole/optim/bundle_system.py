@@ -60,7 +60,7 @@ class Linearization:
 
 
 class BundleSystem:
-    """The linear algebra of one problem: keeps what is constant, and the room that each step needs."""
+    """The linear algebra of one problem: keeps what is constant, and the arrays that each step needs."""
 
     def __init__(
         self,
@@ -119,8 +119,10 @@ class BundleSystem:
             last = np.arange(self.layout.num_nodes) < self.layout.num_border
             plan = plan_cholesky(self.pattern, last)
             direct_s = pairs * _PAIR_S / 2 + plan.flops / _FLOPS_PER_S
-            room = 8 * (plan.panel_size + plan.update_size + len(self.pattern.row) * width**2)
-            if asked is LinearSolver.DIRECT or (direct_s < iterative_s + 0.1 and room < _MAX_DIRECT_BYTES):
+            num_bytes = 8 * (plan.panel_size + plan.update_size + len(self.pattern.row) * width**2)
+            if asked is LinearSolver.DIRECT or (
+                direct_s < iterative_s + 0.1 and num_bytes < _MAX_DIRECT_BYTES
+            ):
                 self.plan = plan
                 return
         self.pattern = reduced_pattern(self.layout, self.problem, with_points=False)
@@ -325,9 +327,9 @@ class BundleSystem:
         def work(start: int, stop: int, _: int) -> np.ndarray:
             part = np.zeros_like(x)
             lanes = self.layout.lanes
-            room = arrays.rows_of_zeros((3, len(lanes)))
+            sums = arrays.rows_of_zeros((3, len(lanes)))
             reduced_kernels.multiply_eliminated(
-                self.layout.entries, start, stop, self.kept.z, x, part, room, lanes
+                self.layout.entries, start, stop, self.kept.z, x, part, sums, lanes
             )
             return part
 

@@ -27,6 +27,6 @@ from epipole.robust.two_view import estimate_relative_pose as estimate_relative_
 from epipole.robust.two_view import estimate_upright_motion as estimate_upright_motion
 from epipole.robust.verify import PairGeometry as PairGeometry
 from epipole.robust.verify import PairMatches as PairMatches
-from epipole.robust.verify import find_guide as find_guide
+from epipole.robust.verify import fundamental_for_guided_matching as fundamental_for_guided_matching
 from epipole.robust.verify import verify_pair as verify_pair
 from epipole.robust.verify import verify_pairs as verify_pairs

@@ -124,7 +124,7 @@ def verify_pair(
     return verify_pairs([PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)], config)[0]
 
 
-def find_guide(
+def fundamental_for_guided_matching(
     pixels1: Any,
     pixels2: Any,
     camera1: Camera,

@@ -190,7 +190,7 @@ def _start(
 def _settle(
     state: RigState, corners: Corners, board: np.ndarray, config: CalibrationConfig
 ) -> tuple[RigState, np.ndarray]:
-    """Plain least squares over the corners that agree, which are judged anew after each fit."""
+    """Plain least squares over the corners that agree, which are chosen anew after each fit."""
     used = _agreeing(state, corners, board, config)
     for _ in range(_ROUNDS):
         state, _ = adjust(_only_seen(state, corners, used), corners.select(used), board)

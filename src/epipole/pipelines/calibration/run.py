@@ -20,7 +20,7 @@ from epipole.pipelines.calibration.comparison import cross_check
 from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun, write_results
 from epipole.pipelines.calibration.page import render_page
-from epipole.pipelines.calibration.verdict import judge
+from epipole.pipelines.calibration.verdict import assess
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
 
 _LOOKED_AT = 8
@@ -81,7 +81,7 @@ def _measure(pictures: list[list[Path]], run: Run, config: CalibrationConfig) ->
     check = cross_check(views, result)
     if check is not None:
         result = replace(result, uncertainty=result.uncertainty.widened(check.widening))
-    verdict = judge(result, check, against)
+    verdict = assess(result, check, against)
     run.report("calibrate", 2, 2)
     return CalibrationRun(run.root, result, check, verdict, tuple(tuple(p) for p in pictures), problems)
 

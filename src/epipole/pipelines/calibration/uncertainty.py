@@ -77,7 +77,9 @@ def uncertainty_of(
         num_views += 1
     freedom = 2 * int(np.isfinite(residuals).all(axis=1).sum()) - int(free.sum()) - 6 * num_views
     if freedom <= 0:
-        raise DegenerateGeometryError("no more residuals than unknowns: the calibration cannot be judged")
+        raise DegenerateGeometryError(
+            "no more residuals than unknowns: the errors of the calibration cannot be told"
+        )
     noise = float(np.sqrt(np.nansum(residuals**2) / freedom))
     theta, scale = np.zeros((size, size)), 1.0 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     own = np.ix_(free, free)

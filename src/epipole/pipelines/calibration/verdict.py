@@ -32,7 +32,7 @@ class Verdict:
     failures: tuple[str, ...]
 
 
-def judge(found: Calibration, check: CrossCheck | None, against: Sequence[str] = ()) -> Verdict:
+def assess(found: Calibration, check: CrossCheck | None, against: Sequence[str] = ()) -> Verdict:
     """Compare a calibration with what depth and reconstruction need.
 
     Args:

@@ -44,9 +44,9 @@ class MapperConfig:
     start_trials: int = 30
     """First pairs tried at most."""
     probe_images: int = 5
-    """A start is judged when its model has so many images."""
+    """A first pair is kept or not when its model has grown to so many images."""
     min_match_agreement: float = 0.75
-    """Share of the matches between registered images that a sound model sees as common points."""
+    """Share of the matches between registered images that a model must see as common points."""
     min_final_agreement: float = 0.6
     """The same for a finished model; below it other starts are tried."""
     restarts: int = 3

@@ -26,7 +26,7 @@ from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
 MAX_PROBES = 8
-"""Starts grown and judged at most."""
+"""First pairs whose models are grown at most."""
 
 Progress = Callable[[int, int], None]
 
@@ -118,7 +118,7 @@ class IncrementalMapper:
     def start(self, usable: np.ndarray) -> bool:
         """Start from the pair whose model, grown to a few images, agrees with the matches.
 
-        Pairs are tried in falling order of inliers and angle. The first sound model is kept; if none is sound,
+        Pairs are tried in falling order of inliers and angle. The first model that agrees is kept; if none does,
         the one that agrees best (two nearly parallel views may start a mirrored model that fits both).
         """
         best_share, best_edge, probes = 0.0, -1, 0

@@ -15,7 +15,7 @@ from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.feature_stage import load_features
-from epipole.robust import PairKind, PairMatches, find_guide, verify_pairs
+from epipole.robust import PairKind, PairMatches, fundamental_for_guided_matching, verify_pairs
 from epipole.runs import Unit, digest, load
 from epipole.scene import Cameras, ViewGraph
 
@@ -24,7 +24,7 @@ Result = TypeVar("Result")
 FORMAT = 2
 MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
 """Pairs are cut into about this many blocks: enough to share out, few enough for the disk."""
-MIN_SCOUTS = 768
+MIN_PREEMPTIVE = 768
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,21 +116,21 @@ def stacked_matches(found: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def match_pair(first: Features, second: Features, i: int, j: int, payload: MatchPayload) -> np.ndarray:
-    """Matches of one pair: the largest features scout; where they find a geometry, it guides the rest.
+    """Matches of one pair: the largest features with each other; then the rest along the epipolar lines that these give.
 
-    Comparing n with n features costs n^2; scouts of n / 4 and one band around each epipolar line cost about a
-    tenth of it and find more, for fewer wrong candidates compete (guided matching: HZ section 11.6; the scouts
-    are the preemptive features of Wu, 3DV 2013).
+    Comparing n with n features costs n^2; n / 4 of them and one band around each epipolar line cost about a tenth of
+    it and find more, for fewer wrong candidates compete (preemptive matching: Wu, 3DV 2013; guided matching: HZ
+    section 11.6).
     """
     config = payload.matching
-    scouts = min(config.preemptive_features, max(MIN_SCOUTS, max(len(first), len(second)) // 3))
-    if first.descriptors.shape[1] != 128 or scouts == 0 or max(len(first), len(second)) <= scouts:
+    preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
+    if first.descriptors.shape[1] != 128 or preemptive == 0 or max(len(first), len(second)) <= preemptive:
         return match_descriptors(first.descriptors, second.descriptors, config)
-    matches = match_descriptors(first.descriptors[:scouts], second.descriptors[:scouts], config)
+    matches = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
     if len(matches) < config.preemptive_min_matches:
         return matches
     needed = replace(payload.verification, min_inliers=config.preemptive_min_inliers)
-    guide = find_guide(
+    fundamental = fundamental_for_guided_matching(
         first.pixels[matches[:, 0]].astype(np.float64),
         second.pixels[matches[:, 1]].astype(np.float64),
         payload.cameras[i],
@@ -138,9 +138,9 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
         is_calibrated=payload.is_trusted[i] and payload.is_trusted[j],
         config=replace(needed, seed=needed.seed + _seed(i, j)),
     )
-    if guide is None:
+    if fundamental is None:
         return match_descriptors(first.descriptors, second.descriptors, config)
-    return match_along_epipolar_lines(first, second, guide, config.band_px, config)
+    return match_along_epipolar_lines(first, second, fundamental, config.band_px, config)
 
 
 def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:

@@ -120,8 +120,8 @@ def read_summary(out: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     tables = ("known", "warnings", "problems", "pictures")
-    is_sound = isinstance(content, dict) and all(isinstance(content.get(part, {}), dict) for part in tables)
-    return content if is_sound and isinstance(content.get("done", []), list) else {}
+    is_valid = isinstance(content, dict) and all(isinstance(content.get(part, {}), dict) for part in tables)
+    return content if is_valid and isinstance(content.get("done", []), list) else {}
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
