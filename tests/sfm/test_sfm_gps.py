@@ -8,7 +8,7 @@ from epipole import reconstruct
 from epipole.geometry import Rotation3, Similarity3
 from epipole.io.exif import gps_to_enu
 from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
-from epipole.pipelines.sfm.orientation import align_to_gps, rotation_between, upright_from_world
+from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
 from epipole.synthetic import courtyard, courtyard_views, render
 
 REACH_M = 15.0
@@ -108,7 +108,7 @@ def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
 @pytest.mark.parametrize("target", [[0.0, 0, 1], [0.0, 0, -1], [1.0, 0, 0], [0.6, 0, 0.8]])
 def test_the_smallest_turn_between_two_directions(target: list[float]) -> None:
     source, target = np.array([0.0, 0, 1]), np.array(target)
-    rotation = rotation_between(source, target)
+    rotation = Rotation3.from_two_vectors(source, target).matrix
     np.testing.assert_allclose(rotation @ source, target, atol=1e-12)
     angle = np.arccos(np.clip(source @ target, -1, 1))
     assert float(Rotation3(rotation).angle_rad()) == pytest.approx(angle, abs=1e-9)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole.errors import ShapeError
 
 
 def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
@@ -89,6 +90,21 @@ class Rotation3:
         u[..., :, 2] *= np.where(sign < 0, -1.0, 1.0)[..., None]
         return Rotation3(u @ vt)
 
+    @staticmethod
+    def from_two_vectors(source: Any, target: Any) -> Rotation3:
+        """The smallest rotation that turns one direction (3,) into another; of opposite ones, by half a turn about any axis.
+
+        Raises:
+            ShapeError: a vector is not three finite numbers, or is zero.
+        """
+        a, b = (_unit(v, name) for v, name in ((source, "source"), (target, "target")))
+        axis = np.cross(a, b)
+        sin, cos = float(np.linalg.norm(axis)), float(a @ b)
+        if sin < 1e-12:
+            other = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+            return Rotation3.identity() if cos > 0 else Rotation3.exp(np.pi * other / np.linalg.norm(other))
+        return Rotation3.exp(np.arctan2(sin, cos) * axis / sin)
+
     def inverse(self) -> Rotation3:
         """source_from_target."""
         return Rotation3(np.ascontiguousarray(np.swapaxes(self.matrix, -1, -2)))
@@ -115,3 +131,11 @@ class Rotation3:
 
     def __repr__(self) -> str:
         return f"Rotation3(batch {self.matrix.shape[:-2]})"
+
+
+def _unit(vector: Any, name: str) -> Float64[np.ndarray, 3]:
+    out = as_float_array(vector, name, 3, finite=True)
+    length = np.linalg.norm(out)
+    if out.ndim != 1 or not length > 0:
+        raise ShapeError(f"{name} must be one direction (3,) of some length, got {out}")
+    return out / length

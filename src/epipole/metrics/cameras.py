@@ -160,19 +160,8 @@ def _align_on_line(estimated: Rigid3, truth: Rigid3) -> Similarity3:
     turns = np.swapaxes(truth.rotation, -1, -2) @ estimated.rotation
     mean_rotation = Rotation3.nearest(turns.sum(axis=0)).matrix
     u, _, vt = np.linalg.svd(b.T @ a)
-    rotation = _smallest_turn(mean_rotation @ vt[0], u[:, 0]) @ mean_rotation
+    rotation = Rotation3.from_two_vectors(mean_rotation @ vt[0], u[:, 0]).matrix @ mean_rotation
     scale = float(np.linalg.norm(b) / np.linalg.norm(a))
     return Similarity3(
         np.asarray(scale), rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0)
     )
-
-
-def _smallest_turn(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The rotation by the smallest angle that brings one unit vector onto another."""
-    axis = np.cross(source, target)
-    length, cosine = float(np.linalg.norm(axis)), float(source @ target)
-    if length < 1e-12:
-        if cosine > 0:
-            return np.eye(3)
-        axis = np.cross(source, np.eye(3)[np.argmin(np.abs(source))])
-    return Rotation3.exp(axis / np.linalg.norm(axis) * np.arctan2(length, cosine)).matrix

@@ -8,6 +8,7 @@ from epipole.robust.absolute_pose import estimate_rig_pose as estimate_rig_pose
 from epipole.robust.absolute_pose import estimate_upright_pose as estimate_upright_pose
 from epipole.robust.alignment import estimate_rigid as estimate_rigid
 from epipole.robust.alignment import estimate_similarity as estimate_similarity
+from epipole.robust.alignment import estimate_upright_similarity as estimate_upright_similarity
 from epipole.robust.estimate import Estimate as Estimate
 from epipole.robust.estimate import Reason as Reason
 from epipole.robust.focal_motion import FocalMotion as FocalMotion

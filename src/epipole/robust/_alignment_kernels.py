@@ -10,7 +10,7 @@ import numpy as np
 
 from epipole._jit import kernel
 from epipole.robust._item_kernels import rotate_left
-from epipole.robust._problem_kernels import RobustProblem
+from epipole.robust._problem_kernels import Items, RobustProblem
 from epipole.solvers._alignment_kernels import SCALE as SCALE
 from epipole.solvers._alignment_kernels import align_three_points
 from epipole.solvers._linear_kernels import clear, clear_rows
@@ -73,7 +73,24 @@ def _retract_alignment(model, delta, freedom, out):
     out[SCALE] = model[SCALE] * math.exp(delta[6]) if freedom == 7 else model[SCALE]
 
 
-class AlignmentProblem(RobustProblem, MatchedPoints):
+class PointsProblem(RobustProblem):
+    """A similarity whose residuals are the three numbers of s R x + t - y."""
+
+    __slots__ = ()
+
+    def residual_size(self):
+        return np.int64(3)
+
+    def error_sq(self, model, threshold_sq, k):
+        p, m = model, self.items
+        a, b, c = m[0, k], m[1, k], m[2, k]
+        u = p[SCALE] * (p[0] * a + p[1] * b + p[2] * c) + p[9] - m[3, k]
+        v = p[SCALE] * (p[3] * a + p[4] * b + p[5] * c) + p[10] - m[4, k]
+        w = p[SCALE] * (p[6] * a + p[7] * b + p[8] * c) + p[11] - m[5, k]
+        return u * u + v * v + w * w
+
+
+class AlignmentProblem(PointsProblem, MatchedPoints):
     """The motion, or similarity, that takes x to y."""
 
     __slots__ = ()
@@ -83,9 +100,6 @@ class AlignmentProblem(RobustProblem, MatchedPoints):
 
     def degrees_of_freedom(self):
         return self.freedom
-
-    def residual_size(self):
-        return np.int64(3)
 
     def workspace(self):
         return np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -98,14 +112,6 @@ class AlignmentProblem(RobustProblem, MatchedPoints):
         found = align_three_points(x, y, self.freedom == 7, a, b, models[0])
         return np.int64(1) if found else np.int64(0)
 
-    def error_sq(self, model, threshold_sq, k):
-        p, m = model, self.items
-        a, b, c = m[0, k], m[1, k], m[2, k]
-        u = p[SCALE] * (p[0] * a + p[1] * b + p[2] * c) + p[9] - m[3, k]
-        v = p[SCALE] * (p[3] * a + p[4] * b + p[5] * c) + p[10] - m[4, k]
-        w = p[SCALE] * (p[6] * a + p[7] * b + p[8] * c) + p[11] - m[5, k]
-        return u * u + v * v + w * w
-
     def linearize(self, model, threshold_sq, soft_sq, a, b):
         return alignment_normal_equations(model, self.items, threshold_sq, soft_sq, self.freedom, a, b)
 
@@ -114,3 +120,72 @@ class AlignmentProblem(RobustProblem, MatchedPoints):
 
     def with_items(self, items):
         return AlignmentProblem(items, self.freedom)
+
+
+@kernel
+def _step_in_space(delta, full):
+    """A step (t, heading, log s) as one of (t, rotation, log s)."""
+    full[0], full[1], full[2], full[3], full[4] = delta[0], delta[1], delta[2], 0.0, 0.0
+    full[5], full[6] = delta[3], delta[4]
+
+
+@kernel
+def _turn_about_z(x, y, model):
+    """The similarity about the z axis that takes the points x (2, 3) to y; False where they coincide from above.
+
+    With horizontal coordinates as complex numbers, s e^(i heading) = (y1 - y0) / (x1 - x0).
+    """
+    p, q, u, v = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1], y[1, 0] - y[0, 0], y[1, 1] - y[0, 1]
+    size = p * p + q * q
+    scale = math.sqrt((u * u + v * v) / size)
+    if not (size > 0.0 and 0.0 < scale < math.inf):
+        return False
+    cos, sin = (p * u + q * v) / (size * scale), (p * v - q * u) / (size * scale)
+    for i in range(9):
+        model[i] = 0.0
+    model[0], model[1], model[3], model[4], model[8], model[SCALE] = cos, -sin, sin, cos, 1.0, scale
+    for i in range(3):
+        turned = model[3 * i] * (x[0, 0] + x[1, 0]) + model[3 * i + 1] * (x[0, 1] + x[1, 1])
+        turned += model[3 * i + 2] * (x[0, 2] + x[1, 2])
+        model[9 + i] = 0.5 * (y[0, i] + y[1, i] - scale * turned)
+    return True
+
+
+class UprightAlignmentProblem(PointsProblem, Items):
+    """The similarity that keeps the z axis and takes x to y; rows x (3), y (3). Steps are (t, heading, log s)."""
+
+    __slots__ = ()
+
+    def sample_size(self):
+        return np.int64(2)
+
+    def degrees_of_freedom(self):
+        return np.int64(5)
+
+    def workspace(self):
+        return np.empty((2, 3)), np.empty((2, 3))
+
+    def solve_sample(self, sample, models, work):
+        x, y = work
+        for k in range(2):
+            for i in range(3):
+                x[k, i], y[k, i] = self.items[i, sample[k]], self.items[3 + i, sample[k]]
+        return np.int64(1) if _turn_about_z(x, y, models[0]) else np.int64(0)
+
+    def linearize(self, model, threshold_sq, soft_sq, a, b):
+        full_a, full_b = np.empty((7, 7)), np.empty(7)
+        total = alignment_normal_equations(model, self.items, threshold_sq, soft_sq, 7, full_a, full_b)
+        for i in range(5):
+            row = i if i < 3 else i + 2
+            b[i] = full_b[row]
+            for j in range(5):
+                a[i, j] = full_a[row, j if j < 3 else j + 2]
+        return total
+
+    def retract(self, model, delta, out):
+        full = np.empty(7)
+        _step_in_space(delta, full)
+        _retract_alignment(model, full, 7, out)
+
+    def with_items(self, items):
+        return UprightAlignmentProblem(items)

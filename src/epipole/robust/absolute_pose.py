@@ -13,7 +13,7 @@ from epipole._checks import as_float_array, as_points, require_same_length
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError
-from epipole.geometry import Rigid3, Rotation3, skew
+from epipole.geometry import Rigid3, Rotation3
 from epipole.robust._absolute_pose_kernels import ROWS, AbsolutePoseProblem, pack_rays
 from epipole.robust._focal_pose_kernels import FOCAL, FocalPoseProblem
 from epipole.robust._rig_pose_kernels import RigPoseProblem, UprightPoseProblem
@@ -195,15 +195,9 @@ def turn_upright(down: Any, name: str) -> Float64[np.ndarray, "3 3"]:
         ShapeError: it is not one direction.
     """
     down = as_float_array(down, name, 3, finite=True)
-    length = np.linalg.norm(down)
-    if down.ndim != 1 or not length > 0:
+    if down.ndim != 1 or not np.linalg.norm(down) > 0:
         raise ShapeError(f"{name} must be one direction (3,) of some length, got {down}")
-    d = down / length
-    axis, y = np.cross(d, [0.0, 1.0, 0.0]), d[1]
-    if y < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    cross = skew(axis)
-    return np.eye(3) + cross + cross @ cross / (1.0 + y)
+    return Rotation3.from_two_vectors(down, np.array([0.0, 1.0, 0.0])).matrix
 
 
 def _motion(found: Found) -> Rigid3:

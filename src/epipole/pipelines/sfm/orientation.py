@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epipole.config import RansacConfig
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
+from epipole.robust import estimate_upright_similarity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +41,7 @@ def upright_from_world(cams_from_world: Rigid3, points_in_world: np.ndarray) -> 
     if values[1] > 0.05 and size > 0 and candidate @ up / size > 0.7:
         up = candidate
     up = up / np.linalg.norm(up) if np.linalg.norm(up) > 0 else np.array([0.0, 0.0, 1.0])
-    rotation = rotation_between(up, np.array([0.0, 0.0, 1.0]))
+    rotation = Rotation3.from_two_vectors(up, np.array([0.0, 0.0, 1.0])).matrix
     centers = cams_from_world.centers()
     middle = np.median(points_in_world, axis=0) if len(points_in_world) else centers.mean(axis=0)
     reach = (
@@ -47,16 +49,6 @@ def upright_from_world(cams_from_world: Rigid3, points_in_world: np.ndarray) -> 
     )
     scale = 1.0 / reach if reach > 0 else 1.0
     return Similarity3(np.asarray(scale), rotation, -scale * rotation @ middle)
-
-
-def rotation_between(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The smallest rotation that turns the unit vector source into target."""
-    axis = np.cross(source, target)
-    sin, cos = np.linalg.norm(axis), float(source @ target)
-    if sin < 1e-12:
-        other = np.cross(source, np.eye(3)[np.argmin(np.abs(source))])
-        return np.eye(3) if cos > 0 else Rotation3.exp(np.pi * other / np.linalg.norm(other)).matrix
-    return Rotation3.exp(np.arctan2(sin, cos) * axis / sin).matrix
 
 
 def align_to_gps(
@@ -86,20 +78,11 @@ def align_to_gps(
     source, target = upright.apply(centers_in_world[usable]), positions_enu[usable]
     if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < 3.0 * max_error_m / 3.0:
         return None
-    random = np.random.default_rng(seed)
-    best: tuple[float, Similarity3 | None] = (np.inf, None)
-    for _ in range(500):
-        a, b = random.choice(len(usable), 2, replace=False)
-        candidate = _upright_similarity(source[[a, b]], target[[a, b]])
-        if candidate is None:
-            continue
-        errors = np.linalg.norm(candidate.apply(source) - target, axis=1)
-        score = float(np.minimum(errors, max_error_m).sum())
-        if score < best[0]:
-            best = (score, candidate)
-    enu_from_upright = best[1]
-    if enu_from_upright is None:
+    config = RansacConfig(max_error_px=max_error_m, min_inliers=2, min_inlier_ratio=0.0, seed=seed)
+    found = estimate_upright_similarity(source, target, config)
+    if not np.isfinite(found.score):
         return None
+    enu_from_upright = found.model
     for _ in range(10):
         errors = np.linalg.norm(enu_from_upright.apply(source) - target, axis=1)
         near = errors <= max(max_error_m, 1.5 * float(np.median(errors)))
