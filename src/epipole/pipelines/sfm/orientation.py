@@ -9,6 +9,9 @@ import numpy as np
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 
+MIN_FIXES = 3
+"""Two give scale, heading and place; a third tells whether they can be believed."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GpsAlignment:
@@ -81,10 +84,10 @@ def align_to_gps(
     usable = np.flatnonzero(
         np.isfinite(positions_enu).all(axis=1) & np.isfinite(centers_in_world).all(axis=1)
     )
-    if len(usable) < 3:
+    if len(usable) < MIN_FIXES:
         return None
     source, target = upright.apply(centers_in_world[usable]), positions_enu[usable]
-    if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < 3.0 * max_error_m / 3.0:
+    if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < max_error_m:
         return None
     random = np.random.default_rng(seed)
     best: tuple[float, Similarity3 | None] = (np.inf, None)
