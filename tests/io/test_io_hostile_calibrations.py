@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -177,9 +178,8 @@ def test_yaml_that_trips_its_own_reader(folder: Path, line: str) -> None:
 
 
 def test_a_name_that_is_no_text(folder: Path, valid: dict[str, bytes]) -> None:
-    """OpenCV hands names on as they are."""
     (folder / "bytes.yaml").write_bytes(valid["opencv.yaml"].replace(b"image_width", b"\xe9mage_width"))
-    with pytest.raises(FileFormatError, match=r"bytes\.yaml: OpenCV cannot read it"):
+    with pytest.raises(FileFormatError, match=r"bytes\.yaml: it is neither JSON nor YAML"):
         read_calibration(folder / "bytes.yaml")
 
 
@@ -204,3 +204,33 @@ def test_a_place_that_is_no_rotation_is_refused(folder: Path) -> None:
     )
     with pytest.raises(FileFormatError, match=r"bent\.yaml: the place of camera 1 is no motion"):
         read_calibration(folder / "bent.yaml")
+
+
+ENTITIES = b"""<?xml version="1.0"?>
+<!DOCTYPE a [<!ENTITY b "1 1 1 1 1 1 1 1 1 1"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]>
+<opencv_storage><image_width>&c;</image_width></opencv_storage>
+"""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [ENTITIES, XML[:200], b"<opencv_storage>" + b"<a>" * 100_000, b"<?xml version='1.0'?><svg></svg>"],
+    ids=["entities", "cut", "deep", "a drawing"],
+)
+def test_xml_that_is_no_calibration(folder: Path, content: bytes) -> None:
+    path = folder / "other.xml"
+    path.write_bytes(content)
+    assert read_or_refuse(read_calibration, path, names="other.xml") is None
+
+
+def test_opencv_reads_the_same_from_its_own_files(folder: Path, valid: dict[str, bytes]) -> None:
+    """What we read without OpenCV's reader is what it reads."""
+    for name, matrix, lens in (
+        ("opencv.yaml", "M1", "D1"),
+        ("opencv.xml", "camera_matrix", "distortion_coefficients"),
+    ):
+        (folder / name).write_bytes(valid[name])
+        storage = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_READ)
+        camera = read_calibration(folder / name).cameras[0]
+        np.testing.assert_allclose(camera.K, storage.getNode(matrix).mat(), rtol=1e-15)
+        np.testing.assert_allclose(camera.params[4:8], storage.getNode(lens).mat().ravel()[:4], rtol=1e-15)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from io_models import small_model
 from PIL import Image
@@ -47,6 +47,7 @@ def colmap(request: pytest.FixtureRequest, folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("stem", ["cameras", "rigs", "frames", "images", "points3D"])
+@settings(max_examples=25)  # of each of ten files
 @given(data=st.data())
 def test_colmap_models(folder: Path, colmap: dict[str, bytes], stem: str, data: st.DataObject) -> None:
     name = next(n for n in colmap if n.startswith(stem))

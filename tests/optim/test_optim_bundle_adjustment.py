@@ -150,10 +150,39 @@ def test_same_result_for_any_number_of_threads(rng):
         assert results[0].final_cost == other.final_cost
 
 
-def test_no_points_is_no_work_and_misfits_raise(rng):
+def test_no_points_is_no_work(rng):
+    """Without an observation nothing is wrong and nothing moves."""
     _, start = ring(rng)
-    with pytest.raises(ShapeError):
-        adjust_bundle(replace(start, offsets=start.offsets[:-1]))
+    none, no_rows = np.zeros(0, np.int32), {"points_in_world": np.zeros((0, 3)), "pixels": np.zeros((0, 2))}
+    empty = replace(
+        start,
+        **no_rows,
+        offsets=np.zeros(1, np.int64),
+        frame=none,
+        sensor=none,
+        camera=none,
+        point_free=np.zeros(0),
+    )
+    result = adjust_bundle(empty)
+    assert result.initial_cost == result.final_cost == 0.0
+    np.testing.assert_array_equal(result.rig_from_world.as_matrix(), start.rig_from_world.as_matrix())
+    np.testing.assert_array_equal(result.camera_params, start.camera_params)
+    assert result.points_in_world.shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: {"offsets": p.offsets[:-1]}, "offsets must have 151 rows, got 150"),
+        (lambda p: {"offsets": p.offsets[::-1].copy()}, "offsets must rise from 0"),
+        (lambda p: {"frame": p.frame + np.int32(1)}, "names a frame that is not there"),
+        (lambda p: {"camera": p.camera - np.int32(1)}, "names a camera that is not there"),
+    ],
+)
+def test_misfits_raise(rng, change, message):
+    _, start = ring(rng)
+    with pytest.raises(ShapeError, match=message):
+        adjust_bundle(replace(start, **change(start)))
 
 
 @pytest.mark.parametrize("loss", list(Loss))

@@ -10,6 +10,7 @@ from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Rotation3, from_homogeneous, sampson_error, to_homogeneous
 from epipole.robust import (
     PairKind,
+    PairMatches,
     Reason,
     estimate_absolute_pose,
     estimate_essential_matrix,
@@ -17,6 +18,7 @@ from epipole.robust import (
     estimate_homography,
     estimate_relative_pose,
     verify_pair,
+    verify_pairs,
 )
 
 CAMERA = Camera(CameraModel.SIMPLE_RADIAL, 1000, 800, np.array([900.0, 499.5, 399.5, -0.05]))
@@ -119,13 +121,36 @@ def test_nan_matches_are_outliers(rng):
 def test_same_seed_same_answer_and_inputs_untouched(rng):
     x1, x2, _, _, _ = two_views(rng)
     before = x1.copy(), x2.copy()
-    first = estimate_essential_matrix(x1, x2, CAMERA, CAMERA, RansacConfig(seed=3))
-    _parallel.set_num_threads(1)
-    second = estimate_essential_matrix(x1, x2, CAMERA, CAMERA, RansacConfig(seed=3))
-    _parallel.set_num_threads(None)
+    first, second, other = (
+        estimate_essential_matrix(x1, x2, CAMERA, CAMERA, RansacConfig(seed=seed)) for seed in (3, 3, 4)
+    )
     np.testing.assert_array_equal(first.model, second.model)
+    np.testing.assert_array_equal(first.inlier_mask, second.inlier_mask)
+    assert (first.model != other.model).any()  # the seed has a say
     np.testing.assert_array_equal(x1, before[0])
     np.testing.assert_array_equal(x2, before[1])
+
+
+def test_pairs_verified_on_any_number_of_threads_are_the_same(rng):
+    """Twenty pairs in chunks: on one thread in a row, on more at once."""
+    pairs = []
+    for seed in range(20):
+        x1, x2, *_ = two_views(rng, count=200 + 10 * seed, plane=seed % 3 == 0)
+        pairs.append(PairMatches(x1, x2, CAMERA, CAMERA, seed=seed))
+    results = []
+    try:
+        for threads in (1, 2, 5):
+            _parallel.set_num_threads(threads)
+            results.append(verify_pairs(pairs))
+    finally:
+        _parallel.set_num_threads(None)
+    assert {g.kind for g in results[0]} == {PairKind.GENERAL, PairKind.PLANAR}
+    for other in results[1:]:
+        for a, b in zip(results[0], other, strict=True):
+            assert a.kind is b.kind and a.noise_px == b.noise_px
+            np.testing.assert_array_equal(a.inlier_mask, b.inlier_mask)
+            np.testing.assert_array_equal(a.fundamental, b.fundamental)
+            np.testing.assert_array_equal(a.costs, b.costs)
 
 
 @pytest.mark.parametrize("is_calibrated", [True, False])

@@ -8,6 +8,7 @@ from epipole import reconstruct
 from epipole.geometry import Rotation3, Similarity3
 from epipole.io.exif import gps_to_enu
 from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
+from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
 from epipole.synthetic import courtyard, courtyard_views, render
 
@@ -158,4 +159,13 @@ def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, t
     result = reconstruct(folder, tmp_path / "out")
     assert not result.summary["is_metric"]
     assert result.summary["median_gps_residual_m"] is None
+    assert any("of the model's pictures 2 carry GPS, at least 3 are needed" in w for w in result.warnings)
+    # Fixes within their own error of each other: as many as it takes, but of a courtyard.
+    vague = ReconstructConfig(mapper=MapperConfig(gps_sigma_m=1000.0))
+    again = reconstruct(photographs, tmp_path / "vague", vague)
+    assert not again.summary["is_metric"]
+    assert any("may be off by 5000 m" in w for w in again.warnings)
+    # Who asks for no GPS is not told of it.
+    without = ReconstructConfig(mapper=MapperConfig(use_gps=False))
+    assert reconstruct(folder, tmp_path / "without", without).warnings == ()
     assert result.model.is_registered().all()

@@ -95,9 +95,11 @@ def test_cameras_that_do_not_expose_together(data_dir):
     left, right = ([read_rgb(p) for p in own] for own in names)
     rig = RectifiedRig(707.0912, 601.8873, 183.1104, 379.8145 / 707.0912)
     together = examine(list(zip(left, right)), rig)
-    assert together.is_healthy
-    apart = examine(list(zip(left[:-1], right[1:])), rig)
-    assert any("not synchronous" in p or "rows are off" in p for p in apart.problems)
+    assert together.is_healthy and not any("synchronous" in words for words in together.notes)
+    # Either camera late: the rig turns and rises in between, so that the rows' offset changes from pair to pair.
+    for one, other in ((left[:-1], right[1:]), (left[1:], right[:-1])):
+        apart = examine(list(zip(one, other)), rig)
+        assert not apart.is_healthy and any("not synchronous" in p for p in apart.problems)
     steps = [examine([(a, b)], rig).vertical_median_px for a, b in zip(left[:2], right[:2])]
     assert max(steps) < 0.6
 

@@ -6,6 +6,7 @@ EuRoC's, KITTI's and Middlebury's are read too.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +23,13 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
 from epipole.io._bytes import file_bytes
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
-from epipole.io._named_numbers import is_rotation, numbers_of, size_of, yaml_values
+from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
 from epipole.scene import StereoRig
 
 FORMAT = "epipole calibration"
 _VERSION = 1
+_OPENCV_TAG = re.compile(r"!!opencv-[a-z-]+")
 _SIZES = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
 _PAIR_KEYS = (
     ("M1", "D1", "M2", "D2"),
@@ -225,43 +227,20 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
 def _parse(path: Path) -> dict[str, Any]:
     data = file_bytes(path)
     head = data.lstrip()[:200]
-    is_euroc = b"T_BS" in data and b"opencv-matrix" not in data
-    if not is_euroc and (head.startswith((b"%YAML:1.0", b"<?xml")) or b"opencv-matrix" in data):
-        return _opencv_storage(path)
     try:
+        if head.startswith((b"<?xml", b"<opencv_storage")):
+            return xml_values(data)
         text = data.decode("utf-8")
         if lines := datasets.named_lines(text):
             return lines
-        text = text.removeprefix("%YAML:1.0")  # OpenCV's way to write it, which YAML itself does not know
+        # OpenCV's version line and its matrices are nothing that YAML itself knows.
+        text = _OPENCV_TAG.sub("", text.removeprefix("%YAML:1.0"))
         content = json.loads(text) if head.startswith(b"{") else yaml_values(text)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).split(chr(10))[0]}") from error
     if not isinstance(content, dict):
         raise FileFormatError(path, "it holds no named values")
     return {str(key): value for key, value in content.items()}
-
-
-def _opencv_storage(path: Path) -> dict[str, Any]:
-    try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-        root = storage.root()
-        out: dict[str, Any] = {}
-        for key in root.keys() or ():
-            node = root.getNode(key)
-            if node.isMap():
-                matrix = node.mat()
-                if matrix is not None:
-                    out[key] = matrix
-            elif node.isString():
-                out[key] = node.string()
-            elif node.isReal() or node.isInt():
-                out[key] = node.real()
-        storage.release()
-    except (cv2.error, SystemError, UnicodeDecodeError) as error:
-        raise FileFormatError(path, "OpenCV cannot read it") from error
-    if not out:
-        raise FileFormatError(path, "OpenCV finds nothing in it")
-    return out
 
 
 def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None) -> tuple[int, int]:

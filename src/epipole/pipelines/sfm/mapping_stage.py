@@ -11,7 +11,7 @@ from epipole.io.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
-from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
+from epipole.pipelines.sfm.orientation import MIN_FIXES, align_to_gps, upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
@@ -84,6 +84,24 @@ def _put_in_place(
     mapper.adjust_globally(rounds=2)
     mapper.finish()
     return np.linalg.norm(model.center - positions_enu, axis=1)
+
+
+def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
+    """Why the largest model is not in metres although pictures carry GPS, in words; empty where that is not so."""
+    has_gps = np.isfinite(images.lat_lon_alt).all(axis=1)
+    if not (config.use_gps and mapped.models and has_gps.any()) or mapped.gps_residuals_m[0] is not None:
+        return ""
+    fixes = gps_to_enu(images.lat_lon_alt[has_gps & mapped.models[0].is_registered()])
+    if len(fixes) < MIN_FIXES:
+        counts = f"of the model's pictures {len(fixes) or 'none'} carr{'ies' if len(fixes) == 1 else 'y'} GPS"
+        return f"the scale is unknown: {counts}, at least {MIN_FIXES} are needed for metres"
+    extent_m, reach_m = (
+        float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0))),
+        GPS_OUTLIER_SIGMAS * config.gps_sigma_m,
+    )
+    if extent_m < reach_m:
+        return f"the scale is unknown: the GPS places lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
+    return "the scale is unknown: the GPS places do not fit the model"
 
 
 def reasons_in_words(

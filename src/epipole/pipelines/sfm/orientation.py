@@ -11,6 +11,9 @@ from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.robust import estimate_upright_similarity
 
+MIN_FIXES = 3
+"""Two give scale, heading and place; a third tells whether they can be believed."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GpsAlignment:
@@ -73,10 +76,10 @@ def align_to_gps(
     usable = np.flatnonzero(
         np.isfinite(positions_enu).all(axis=1) & np.isfinite(centers_in_world).all(axis=1)
     )
-    if len(usable) < 3:
+    if len(usable) < MIN_FIXES:
         return None
     source, target = upright.apply(centers_in_world[usable]), positions_enu[usable]
-    if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < 3.0 * max_error_m / 3.0:
+    if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < max_error_m:
         return None
     config = RansacConfig(max_error_px=max_error_m, min_inliers=2, min_inlier_ratio=0.0, seed=seed)
     found = estimate_upright_similarity(source, target, config)

@@ -12,8 +12,8 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import NoModelError
-from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.mapping_stage import reasons_in_words
+from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
+from epipole.pipelines.sfm.mapping_stage import gps_note, reasons_in_words
 from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -85,7 +85,7 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
-        run.warnings += [*solution.notes, *_warnings(solution, reasons, config.mapper.min_final_agreement)]
+        run.warnings += [*solution.notes, *_warnings(solution, reasons, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)
             run.folder.write_text("report.html", render_report(content))
@@ -106,16 +106,18 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
     )
 
 
-def _warnings(solution: Solution, reasons: dict[str, str], min_agreement: float) -> list[str]:
+def _warnings(solution: Solution, reasons: dict[str, str], config: MapperConfig) -> list[str]:
     out, mapped, images = [], solution.mapped, solution.images
     for number, agreement in enumerate(mapped.agreements):
-        if agreement < min_agreement:
+        if agreement < config.min_final_agreement:
             out.append(
                 f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
                 "parts of it are probably wrong (a wrong focal length, or things that look alike)"
             )
     if reasons:
         out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
+    if note := gps_note(images, mapped, config):
+        out.append(note)
     if len(mapped.models) > 1:
         counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
         out.append(
