@@ -20,8 +20,8 @@ from rich.console import Console
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
 from benchmarks.tasks.stereo import StereoTask, stereo_tasks
+from epipole.disparity_search import uncertainty
 from epipole.disparity_search.search import match_stereo, match_with_evidence
-from epipole.pipelines.stereo import uncertainty
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.synthetic.stereo_rooms import stereo_room
 
