@@ -12,7 +12,7 @@ def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> n
     """Return `array` as a C-contiguous float64 array whose last axes are `tail` (batch axes are free).
 
     Raises:
-        ShapeError: the trailing axes differ, the values are no numbers, or `finite` and some are not.
+        ShapeError: the trailing axes differ, the values are not numbers, or `finite` and some are not.
     """
     try:
         given = np.asarray(array)
@@ -56,7 +56,7 @@ def require_same_length(**arrays: np.ndarray) -> int:
 
 
 def as_path(given: str | Path) -> Path:
-    """A path that was really given: an empty word would be the present folder.
+    """The path given; an empty string, which would mean the current folder, is refused.
 
     Raises:
         ConfigError: it is empty.

@@ -50,7 +50,7 @@ def set_num_threads(count: int | None) -> None:
 
 
 def asked_threads() -> int | None:
-    """What `set_num_threads` was last given."""
+    """The last argument of `set_num_threads`."""
     return _num_threads
 
 
@@ -82,8 +82,9 @@ def map_chunks(work: Callable[[int, int, int], Result], num_items: int, num_chun
     """Call work(start, stop, chunk) for fixed chunks of range(num_items); results come in chunk order.
 
     The chunks depend on num_items and num_chunks alone, so that sums reduced in this order are the same for
-    any number of threads. The calling thread takes its part: handing every chunk to another one took longer than many
-    a chunk. Called from inside a worker it runs inline. After an error the chunks not yet begun are left out.
+    any number of threads. The calling thread takes part: handing every chunk to another thread took longer
+    than many of the chunks. Called from inside a worker it runs inline. After an error the chunks not yet
+    begun are left out.
     """
     bounds = chunk_bounds(num_items, num_chunks)
     if len(bounds) <= 1 or num_threads() == 1 or getattr(_inside, "worker", False):
@@ -138,7 +139,7 @@ def inline_here() -> Iterator[None]:
 def single_threaded_blas() -> Iterator[None]:
     """Hold BLAS to one thread: its results change with the thread count, and our own threads are faster.
 
-    The setting is the process's: of threads that overlap the first one in sets it, the last one out puts it back.
+    The setting is global: of overlapping threads the first to enter sets it, the last to leave restores it.
     """
     global _blas_depth, _blas_limit  # noqa: PLW0603 - BLAS's setting is global, too
     with _blas_lock:
@@ -156,6 +157,6 @@ def single_threaded_blas() -> Iterator[None]:
 
 @cache
 def _blas_libraries() -> ThreadpoolController:
-    """Those of NumPy and SciPy, looked for once: that takes two milliseconds."""
+    """The BLAS libraries of NumPy and SciPy, searched once, which takes two milliseconds."""
     import_module("scipy.linalg")
     return ThreadpoolController()

@@ -1,4 +1,4 @@
-"""One call per job: what the command line does, from Python. Names are handed on; `view` asks each pipeline."""
+"""One function per job: what the command line does, from Python."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from epipole.viewer import ViewerHandle as ViewerHandle
 
 
 def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
-    """Show what a folder holds in the browser: a model with its cameras and pictures, or a pair's depth.
+    """Show an output folder in the browser: a model with its cameras and pictures, or a pair's depth.
 
     Args:
         out: output folder of a job, or a COLMAP model.
@@ -41,7 +41,7 @@ def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: b
         block: return only when the user interrupts with Ctrl-C.
 
     Raises:
-        FileFormatError: there is nothing that can be shown.
+        FileFormatError: the folder holds nothing that can be shown.
     """
     path = as_path(out)
     scene = _stereo_scene if _stereo_scene.is_mine(path) else _sfm_scene

@@ -1,6 +1,7 @@
-"""Every option of the system, defined once; the command line is generated from these classes.
+"""Options that several parts of the package share; the command line is generated from such classes.
 
-They stand in one light module, because rooms import compiled kernels and `epipole --help` must not wait for them.
+The options of a pipeline are in its own `config.py`. These modules import no kernels, so that the command
+line's help does not wait for them.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ Options = TypeVar("Options")
 
 
 def options_of(kind: type[Options], given: Options | None) -> Options:
-    """What was given, or the defaults for None.
+    """The options given, or the defaults for None.
 
     Raises:
-        ConfigError: something else was given, a dict for one.
+        ConfigError: something else was given, such as a dict.
     """
     if given is None:
         return kind()
@@ -32,13 +33,13 @@ class FeatureConfig:
     """Options of feature detection."""
 
     kind: Literal["sift", "orb"] = "sift"
-    """SIFT, or ORB where speed matters more than reach."""
+    """SIFT, or ORB: faster, but matches over smaller changes of viewpoint and scale."""
     max_features: int = 8192
     """Features kept per image, the largest first."""
     max_size_px: int = 3200
-    """Larger pictures are reduced to this longer side for detection."""
+    """Pictures are reduced for detection until their longer side has at most this many pixels."""
     contrast_threshold: float = 0.02
-    """SIFT: fainter blobs are ignored (OpenCV's unit)."""
+    """SIFT: blobs with less contrast are ignored (in the unit of OpenCV's contrastThreshold)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -61,14 +62,15 @@ class MatchConfig:
     max_bits: int = 64
     """ORB: largest Hamming distance of a match."""
     preemptive_features: int = 2048
-    """SIFT: of both pictures so many features at most, the largest third, are matched first (preemptive matching); the
-    others then along their epipolar lines. 0: all with all."""
+    """SIFT: the largest third of both pictures' features, at most this many, are matched first (preemptive
+    matching); the others then along their epipolar lines. 0: all features are matched with all."""
     preemptive_min_matches: int = 12
-    """Fewer preemptive matches mean that the pictures do not overlap."""
+    """With fewer preemptive matches the pictures count as not overlapping."""
     preemptive_min_inliers: int = 30
-    """Fewer preemptive inliers give no epipolar geometry: all features are then compared with all."""
+    """With fewer preemptive inliers there is no epipolar geometry to guide: all features are matched with
+    all."""
     band_px: float = 3.0
-    """Guided matches lie within so many pixels of their epipolar line."""
+    """Guided matches lie at most this many pixels from their epipolar line."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -84,18 +86,19 @@ class MatchConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RansacConfig:
-    """Options of the robust loop."""
+    """Options of robust estimation (RANSAC)."""
 
     max_error_px: float = 4.0
     """Matches with a larger residual are outliers."""
     confidence: float = 0.9999
-    """Probability of having drawn a sample of inliers before stopping."""
+    """Stop when a sample of inliers alone has been drawn with this probability."""
     min_iterations: int = 50
     max_iterations: int = 10_000
     min_inliers: int = 15
     """Fewer inliers count as failure."""
     min_inlier_ratio: float = 0.0
-    """A smaller share of inliers is not searched for, though taken when met: saves time where it would be a failure."""
+    """Stop once this share of inliers would have been found; a smaller share may be missed, which saves time
+    where it would be a failure anyway."""
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -19,11 +19,11 @@ class ConfigError(EpipoleError, ValueError):
 
 
 class DegenerateGeometryError(EpipoleError, ValueError):
-    """The geometry asked for does not exist (no baseline, collinear points, fewer points than unknowns)."""
+    """The geometry is degenerate (no baseline, collinear points, fewer points than unknowns)."""
 
 
 class FileFormatError(EpipoleError, ValueError):
-    """A file cannot be read as what it claims to be; the message names the file and the place."""
+    """A file is missing, damaged or of another format; the message names the file and the place."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
         super().__init__(f"{path}: {problem}")

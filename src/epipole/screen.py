@@ -1,4 +1,4 @@
-"""What all commands draw: progress with the time left, and warnings."""
+"""What all commands print: progress with the time left, and warnings."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def progress_on_screen(
     """A progress callback that draws one bar per stage, with the time left.
 
     Args:
-        words: what to call the stages; those that are not in it go by their names.
-        compiles_much: kernels that compile for a minute are announced.
+        words: labels of the stages; others are shown by their names.
+        compiles_much: announce that kernels compile for about a minute.
     """
     words = words or {}
     columns = (
@@ -61,12 +61,12 @@ def progress_on_screen(
 
 @contextmanager
 def waiting_for_kernels() -> Iterator[None]:
-    """A line that moves while a short command works, with the reason where it has to compile first."""
+    """A spinner while a short command works, which says so if kernels have to be compiled first."""
     console = Console(stderr=True)
     from epipole import _jit
 
     begin = _jit.compile_seconds()
-    with console.status("Working (the first time on a machine kernels are compiled, for some seconds)"):
+    with console.status("Working (the first run on a machine compiles kernels, for some seconds)"):
         yield
     _say_compiling(console, _jit.compile_seconds() - begin)
 
@@ -77,6 +77,6 @@ def _say_compiling(console: Console, seconds: float) -> None:
 
 
 def print_warnings(console: Console, warnings: Iterable[str], word: str = "note") -> None:
-    """One yellow line for each."""
+    """Print one yellow line per warning."""
     for warning in warnings:
         console.print(f"{word}: {warning}", style="yellow", highlight=False, markup=False)

@@ -172,7 +172,7 @@ def test_what_would_give_wrong_depth_is_refused(tmp_path):
     negative = np.eye(30)
     negative[3, 3] = -1.0
     for matrix in (np.full((30, 30), np.nan), negative, np.triu(np.ones((30, 30)))):
-        with pytest.raises(FileFormatError, match="the covariance is none"):
+        with pytest.raises(FileFormatError, match="covariance is not a covariance matrix"):
             read_stereo_rig(changed(covariance=matrix.tolist()))
     with pytest.raises(FileFormatError, match="version 99"):
         read_calibration(changed(version=99))

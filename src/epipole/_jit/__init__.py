@@ -105,7 +105,7 @@ def kernel(
 
 @contextmanager
 def _kept_in(folder: Path) -> Iterator[None]:
-    """Numba keeps what is declared here in the folder."""
+    """Kernels declared in this block are cached in the folder."""
     config = cast(Any, numba.config)
     previous = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
@@ -116,7 +116,7 @@ def _kept_in(folder: Path) -> Iterator[None]:
 
 
 class _CompileClock(numba_event.Listener):
-    """Adds up the seconds spent compiling; compiling a callee counts as part of its caller.
+    """Measures the seconds spent compiling; compiling a callee counts as part of its caller.
 
     Garbage is not collected meanwhile: the compiler keeps most of what it makes, and looking through it again and again
     took a tenth of the time.

@@ -1,7 +1,7 @@
-"""How the kernels run: linked, plain, or as Python.
+"""The three ways kernels run: linked, plain, or as Python.
 
-- LINKED: callees are linked into the kernels that call them and compiled once (`linking`). It stands on the inside of
-  Numba's compiler, which every release may change.
+- LINKED: callees are linked into the kernels that call them and compiled once (`linking`). This uses
+  internals of Numba's compiler, which every release may change.
 - PLAIN: `numba.njit` and nothing else of Numba's; the same results, but a function is compiled again for every kernel
   that calls it: the first run on a machine takes longer.
 - PYTHON: nothing is compiled; for a debugger, and hundreds of times slower.
@@ -25,7 +25,7 @@ from epipole.errors import ConfigError
 
 VARIABLE = "EPIPOLE_KERNELS"
 _TESTED = ((0, 61), (0, 68))
-"""The oldest and the newest Numba whose inside is known to be what `linking` expects."""
+"""The oldest and the newest Numba whose internals are known to be as `linking` expects."""
 _WORKS = "works"
 _NOTE = "linking"
 _TRIAL = "from epipole._jit.linking import try_linking; try_linking()"
@@ -45,7 +45,7 @@ def kernel_mode() -> KernelMode:
     """The mode of this process.
 
     Raises:
-        ConfigError: `$EPIPOLE_KERNELS` asks for another.
+        ConfigError: `$EPIPOLE_KERNELS` is neither linked nor plain.
     """
     if cast(Any, numba.config).DISABLE_JIT:
         return KernelMode.PYTHON
@@ -69,7 +69,7 @@ def kernel_mode() -> KernelMode:
 
 
 def why_not_linked() -> str:
-    """Empty if kernels can be linked on this Numba, which is tried once, in a process of its own; else the reason."""
+    """Why kernels cannot be linked on this Numba (tried once, in a process of its own); empty if they can."""
     folder = cache_folder(KernelMode.LINKED)
     answer = read_note(folder, _NOTE)
     if answer is None:
@@ -100,6 +100,6 @@ def _try_linking() -> str:
 
 
 def _version(text: str) -> tuple[int, int]:
-    """(0, 61) of 0.61.2; what cannot be read is newer than all."""
+    """(0, 61) of 0.61.2; a version that cannot be parsed counts as the newest."""
     major, minor, *_ = [*text.split("."), "", ""]
     return (int(major), int(minor)) if major.isdigit() and minor.isdigit() else (sys.maxsize, 0)

@@ -22,8 +22,8 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 def cache_folder(mode: str) -> Path:
     """The folder of kernels compiled in this mode: in `$EPIPOLE_CACHE_DIR` or the user's cache.
 
-    Its name stands for what they depend on: the sources, where they stand and since when, Python, Numba and the
-    processor: what Numba itself looks at, and the callees in other files that it does not.
+    Its name is a digest of all they depend on: the sources with their paths and times, Python, Numba and the
+    processor; also of callees in other files, which Numba's own cache ignores.
     """
     digest = hashlib.sha256(
         f"{mode} {numba.__version__} {sys.version_info[:2]} {_PACKAGE} {get_host_cpu_name()}".encode()
@@ -38,7 +38,7 @@ def cache_folder(mode: str) -> Path:
         folder = base / "kernels" / name
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # What stands here is run: nobody else may have put it.
+            # Cached code is executed: the folder must belong to this user.
             is_ours = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
         except OSError:
             continue
@@ -54,7 +54,7 @@ def _users_cache() -> Path | None:
         return Path(asked) / "epipole"
     try:
         return Path.home() / ".cache" / "epipole"
-    except RuntimeError:  # a user without a home
+    except RuntimeError:  # a user without a home folder
         return None
 
 
@@ -63,7 +63,7 @@ def _user() -> int:
 
 
 def read_note(folder: Path, name: str) -> str | None:
-    """What an earlier process noted in a folder of kernels; None: nothing."""
+    """A note left by an earlier process in a folder of kernels; None: there is none."""
     try:
         return (folder / name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
@@ -71,6 +71,6 @@ def read_note(folder: Path, name: str) -> str | None:
 
 
 def write_note(folder: Path, name: str, text: str = "") -> None:
-    """Note something for later processes; one that cannot be kept is made again."""
+    """Leave a note for later processes; one that cannot be written is computed again."""
     with suppress(OSError):
         (folder / name).write_text(text, encoding="utf-8")

@@ -24,7 +24,7 @@ class Camera:
     params: Float64[np.ndarray, " p"]
 
     def __post_init__(self) -> None:
-        """Check the number and the finiteness of the parameters, and the size.
+        """Check the number and the values of the parameters, and the size.
 
         Raises:
             ConfigError: the parameters do not fit the model, or no camera can have these values.
@@ -106,7 +106,7 @@ class Camera:
         return rays, out
 
     def scaled_to(self, width: int, height: int) -> Camera:
-        """The camera of the same picture resampled to another size (pixel edges, not centres, stay put)."""
+        """The camera of the same picture resampled to another size (pixel edges are aligned, not centres)."""
         sx, sy = width / self.width, height / self.height
         params = as_float_array(self.params, "params").copy()
         focal = self.model.focal_indices

@@ -39,8 +39,8 @@ def view(
 
     Args:
         out: Output folder of a reconstruction or of `stereo`, or a COLMAP model.
-        port: Where the viewer listens.
-        host: On which address.
+        port: The port to listen on; the next free one if it is in use.
+        host: The address to listen on.
     """
     import threading
 
@@ -62,19 +62,19 @@ def main(arguments: list[str] | None = None) -> None:
     """Run a command; errors that are meant for the user become one line and exit code 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if "" in given:
-        print("epipole: a word of the command is empty (an unset variable?)", file=sys.stderr)
+        print("epipole: an argument is empty (an unset variable?)", file=sys.stderr)
         sys.exit(2)
     if given[:2] == ["stereo", "doctor"]:
         given = ["stereo-doctor", *given[2:]]
-    # Modules and kernels are many small objects that stay: to look through them again and again for cycles took
-    # an eighth of a short run.
+    # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
+    # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
     try:
         _dispatch(given)
     except EpipoleError as error:
         print(f"epipole: {error}", file=sys.stderr)
         sys.exit(1)
-    except BrokenPipeError:  # the reader of our output has gone
+    except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
         )
         sys.exit(1)
     except KeyboardInterrupt:
-        note = "epipole: stopped. What was finished is kept; the same command goes on from there."
+        note = "epipole: stopped. What was finished is kept; the same command continues from there."
         print(f"\n{note}" if given[:1] == ["reconstruct"] else "", file=sys.stderr)
         sys.exit(130)
 
@@ -100,10 +100,10 @@ def _dispatch(given: list[str]) -> None:
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:
-    """Tyro's own reading of types, but that an option of two values takes two words wherever it stands.
+    """Tyro's parsing of types, except that an option of two values always takes exactly two words.
 
-    Tyro reads `tuple[int, int] | None` as two words or the word None, and takes all words up to the next option for it,
-    the paths that follow included.
+    Tyro reads `tuple[int, int] | None` as two words or the word None, and gives it all words up to the next
+    option, paths included.
     """
     registry = tyro.constructors.ConstructorRegistry()
     registry.primitive_rule(_two_values_or_none)

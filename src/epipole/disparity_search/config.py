@@ -13,36 +13,42 @@ class DisparityConfig:
     """Options of dense stereo matching."""
 
     min_disparity_px: int = 0
-    """Smallest disparity looked for; 0: where the rig says that the principal points differ, that of infinity."""
+    """Smallest disparity searched; 0 becomes the disparity of infinity where the rig's principal points
+    differ."""
     max_disparity_px: int | None = None
-    """Largest disparity looked for; None: found from the pictures."""
+    """Largest disparity searched; None: estimated from the pictures."""
     search: Literal["full", "coarse_to_fine"] = "full"
-    """Try every disparity everywhere; or, in each tile of the picture, those about what a picture of half the size shows there."""
+    """full: every disparity at every pixel; coarse_to_fine: in each tile only disparities near those found at
+    half the resolution."""
     method: Literal["sgm", "block"] = "sgm"
-    """Semi-global matching along paths; or sums over blocks: nothing assumed smooth, more mistakes where there is little texture."""
+    """sgm: semi-global matching along paths; block: block matching, without a smoothness term, with more
+    errors where there is little texture."""
     block_px: int = 9
-    """Side of the blocks, odd, at most 15."""
+    """block: side of the blocks, odd, at most 15."""
     paths: Literal[4, 8] = 8
-    """Along how many directions costs are summed; four take a fifth less time."""
+    """sgm: number of directions along which costs are summed; four take a fifth less time."""
     window: tuple[int, int] = (5, 5)
     """Width and height of the census window, odd."""
     brightness_cost: int = 0
-    """Up to so many bits are added for a difference of brightness, one for every two grey levels: for pairs of equal exposure."""
+    """Largest cost, in bits, added for a difference of brightness (one bit for every two grey levels): for
+    pairs of equal exposure."""
     small_penalty: int = 20
-    """P1: for a change of disparity by one between neighbours, in bits of the census."""
+    """P1: penalty for a change of disparity by one between neighbours, in bits of the census."""
     edge_penalty: float = 6.0
-    """A larger change costs P1 (1 + edge_penalty exp(-difference of brightness / edge_fade))."""
+    """P2 = P1 (1 + edge_penalty exp(-difference of brightness / edge_fade)): penalty for larger changes."""
     edge_fade: float = 10.0
     left_right: Literal["accurate", "fast"] = "accurate"
-    """Check against the other picture's own disparities, or (half the time) against those read off the same sums."""
+    """Left-right check: accurate matches the right picture on its own; fast (half the time) reads its
+    disparities off the same sums."""
     max_left_right_px: float = 1.25
-    """Disparities of the two pictures that differ by more are occluded."""
+    """Pixels whose left and right disparities differ by more count as occluded."""
     min_margin: float = 0.0
-    """The second lowest sum must exceed the lowest by this share of it; else the pixel is ambiguous."""
+    """Uniqueness: the second lowest sum must exceed the lowest by this share of it, else the pixel is
+    ambiguous."""
     max_sigma_px: float | None = None
     """Disparities with a larger standard deviation are left out; None: all are kept."""
     min_region_px: int = 40
-    """Smaller regions of one smooth disparity are speckles."""
+    """Connected regions of similar disparity with fewer pixels are removed as speckles."""
     median_px: Literal[0, 3, 5] = 5
     """Side of the median filter; 0: none."""
 
@@ -81,11 +87,11 @@ class DisparityConfig:
         largest = self.small_penalty * (1.0 + self.edge_penalty)
         if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
             raise ConfigError(
-                f"the cost's {bits} bits and the largest penalty {largest:g} must not exceed 254 together, and be positive"
+                f"the cost's {bits} bits and the largest penalty {largest:g} must be positive and at most 254 together"
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(
-                "coarse_to_fine needs the accurate left-right check: tiles do not show the other picture's side"
+                "coarse_to_fine needs left_right accurate: tiles do not hold the right picture's disparities"
             )
         if self.max_sigma_px is not None and not self.max_sigma_px > 0:
             raise ConfigError(f"max_sigma_px must be positive, is {self.max_sigma_px}")

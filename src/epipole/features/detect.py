@@ -32,7 +32,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
     found = detect_sift(grey, config) if config.kind == "sift" else _orb(grey, config)
     if factor == 1.0:
         return found
-    # Pixel edges, not centres, stay put under resampling.
+    # Resampling aligns pixel edges, not centres.
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     pixels = ((found.pixels + 0.5) * stretch - 0.5).astype(np.float32)
     return Features(

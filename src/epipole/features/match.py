@@ -114,8 +114,8 @@ def match_along_epipolar_lines(
 ) -> Int32[np.ndarray, "k 2"]:
     """Mutual nearest SIFT neighbours among the features within `band_px` of each other's epipolar line.
 
-    A line crosses about one hundredth of a picture's features, so that this costs a small part of comparing
-    all with all; the ratio test is among the candidates of the line.
+    A line crosses about one hundredth of a picture's features, so that this costs a small fraction of
+    comparing all with all; the ratio test is among the candidates of the line.
 
     Args:
         features1: of image 1.
@@ -167,7 +167,7 @@ def _match_bits(a: np.ndarray, b: np.ndarray, config: MatchConfig) -> np.ndarray
 
 
 def _one_to_one(rows1: np.ndarray, rows2: np.ndarray) -> np.ndarray:
-    """Drop later rows that claim a column already taken (only exact ties of distance do)."""
+    """Drop later rows with a column that is already taken (only exact ties of distance have one)."""
     _, first = np.unique(rows2, return_index=True)
     first.sort()
     return np.stack([rows1[first], rows2[first]], axis=1).astype(np.int32)

@@ -20,7 +20,7 @@ _CAMERA_SIGMA = 0.5
 """Blur taken to be in the picture itself."""
 _LEAST_SIDE = 2 * space.BORDER + 2
 _MOST_EDGE = 10.0
-"""Largest ratio of principal curvatures: along edges a place is not known."""
+"""Largest ratio of principal curvatures: along edges a position is not determined."""
 
 
 def detect_sift(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig) -> Features:
@@ -116,7 +116,7 @@ def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def root_sift(descriptors: Float32[np.ndarray, "n 128"]) -> UInt8[np.ndarray, "n 128"]:
     """Square roots of L1-normalised SIFT, times 512, as bytes (Arandjelovic and Zisserman, CVPR 2012).
 
-    For descriptors from elsewhere; `detect_sift` gives them so.
+    For descriptors computed elsewhere; `detect_sift` already returns them so.
     """
     values = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
     return np.minimum(np.rint(512.0 * np.sqrt(values)), 255).astype(np.uint8)

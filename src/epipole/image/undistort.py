@@ -10,7 +10,7 @@ from epipole.cameras import Camera, CameraModel
 
 
 def undistorted_camera(camera: Camera) -> Camera:
-    """The PINHOLE camera that shows what this camera's whole border holds and nothing beyond it.
+    """The PINHOLE camera whose picture shows nothing beyond this camera's border.
 
     The focal length stays; the picture is cropped to the largest rectangle whose rays all lie inside.
     """

@@ -31,7 +31,7 @@ def file_text(path: Path) -> str:
     """The whole file as UTF-8 text.
 
     Raises:
-        FileFormatError: there is none, it cannot be read, or it is no text.
+        FileFormatError: there is none, it cannot be read, or it is not text.
     """
     try:
         return file_bytes(path).decode("utf-8-sig")
@@ -40,7 +40,7 @@ def file_text(path: Path) -> str:
 
 
 class ByteReader:
-    """A cursor over a file's bytes that never reads past the end, nor believes a count that cannot be."""
+    """A cursor over a file's bytes that never reads past the end, and rejects impossible counts."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path

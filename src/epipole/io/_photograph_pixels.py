@@ -170,7 +170,7 @@ def stored_size(image: ImageFile) -> tuple[int, int]:
 
 
 def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
-    """Raise before the memory is used.
+    """Refuse a picture that is too large, before memory is used.
 
     Raises:
         FileFormatError: more pixels than the format's limit, or than a JPEG of so many bytes can hold.
@@ -180,7 +180,7 @@ def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
         raise FileFormatError(path, f"{sizes}, the limit for {image.format}; save it smaller or as JPEG")
-    # Each block of 8 x 8 takes a bit at the least; a decoder makes up what is missing.
+    # Each block of 8 x 8 takes at least one bit; a decoder would invent what is missing.
     if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:
         problem = f"{num_bytes} bytes cannot hold {width} x {height} pixels"
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")

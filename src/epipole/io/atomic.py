@@ -13,7 +13,7 @@ from epipole.errors import EpipoleError, WorkspaceError
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; what is written there replaces `path` when the block ends.
+    """Yield a temporary path beside `path`; what is written there replaces `path` when the block ends.
 
     The temporary name keeps the suffix, since some writers choose the format by it. If the block raises,
     `path` is as it was. Missing parent folders are made; a link is followed, not replaced.
@@ -34,7 +34,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """Give a temporary empty folder; what is written there becomes the folder `path` when the block ends.
+    """Yield a temporary empty folder; what is written there becomes the folder `path` when the block ends.
 
     A new folder appears in one step. In a folder that exists each file is replaced in one step, one after the
     other, and other files stay, for they may be the user's; only those named in `stale` are removed.

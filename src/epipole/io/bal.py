@@ -27,7 +27,8 @@ def read_bal(path: str | Path) -> BundleProblem:
     """Read a problem (.txt, or .bz2 of it): one camera for each frame, everything but principal points free.
 
     Raises:
-        FileFormatError: the file cannot be read, is cut short, or holds something that is no finite number or no index.
+        FileFormatError: the file cannot be read, is cut short, or holds a number that is not finite or an
+            index that is out of range.
     """
     path = Path(path)
     try:

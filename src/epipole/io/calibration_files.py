@@ -83,7 +83,7 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
         return CalibrationFile(*datasets.euroc_cameras(files, contents))
     if len(files) == 2 and any(_is_whole(content) for content in contents):
         whole = files[0 if _is_whole(contents[0]) else 1]
-        raise FileFormatError(whole, "it holds all cameras: give it alone")
+        raise FileFormatError(whole, "it holds all cameras: give this file alone")
     merged: dict[str, Any] = {}
     for content in contents:
         merged |= content
@@ -140,7 +140,7 @@ def read_stereo_rig(
 def write_calibration(
     path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
 ) -> None:
-    """Write our JSON: cameras, places, covariance, and whatever else is worth keeping under `about`.
+    """Write epipole's JSON: cameras, their poses, covariance, and further facts under `about`.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -233,7 +233,7 @@ def _parse(path: Path) -> dict[str, Any]:
         text = data.decode("utf-8")
         if lines := datasets.named_lines(text):
             return lines
-        # OpenCV's version line and its matrices are nothing that YAML itself knows.
+        # OpenCV's version line and its matrices are not standard YAML.
         text = _OPENCV_TAG.sub("", text.removeprefix("%YAML:1.0"))
         content = json.loads(text) if head.startswith(b"{") else yaml_values(text)
     except (ValueError, RecursionError) as error:
@@ -253,7 +253,7 @@ def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None)
 
 
 def _is_whole(content: Mapping[str, Any]) -> bool:
-    """Whether it is of a format that says all in one file."""
+    """Whether it is of a format that holds both cameras in one file."""
     return content.get("format") == FORMAT or "cam0" in content or datasets.is_kitti(content)
 
 

@@ -63,7 +63,7 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
     """Read a COLMAP model, binary if there is one, otherwise text. Rows are in the order of the file's ids.
 
     Raises:
-        FileFormatError: there is no model, or a file is cut short or contradicts another.
+        FileFormatError: there is no model, or a file is cut short or inconsistent with another.
     """
     folder = Path(folder)
     if (folder / "cameras.bin").is_file():
@@ -88,7 +88,7 @@ def check_image_names(names: Iterable[str]) -> None:
     """Refuse names that would break a file.
 
     Raises:
-        ConfigError: a name is empty, holds a line break or a zero, or is no text (bytes that are not UTF-8).
+        ConfigError: a name is empty, holds a line break or a zero, or is not valid UTF-8.
     """
     for name in names:
         is_text = name.encode(errors="replace").decode() == name
@@ -183,7 +183,7 @@ def _point_columns(reconstruction: Reconstruction, is_written: np.ndarray) -> Po
 
 
 def find_model(path: str | Path) -> Path:
-    """The folder of the COLMAP model inside a workspace, or the folder itself if it is one.
+    """The folder of the COLMAP model inside an output folder, or the folder itself if it is one.
 
     Raises:
         FileFormatError: there is none.

@@ -45,7 +45,7 @@ def write_database(path: str | Path, contents: DatabaseContents) -> None:
                 connection.execute("COMMIT")
         except sqlite3.Error as error:
             raise WorkspaceError(f"cannot write {path}: {error}") from error
-        # Left by a crash beside an older database, these would be replayed into the new one.
+        # Journals left by a crash beside an older database would be replayed into the new one.
         for suffix in _SIDE_FILES:
             path.with_name(path.name + suffix).unlink(missing_ok=True)
 
@@ -54,7 +54,7 @@ def read_database(path: str | Path) -> DatabaseContents:
     """Read a database; rows are in the order of its ids. Nothing is written beside it.
 
     Raises:
-        FileFormatError: it is no such database, a cell is cut short, or an id is missing.
+        FileFormatError: it is not a COLMAP database, a cell is cut short, or an id is missing.
     """
     path = Path(path)
     if not path.is_file():

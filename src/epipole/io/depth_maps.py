@@ -59,7 +59,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
 
 
 def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None:
-    """Write a map (h, w) as 16-bit PNG, round(scale * value); 0 for what is NaN or does not fit.
+    """Write a map (h, w) as 16-bit PNG, round(scale * value); 0 where NaN or out of range.
 
     Raises:
         ShapeError: it is no map.
@@ -87,7 +87,7 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
     """
     path = Path(path)
     data = file_bytes(path)
-    # OpenCV would take other formats by their first letters, a PFM's among them.
+    # OpenCV would also read other formats, PFM among them.
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
     if array is None or array.ndim != 2 or array.dtype != np.uint16:
         raise FileFormatError(path, "it is not a 16-bit PNG of one channel")
@@ -97,7 +97,8 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
 def _is_png16(data: bytes) -> bool:
     """Whether the header is that of a 16-bit grey PNG whose pixels these bytes can hold (PNG 1.2, 4.1.1).
 
-    Deflate packs 1032 bytes into one at best: a larger picture is a lie, and is not decoded.
+    Deflate packs at most 1032 bytes into one: a header that claims a larger picture is wrong, and the file is
+    not decoded.
     """
     if not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR" or len(data) < 26:
         return False

@@ -1,4 +1,4 @@
-"""What a photograph's EXIF block tells about its camera, place and time.
+"""What a photograph's EXIF block says about its camera, place and time.
 
 Focal length in pixels, from the first of these that is present and credible (0.2 to 20 times the longer
 side):

@@ -1,6 +1,6 @@
 """Photographs: listing, headers, pixels, masks.
 
-Every picture is handed out upright (EXIF orientation applied once), as 8 bits, greyscale or RGB.
+Every picture is returned upright (EXIF orientation applied), as 8-bit greyscale or RGB.
 Rules for what is not 8-bit grey or RGB:
 
 - 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
@@ -121,7 +121,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
 
     Args:
         folder: where to look.
-        ignore: further folders not to enter (masks, the folder of results).
+        ignore: further folders to skip (masks, the output folder).
 
     Raises:
         FileFormatError: there is no such folder.
@@ -234,7 +234,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
 
     An upright file is hard-linked (copied across file systems). One that is turned, or of another format than
-    the suffix of `target` says, is encoded anew (JPEG at quality 97, others without loss) with camera, focal
+    the suffix of `target`, is encoded again (JPEG at quality 97, others without loss) with camera, focal
     length, place and time kept.
 
     Raises:

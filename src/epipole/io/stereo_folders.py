@@ -24,10 +24,11 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
     A picture without a partner keeps the path at which that was looked for: who reads it learns that there is none.
 
     Raises:
-        FileFormatError: a folder has no picture, both are one folder, or nothing says which belong together.
+        FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
+            together.
     """
     if left.resolve() == right.resolve():
-        raise FileFormatError(left, "it is given as both the left and the right folder")
+        raise FileFormatError(left, "the left and the right folder are the same")
     names = [list_photographs(folder, ignore=list(ignore)).names for folder in (left, right)]
     for folder, own in ((left, names[0]), (right, names[1])):
         if not own:

@@ -1,4 +1,4 @@
-"""Known cameras of a benchmark, in the forms in which they are published."""
+"""Ground-truth cameras of benchmarks, in the formats in which they are published."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class TruthCameras:
 
 
 def read_truth(path: str | Path) -> TruthCameras:
-    """Read known cameras; the form is found by looking.
+    """Read ground-truth cameras; the format is detected.
 
     Raises:
-        FileFormatError: the path holds none of the known forms, or a broken one.
+        FileFormatError: the path holds none of the known formats, or a damaged one.
     """
     path = Path(path)
     if path.is_file():

@@ -86,8 +86,8 @@ def extract_frames(
 ) -> VideoFrames:
     """Write evenly spaced sharp frames of a video as frame_000123.jpg (numbered as in the video).
 
-    The folder also gets `frames.json`. Called again with the same video and options it reads nothing anew;
-    with other options the frames named there are replaced.
+    The folder also gets `frames.json`. Called again with the same video and options it does not read the
+    video again; with other options the frames listed there are replaced.
 
     Args:
         video: the file.
@@ -97,7 +97,7 @@ def extract_frames(
         progress: called with (frames of the video read, frames of the video).
 
     Raises:
-        FileFormatError: no video, damaged, or it ends before half of the frames it announces.
+        FileFormatError: no video, damaged, or it ends before half of the frames that its header announces.
         ConfigError: `max_frames` or `every_s` is not positive.
     """
     video, folder = Path(video), Path(folder)

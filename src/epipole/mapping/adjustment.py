@@ -26,7 +26,7 @@ DISTORTION_SIGMA = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionPriors:
-    """Where images are expected (GPS), in the model's world coordinates; NaN rows for none."""
+    """Prior positions of images (GPS), in the model's world coordinates; NaN rows for none."""
 
     positions_in_world: np.ndarray  # (n, 3)
     sigma: float
@@ -53,10 +53,10 @@ def adjust_all(
 def adjust_around(
     model: ModelBuilder, image: int, num_images: int, config: BundleConfig, freedom: Freedom
 ) -> BundleResult:
-    """Adjust an image, the images that share most points with it, and their points; the rest stays.
+    """Adjust an image, the images that share most points with it, and their points; the rest is fixed.
 
-    Other images' observations of these points take part, from fixed places. Intrinsics of cameras that serve
-    images outside the neighbourhood stay too.
+    Other images' observations of these points take part, with fixed poses. Intrinsics of cameras that also
+    took images outside the neighbourhood are fixed, too.
     """
     order, offsets = model.rows_by_point()
     own = model.row_point[model.rows_of_image[image]]
@@ -130,9 +130,9 @@ def _adjust(
 
 
 def expected_params(model: ModelBuilder) -> tuple[np.ndarray, np.ndarray]:
-    """What lenses are like: a focal length near the first guess, little distortion; standard deviations with it.
+    """Prior of the intrinsics: focal length near the initial guess, little distortion; with sigmas.
 
-    It decides where few points see a camera, and is nothing against the hundreds of a good one.
+    It matters where a camera sees few points, and is negligible where it sees hundreds.
     """
     cameras = model.cameras
     expected, sigma = cameras.params.copy(), np.full(cameras.params.shape, np.inf)

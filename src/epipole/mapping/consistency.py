@@ -12,9 +12,9 @@ from epipole.scene import ViewGraph
 class MatchConsistency:
     """Measures, for each pair, the share of its verified matches that both images see as one point.
 
-    Matches of which neither end has a point (too narrow an angle) tell nothing and do not count. In a right model
-    the share is high for every pair (0.9 is usual). A mirrored start, a wrong place or two sides of a symmetric
-    thing folded onto each other leave pairs with hardly any.
+    Matches of which neither keypoint has a point (too narrow an angle) carry no information and do not count.
+    In a correct model the share is high for every pair (0.9 is usual). A mirrored initial pair, a wrong pose,
+    or two sides of a symmetric object folded onto each other leave pairs with hardly any.
     """
 
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph) -> None:

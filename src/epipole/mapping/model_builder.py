@@ -84,7 +84,7 @@ def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, "
 
 
 class Snapshot(NamedTuple):
-    """A state of a model to which it can return."""
+    """A saved state of a model."""
 
     registered: np.ndarray
     motion: np.ndarray
@@ -125,7 +125,7 @@ class ModelBuilder:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all places and points."""
+        """Remove all poses and points."""
         n = len(self.camera_of_image)
         self.registered = np.zeros(n, bool)
         self.motion = np.full((n, 12), np.nan)
@@ -137,14 +137,14 @@ class ModelBuilder:
             self.set_params(self.cameras.params.copy())
 
     def snapshot(self) -> Snapshot:
-        """The present state."""
+        """Save the present state."""
         return Snapshot(
             *(self.registered.copy(), self.motion.copy(), self.row_point.copy(), self.points.copy()),
             self.params.copy(),
         )
 
     def restore(self, state: Snapshot) -> None:
-        """Return to an earlier state."""
+        """Restore a saved state."""
         self.registered, self.row_point = state.registered.copy(), state.row_point.copy()
         self.motion, self.center = state.motion.copy(), np.full((len(state.motion), 3), np.nan)
         self.set_places(np.flatnonzero(self.registered), self.registered_places())
@@ -160,7 +160,7 @@ class ModelBuilder:
 
     @property
     def points(self) -> Float64[np.ndarray, "p 3"]:
-        """Points in world coordinates; those without rows are dead."""
+        """Points in world coordinates; those without observations are not used."""
         return self._points[: self.num_points]
 
     def update_rays(self, camera: int) -> None:
@@ -176,30 +176,30 @@ class ModelBuilder:
         return replace(self.cameras, params=self.params)[index]
 
     def cam_from_world(self, image: int) -> Rigid3:
-        """Place of one image."""
+        """Pose of one image."""
         return Rigid3(self.motion[image, :9].reshape(3, 3).copy(), self.motion[image, 9:].copy())
 
     def register(self, image: int, cam_from_world: Rigid3) -> None:
-        """Give an image its place."""
+        """Register an image with this pose."""
         self.set_places(
             np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None])
         )
         self.registered[image] = True
 
     def set_places(self, images: np.ndarray, cams_from_world: Rigid3) -> None:
-        """Move images."""
+        """Set the poses of images."""
         self.motion[images, :9] = cams_from_world.rotation.reshape(-1, 9)
         self.motion[images, 9:] = cams_from_world.translation
         self.center[images] = cams_from_world.centers()
 
     def deregister(self, image: int) -> None:
-        """Take an image out, and its rows from their points."""
+        """Unregister an image and remove its observations."""
         self.registered[image] = False
         self.motion[image] = self.center[image] = np.nan
         self.row_point[self.rows_of_image[image]] = -1
 
     def set_points(self, indices: np.ndarray, xyz: np.ndarray) -> None:
-        """Move points."""
+        """Set the positions of points."""
         self._points[indices] = xyz
 
     def registered_places(self) -> Rigid3:

@@ -1,4 +1,4 @@
-"""Bundle adjustment of a whole model that already is: from a file, or with other freedoms."""
+"""Bundle adjustment of a whole existing model: one from a file, or with other parameters free."""
 
 from __future__ import annotations
 
@@ -65,9 +65,10 @@ def adjust_reconstruction(
     priors: BundlePriors | None = None,
     progress: Callable[[BundleIteration], bool] | None = None,
 ) -> tuple[Reconstruction, BundleResult]:
-    """Adjust a model; the new one with how it was reached. The model given is not changed.
+    """Adjust a model; returns the new one and the adjustment's result. The given model is not changed.
 
-    Its place, orientation and scale are free unless the priors say them: align it afterwards if they matter.
+    Position, orientation and scale are free unless priors fix them: align the model afterwards if they
+    matter.
     """
     problem = bundle_problem_of(model, freedom, priors)
     result = adjust_bundle(problem, config, progress)

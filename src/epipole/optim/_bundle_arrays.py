@@ -6,7 +6,7 @@ import numpy as np
 
 HELD, ELIMINATED, KEPT = 0, 1, 2
 _LINE = 64
-"""Bytes that the processor's cache keeps together: a vector that lies in two such lines takes twice as long."""
+"""Bytes in a cache line: loading a vector that straddles two lines takes twice as long."""
 
 
 class Observations(NamedTuple):
@@ -72,7 +72,7 @@ class Entries(NamedTuple):
 
 
 class Eliminated(NamedTuple):
-    """What is kept of the points."""
+    """What is stored of the eliminated points."""
 
     z: np.ndarray
     """(entries, 3, lanes)"""
@@ -97,7 +97,7 @@ class Scratch(NamedTuple):
 
 
 def rows_of_zeros(shape: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:
-    """An array of zeros that begins with a line of the cache, as NumPy's own do not."""
+    """An array of zeros aligned to a cache line, which NumPy's own are not."""
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     memory = np.zeros(size + _LINE, np.uint8)
     first = -memory.ctypes.data % _LINE

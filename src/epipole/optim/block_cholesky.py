@@ -1,6 +1,6 @@
 """Sparse Cholesky of matrices made of small blocks: analysed once, factored at every step.
 
-Used where unknowns come in groups that meet few others: cameras that share points, places joined by edges.
+For unknowns in groups that are coupled to few others: cameras that share points, poses joined by edges.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from epipole.optim import _cholesky_kernels as kernels
 _MIN_PARALLEL_FLOPS = 5e6
 _TASKS = 8
 _DENSE_SHARE = 0.6
-"""Where so large a share of all blocks is there, no ordering helps."""
+"""With a larger share of nonzero blocks no ordering helps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Bundle adjustment: all places, points and lenses together, by Levenberg-Marquardt on the Schur complement."""
+"""Bundle adjustment: poses, points and intrinsics, by Levenberg-Marquardt on the Schur complement."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class BundleConfig:
     loss_scale_px: float = 1.0
     max_iterations: int = 50
     function_tolerance: float = 1e-6
-    """Stop when the cost falls by less than this share of itself."""
+    """Stop when the relative decrease of the cost is smaller."""
     initial_damping: float = 1e-4
     solver: LinearSolver = LinearSolver.AUTO
     single_precision: bool = False
-    """Keep the eliminated points in single precision: half the memory. Cost and gradient stay double, so the minimum
-    is the same; only the way to it is rounded."""
+    """Store the eliminated points in single precision: half the memory. Cost and gradient stay in double
+    precision, so the minimum is the same; only the steps are rounded."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -65,11 +65,11 @@ class StopReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BundleIteration:
-    """One step, as it is reported while the work goes on."""
+    """One step, as reported to the progress callback."""
 
     iteration: int
     cost: float
-    """After the step, the best so far."""
+    """Cost after the step: the lowest so far."""
     damping: float
     is_accepted: bool
     num_products: int
@@ -80,7 +80,7 @@ class BundleIteration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleResult:
-    """The adjusted quantities and how they were reached."""
+    """The adjusted quantities, and how the adjustment went."""
 
     rig_from_world: Rigid3
     cam_from_rig: Rigid3
@@ -94,15 +94,15 @@ class BundleResult:
     damping: float
     """The last; a resumed adjustment starts from it."""
     used_mask: Bool[np.ndarray, " k"]
-    """False for observations that were no part of it: behind their camera at the start, or not finite."""
+    """False for observations that were not used: behind their camera at the start, or not finite."""
     history: tuple[BundleIteration, ...]
     solver: LinearSolver
     summary: str
-    """Counts, and what the pictures do not fix; `str` of the result is the whole report."""
+    """Counts, and what the pictures do not determine; `str` of the result is the whole report."""
 
     @property
     def converged(self) -> bool:
-        """Whether there was nothing more to gain."""
+        """Whether the adjustment converged."""
         return self.reason in (StopReason.CONVERGED, StopReason.NO_STEP, StopReason.NOTHING_TO_DO)
 
     def __repr__(self) -> str:
@@ -138,17 +138,17 @@ def adjust_bundle(
     config: BundleConfig | None = None,
     progress: Callable[[BundleIteration], bool] | None = None,
 ) -> BundleResult:
-    """Minimise half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), with what the priors know.
+    """Minimise half the sum of rho(|project - pixel|^2) (Triggs et al. 2000), plus the terms of the priors.
 
     The damping follows Nielsen (1999): it falls by the gain ratio of actual to predicted decrease and doubles
-    its growth on each rejected step. After each step every point goes where the moved cameras want it, which takes
-    the bends out of long chains of cameras. The cost never rises. Nothing is held that the problem does not hold: see
-    `with_fixed_gauge`. The result is the same for any number of threads.
+    its growth on each rejected step. After each step every point is refined with the moved cameras fixed,
+    which helps long chains of cameras. The cost never rises. Only what the problem holds constant is held:
+    see `with_fixed_gauge`. The result is the same for any number of threads.
 
     Args:
         problem: what is adjusted; it is not changed.
         config: options.
-        progress: called after every step; returning False ends the work there with what has been reached.
+        progress: called after every step; returning False stops the adjustment there.
 
     Raises:
         ShapeError: the arrays of the problem do not fit together.
@@ -184,7 +184,7 @@ def _adjust(
             state, cost = candidate, after
             damping *= max(_LEAST_FACTOR, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             growth = 2.0
-            # A small step says nothing while the damping makes it small.
+            # A step that is small because of the damping is no sign of convergence.
             if max(predicted, before - after) <= config.function_tolerance * before:
                 if damping <= tie * _FREE_DAMPING:
                     reason = StopReason.CONVERGED
@@ -218,7 +218,7 @@ def _adjust(
 
 
 def with_result(problem: BundleProblem, result: BundleResult) -> BundleProblem:
-    """The problem with its quantities as adjusted: to go on from, with `initial_damping=result.damping`."""
+    """The problem with the adjusted quantities, to continue from with `initial_damping=result.damping`."""
     return replace(
         problem,
         rig_from_world=result.rig_from_world,

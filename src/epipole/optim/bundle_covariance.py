@@ -1,4 +1,4 @@
-"""How well an adjustment knows what it found: first-order covariances of places, lenses and points."""
+"""First-order covariances of the poses, intrinsics and points that an adjustment found."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NOTHING = 1e-250
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleCovariance:
-    """Covariances; zero for what was held, infinite for what the pictures do not fix."""
+    """Covariances; zero for what was held constant, infinite for what the pictures do not determine."""
 
     rig_from_world: Float64[np.ndarray, "f 6 6"]
     """Of xi in exp(xi) @ rig_from_world, (translation, rotation)."""
@@ -36,7 +36,7 @@ class BundleCovariance:
     camera_params: Float64[np.ndarray, "c 12 12"]
     points_in_world: Float64[np.ndarray, "p 3 3"]
     noise_px: float
-    """Standard deviation of a pixel coordinate that they are for."""
+    """Standard deviation of a pixel coordinate for which they hold."""
 
 
 def bundle_covariance(
@@ -87,7 +87,9 @@ def _residual_noise(layout: BundleLayout, result: BundleResult) -> float:
     """Standard deviation of the pixels that the residuals show."""
     freedom = 2 * int(result.used_mask.sum()) - _num_unknowns(layout)
     if freedom <= 0:
-        raise DegenerateGeometryError("no more residuals than unknowns: the noise cannot be told from them")
+        raise DegenerateGeometryError(
+            "no more residuals than unknowns: the noise cannot be estimated from them"
+        )
     return float(np.sqrt(2.0 * result.final_cost / freedom))
 
 

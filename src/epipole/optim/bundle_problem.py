@@ -1,4 +1,4 @@
-"""What bundle adjustment adjusts: places, lenses and points, what was seen of them, and what else is known."""
+"""What bundle adjustment adjusts: poses, intrinsics and points; with observations and priors."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class PointDistances:
 class BundlePriors:
     """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error.
 
-    Deviations weigh against pixels with a standard deviation of one.
+    Standard deviations are relative to pixels with a standard deviation of one.
     """
 
     position_in_world: Float64[np.ndarray, "f 3"] | None = None
     """Expected frame centres (GPS); NaN rows for none. Cauchy's loss at one standard deviation."""
     position_sigma: float | Float64[np.ndarray, "f 3"] = 1.0
-    """Standard deviations of these, in world units; per axis where one number will not do."""
+    """Standard deviations of these, in world units: one number, or one per axis."""
     rig_from_world: Rigid3 | None = None
     """Expected motions of the frames (odometry, an earlier adjustment)."""
     rig_information: Float64[np.ndarray, "f 6 6"] | None = None
@@ -87,12 +87,12 @@ class BundlePriors:
 
     @property
     def ties_gauge(self) -> bool:
-        """Whether something here says where, how or how large the model is, which pictures do not."""
+        """Whether a prior fixes position, orientation or scale of the model, which pictures do not."""
         return self.fixes_place or self.down_in_rig is not None or self.distances is not None
 
     @property
     def fixes_place(self) -> bool:
-        """Whether something here says where the frames are."""
+        """Whether a prior fixes positions of frames."""
         at = self.position_in_world is not None and bool(
             np.isfinite(self.position_in_world).all(axis=1).any()
         )
@@ -167,7 +167,7 @@ def free_params_mask(
     principal_point: bool = False,
     distortion: bool = True,
 ) -> Float64[np.ndarray, "c 12"]:
-    """Mask of intrinsics that may change, by their meaning."""
+    """Mask of free intrinsics, by kind of parameter."""
     mask = np.zeros((len(models), NUM_PARAMS))
     for row, model in enumerate(models):
         kind = CameraModel(int(model))
@@ -178,12 +178,12 @@ def free_params_mask(
 
 
 def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
-    """Hold the seven freedoms that pictures leave open: one frame, and one coordinate of a second one's place.
+    """Hold the seven degrees of freedom that pictures leave open: one frame, and one coordinate of a second.
 
     The frame with most observations stays; of the frame farthest from it, the component of its translation
     tangent along the line between both (the largest, in its own axes) stays, which holds the scale. Holding
     components, rather than undoing a solved step, keeps the predicted decrease true. Nothing is held where
-    expected places or two frames that stay say it all.
+    prior positions or two constant frames fix the gauge already.
     """
     free = problem.frame_free.copy()
     counts = np.bincount(problem.frame, minlength=len(free))

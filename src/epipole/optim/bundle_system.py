@@ -36,7 +36,7 @@ class LinearSolver(StrEnum):
     """How each step is solved for."""
 
     AUTO = "auto"
-    """Whichever should be faster and fits the memory."""
+    """Whichever is expected to be faster and fits into memory."""
     DIRECT = "direct"
     """Sparse Cholesky factorisation of the Schur complement; dense where all cameras meet."""
     ITERATIVE = "iterative"
@@ -60,7 +60,7 @@ class Linearization:
 
 
 class BundleSystem:
-    """The linear algebra of one problem: keeps what is constant, and the arrays that each step needs."""
+    """The linear algebra of one problem; keeps constant parts and working arrays between steps."""
 
     def __init__(
         self,
@@ -300,7 +300,7 @@ class BundleSystem:
         factor = self.plan.factorize(system.blocks)
         if factor is None:
             raise DegenerateGeometryError(
-                "the normal equations are not positive definite: something is not fixed"
+                "the normal equations are not positive definite: something is not determined"
             )
         out = np.zeros((len(self.pattern.row), lanes, lanes))
         found = factor.selected_inverse()

@@ -1,4 +1,4 @@
-"""Pose graphs: motions between places, measured more often than needed, brought to agree.
+"""Pose graphs: poses from redundant measurements of the motions between them.
 
 Residual of edge k from i to j with the measured z = i_from_j: r = log(z^-1 (x_i^-1 x_j)), x = world_from_body; steps move bodies
 from the right, x exp(delta). The cost is half the sum of r^T Omega r (Grisetti, Kuemmerle, Stachniss and Burgard, IEEE ITS Magazine 2010).
@@ -27,7 +27,7 @@ Motion = Rigid2 | Rigid3 | Similarity3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraph:
-    """Places, and measured motions between them, all of one kind: in the plane, in space, or with scale."""
+    """Poses and measured motions between them, all of one kind: Rigid2, Rigid3 or Similarity3."""
 
     world_from_body: Motion
     """Batch (n,), a first guess."""
@@ -73,7 +73,8 @@ class PoseGraphConfig:
     relative_tolerance: float = 1e-7
     """Stop when a step lowers the cost by a smaller share."""
     confidence: float = 0.99
-    """Robust only: an edge is right if its residual lies within this quantile of the chi-square distribution."""
+    """Robust only: an edge is an inlier if its residual lies within this quantile of the chi-square
+    distribution."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -89,7 +90,7 @@ class PoseGraphConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseGraphResult:
-    """Places that agree, and how far each edge is from them."""
+    """The optimised poses, and the residual of each edge."""
 
     world_from_body: Motion
     initial_cost: float
@@ -98,9 +99,9 @@ class PoseGraphResult:
     num_iterations: int
     converged: bool
     kept_mask: Bool[np.ndarray, " m"]
-    """False: a robust optimisation found the edge wrong."""
+    """False: robust optimisation rejected the edge."""
     squared_residuals: Float64[np.ndarray, " m"]
-    """r^T Omega r of every edge, of the wrong ones too."""
+    """r^T Omega r of every edge, rejected ones included."""
 
     def __repr__(self) -> str:
         kept = f"{int(self.kept_mask.sum())} of {len(self.kept_mask)} edges"
@@ -117,12 +118,13 @@ def optimize_pose_graph(
     config: PoseGraphConfig | None = None,
     progress: Callable[[int, float], bool] | None = None,
 ) -> PoseGraphResult:
-    """Levenberg-Marquardt with a sparse factorisation; the first place of each connected part stays.
+    """Levenberg-Marquardt with a sparse factorisation; the first pose of each connected component is held.
 
     Args:
         graph: places and edges.
         config: options.
-        progress: called with (iteration, cost) after every step; returning False ends the work there.
+        progress: called with (iteration, cost) after every step; returning False stops the optimisation
+            there.
 
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
@@ -134,10 +136,10 @@ def optimize_pose_graph(
 
 
 def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
-    """First places from the edges alone: chordal relaxation of the rotations, then linear translations.
+    """Initial poses from the edges alone: chordal relaxation of the rotations, then linear translations.
 
     Rotations minimise sum |R_i Z - R_j|^2 as free matrices, then go to the nearest rotations (Martinec and Pajdla, CVPR 2007;
-    Carlone et al., ICRA 2015). Each connected part keeps its first place.
+    Carlone et al., ICRA 2015). Each connected component keeps its first pose.
 
     Raises:
         ShapeError: the graph is one of similarities.
@@ -210,7 +212,7 @@ def optimize_weighted(
                     break
             damping = max(10.0 * damping, 1e-8)
         if not lowered:
-            converged = True  # no step helps: as low as rounding allows
+            converged = True  # no step lowers the cost: as low as rounding allows
             break
         gain, cost, places = cost - after, after, moved
         between, residual, squared = between_after, residual_after, squared_after

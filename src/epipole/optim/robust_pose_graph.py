@@ -32,7 +32,7 @@ def optimize_pose_graph_robustly(
     Args:
         graph: places and edges.
         may_be_wrong_mask: edges that may be false loop closures; None: all that do not join consecutive places.
-        config: options; `confidence` sets the largest residual of a right edge.
+        config: options; `confidence` sets the largest residual of an inlier edge.
 
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.

@@ -1,4 +1,4 @@
-"""Who does the units of work: threads, processes, nobody else, or an executor of the user's."""
+"""What runs the units of work: threads, processes, the calling thread, or an executor of the user's."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from typing import Literal
 from epipole import _parallel
 
 ExecutorChoice = Literal["threads", "processes", "inline"] | Executor
-"""A name, or any `concurrent.futures.Executor`: Dask's `Client.get_executor()`, for one. Its workers must see the output
-folder and the pictures under the same paths, and have epipole installed; it is not shut down."""
+"""A name, or any `concurrent.futures.Executor`: Dask's `Client.get_executor()`, for one. Its workers must
+have epipole installed and see the output folder and the pictures under the same paths. It is not shut
+down."""
 
 
 @contextmanager
 def opened(choice: ExecutorChoice) -> Iterator[Executor | None]:
-    """The executor to hand units to; None: do them here, one after the other."""
+    """The executor that takes the units; None: run them here, one after the other."""
     if isinstance(choice, Executor):
         yield choice
         return

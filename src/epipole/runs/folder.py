@@ -1,8 +1,8 @@
-"""The output folder of a run: whose it is, and which of its files earlier runs have written.
+"""The output folder of a run: which job made it, and which of its files earlier runs have written.
 
-One file marks it: the kind of run, what it was made from, the version, and every result that was ever put there. A
-folder without the mark is somebody's own and is refused; so is a file that no earlier run has written. Nothing else is
-ever overwritten or removed.
+A file, `epipole.json`, marks it: the job, what the results were made from, the version, and every result that
+was ever written. A non-empty folder without the mark is refused, and no file is overwritten or removed that
+no earlier run has written.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ FORMAT = 2
 
 
 class OutputFolder:
-    """A folder that belongs to one kind of run on one source. Made by `claim`.
+    """An output folder that belongs to one job on one source. Made by `claim`.
 
     Attributes:
         root: the folder.
         kind: the command: reconstruct, stereo, ...
         source: what its contents are made from.
         files: names of the results, by group; relative, with slashes.
-        finished: digest of the settings with which a run was finished; empty while one works.
+        finished: digest of the settings of the finished run; empty until it finishes.
         timings_s: seconds of each stage.
     """
 
@@ -44,13 +44,13 @@ class OutputFolder:
 
     @contextmanager
     def publish(self, group: str) -> Iterator[Path]:
-        """Give an empty folder; what is written there replaces the group's earlier files when the block ends.
+        """Yield an empty folder whose contents replace the group's earlier files when the block ends.
 
         Each file appears in one step, and those of an earlier run that this one does not have are removed. If the block
         raises, all is as it was.
 
         Raises:
-            WorkspaceError: the disk is full, or a file is in the way that no run has written.
+            WorkspaceError: the disk is full, or a file of that name exists that no run has written.
         """
         aside = self.root / f".{group}.{secrets.token_hex(4)}.part"
         with reporting(self.root):
@@ -68,10 +68,10 @@ class OutputFolder:
 
     @contextmanager
     def replacing(self, group: str, names: Sequence[str]) -> Iterator[None]:
-        """Around writing files one by one, each whole: they are noted as ours before, stale ones removed after.
+        """Record single files in the mark before they are written, and remove stale ones after.
 
         Raises:
-            WorkspaceError: one is in the way that no run has written.
+            WorkspaceError: a file of that name exists that no run has written.
         """
         ours = {name for of_group in self.files.values() for name in of_group}
         for name in names:
@@ -88,16 +88,16 @@ class OutputFolder:
         self.save()
 
     def write_text(self, name: str, text: str) -> None:
-        """Publish one text file."""
+        """Write one text file of the results."""
         with self.publish(name) as aside:
             (aside / name).write_text(text, encoding="utf-8")
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Publish one JSON file."""
+        """Write one JSON file of the results."""
         self.write_text(name, json.dumps(content, indent=2, default=str) + "\n")
 
     def give_up(self) -> None:
-        """Leave no trace of a run that has failed before it left anything."""
+        """Remove mark and folder of a run that failed before it wrote any result."""
         if not self.files and [path.name for path in self.root.iterdir()] == [MARK]:
             (self.root / MARK).unlink()
             self.root.rmdir()
@@ -127,13 +127,13 @@ class OutputFolder:
 
 
 def claim(root: Path, kind: str, source: str, inputs: Sequence[Path] = ()) -> OutputFolder:
-    """Make the output folder, or open it again if it belongs to the same kind of run on the same source.
+    """Make the output folder, or open it again if it belongs to the same job on the same source.
 
     Args:
         root: the folder.
         kind: the command that makes its contents.
         source: what they are made from, in words or paths; a folder that holds results of another is refused.
-        inputs: files and folders that are read: results do not go among them.
+        inputs: files and folders that are read; none of them may be the output folder.
 
     Raises:
         WorkspaceError: it is a file, holds something else, or is not writable.

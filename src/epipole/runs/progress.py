@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """One report: how far a stage is."""
+    """One report of how far a stage is."""
 
     stage: str
     done: int
@@ -20,4 +20,4 @@ ProgressCallback = Callable[[Progress], None]
 
 
 def ignore_progress(_: Progress) -> None:
-    """The callback of those who do not look."""
+    """The default callback: does nothing."""

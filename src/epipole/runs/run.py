@@ -1,4 +1,4 @@
-"""One run of a job: its folder, its threads, its units of work, its times and what it has to say."""
+"""One run of a job: its folder, threads, units of work, timings and warnings."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class Job:
 
 
 class Run:
-    """A run at work. Made by `open_run`."""
+    """A run in progress. Made by `open_run`."""
 
     def __init__(self, job: Job, folder: OutputFolder) -> None:
         self.job, self.folder = job, folder
         self.warnings: list[str] = []
         self._begin = perf_counter()
-        # Seconds of a stopped run on the same count; those of a finished one where its units are used again.
+        # Seconds of a stopped run are added; those of a finished run only where its units are used again.
         self._earlier_s = {} if folder.finished else folder.timings_s
         self._finished_s = folder.timings_s if folder.finished else {}
         folder.finished, folder.timings_s = "", {}
@@ -54,17 +54,17 @@ class Run:
 
     @property
     def timings_s(self) -> dict[str, float]:
-        """Seconds of each stage, those of stopped runs that this one goes on from included."""
+        """Seconds of each stage, including those of stopped runs that this one continues."""
         return self.folder.timings_s
 
     @property
     def seconds(self) -> float:
-        """Since this run began."""
+        """Seconds since this run began."""
         return perf_counter() - self._begin
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the seconds spent inside to the stage's."""
+        """Add the seconds spent in the block to the stage's."""
         begin = perf_counter()
         try:
             yield
@@ -74,17 +74,17 @@ class Run:
             )
 
     def report(self, stage: str, done: int, total: int) -> None:
-        """Tell how far a stage is."""
+        """Report how far a stage is."""
         self.job.progress(Progress(stage, done, total))
 
     def do(self, units: Sequence[Unit], stage: str) -> None:
-        """Do the units that no earlier run has done."""
+        """Run the units whose results are missing or stale."""
         done = run_units(units, stage=stage, executor=self.job.executor, progress=self.job.progress)
         if done < len(units) and stage in self._finished_s:
             self._earlier_s[stage] = self._finished_s.pop(stage)
 
     def close(self) -> None:
-        """Keep the times for a run that goes on from here."""
+        """Save the timings for a run that continues this one."""
         if self.root.is_dir():
             self.folder.timings_s = {**self._earlier_s, **self.timings_s}
             self.folder.save()
@@ -103,7 +103,7 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
     """Claim the output folder and set the threads; what is finished inside stays there whatever happens.
 
     Raises:
-        WorkspaceError: the folder is not ours to write into.
+        WorkspaceError: the folder belongs to another job, or cannot be written.
     """
     source = ", ".join(str(path.resolve()) for path in job.inputs)
     folder = claim(out, job.kind, source, job.inputs)

@@ -1,4 +1,4 @@
-"""The threads of a run: epipole's own, BLAS's and OpenCV's, set while it works and put back after it."""
+"""The threads of a run: epipole's own, BLAS's and OpenCV's, set while it works and restored after it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) 
 
     Args:
         num_threads: of epipole's pool; None: as it is.
-        opencv_alone: OpenCV works in the calling thread only: where pictures are the units of parallel work.
+        opencv_alone: OpenCV uses the calling thread only, for jobs that work on several pictures at a time.
     """
     before = _parallel.asked_threads()
     if num_threads is not None:
@@ -39,7 +39,10 @@ def thread_scope(num_threads: int | None = None, *, opencv_alone: bool = False) 
 
 @contextmanager
 def opencv_in_one_thread() -> Iterator[None]:
-    """Hold OpenCV to the calling thread. Its setting is the process's: the first one in sets it, the last one out puts it back."""
+    """Hold OpenCV to the calling thread.
+
+    The setting is global: the first to enter sets it, the last to leave restores it.
+    """
     global _depth, _before  # noqa: PLW0603 - OpenCV's setting is global, too
     with _lock:
         if _depth == 0:

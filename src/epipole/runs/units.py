@@ -1,7 +1,8 @@
 """Units of work: each makes one file from its inputs, and is skipped when that file is already there.
 
-A unit's key is a digest of everything its result depends on. The file keeps the key inside, is written aside
-and renamed, so that a killed run leaves whole files only, and a changed option redoes only what depends on it.
+A unit's key is a digest of everything its result depends on. The file holds the key, and is written under
+another name and then renamed: a killed run leaves complete files only, and a changed option repeats only what
+depends on it.
 """
 
 from __future__ import annotations
@@ -59,9 +60,9 @@ def run_units(
     executor: ExecutorChoice = "threads",
     progress: ProgressCallback = ignore_progress,
 ) -> int:
-    """Do the units whose files are missing or stale; returns how many were done.
+    """Run the units whose files are missing or stale; returns how many were run.
 
-    An error or an interrupt stops handing out units, lets the running ones finish, and is raised.
+    After an error or an interrupt no further unit is started, the running ones finish, and it is raised.
 
     Raises:
         WorkspaceError: a result cannot be written, or the executor's workers have died.
@@ -94,18 +95,18 @@ def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
 
 
 def do_unit(unit: Unit) -> None:
-    """Do one unit and keep its result."""
+    """Run one unit and store its result."""
     store(unit.path, unit.key, unit.work(unit.payload))
 
 
 def do_unit_as_worker(unit: Unit) -> None:
-    """The same in a thread or process of many: parallel work inside it runs inline, libraries in one thread."""
+    """`do_unit` in one of many workers: parallel work inside it runs inline, libraries use one thread."""
     with _parallel.inline_here(), opencv_in_one_thread(), _parallel.single_threaded_blas():
         do_unit(unit)
 
 
 def store(path: Path, key: str, arrays: Arrays) -> None:
-    """Write arrays and their key to one file, aside and renamed.
+    """Write arrays and their key to one file, under another name and then renamed.
 
     Raises:
         WorkspaceError: the folder is not writable or the disk is full.

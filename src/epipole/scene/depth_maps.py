@@ -14,17 +14,17 @@ class StereoReason(IntEnum):
 
     OK = 0
     OCCLUDED = 1
-    """The other picture's disparity differs: hidden there, or mistaken."""
+    """The other picture's disparity differs: hidden there, or wrongly matched."""
     OUT_OF_VIEW = 2
     """Its match would lie beyond the other picture."""
     AMBIGUOUS = 3
     """Another disparity fits nearly as well: repeated texture."""
     SPECKLE = 4
-    """It stands alone among others."""
+    """It belongs to a small isolated region."""
     TEXTURELESS = 5
-    """Nothing around it changes along the row: what smoothness alone would say is not a measurement."""
+    """There is no texture along the row, so that only smoothness would determine the disparity."""
     UNSURE = 6
-    """Its standard deviation is larger than was asked for."""
+    """Its standard deviation is larger than `max_sigma_px`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,8 +57,8 @@ class DepthMap:
     sigma: Float64[np.ndarray, "h w"]
     """Standard deviation of the depth, from disparity and calibration together; NaN where unknown."""
     calibration_sigma: Float64[np.ndarray, "h w"]
-    """The calibration's part of it, which neighbours share: averaging does not lessen it. Zero where nothing is known
-    of the calibration's errors."""
+    """The calibration's part of it, which neighbours share: averaging does not reduce it. Zero where nothing
+    is known of the calibration's errors."""
 
     def __repr__(self) -> str:
         height, width = self.depth.shape

@@ -1,4 +1,4 @@
-"""Where a scene is, for looking at it: a box and a radius that strays do not spoil, and camera frusta."""
+"""Extent of a scene for display: a box and a radius that ignore outliers, and camera frusta."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two cameras side by side, as rectification leaves them."""
+"""The two cameras of a rectified pair."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class RectifiedRig:
     """Principal point of the left camera."""
     cy: float
     baseline: float
-    """In any unit; depth comes in the same."""
+    """In any unit, which is then that of depth."""
     principal_offset_px: float = 0.0
     """cx_right - cx_left (Middlebury's `doffs`)."""
     focal_sigma_px: float = 0.0
-    """Standard deviations of what a calibration has found; zero where nothing is known of them."""
+    """Standard deviations from calibration; zero where they are not known."""
     baseline_sigma: float = 0.0
     principal_offset_sigma_px: float = 0.0
 

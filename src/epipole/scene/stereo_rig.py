@@ -1,4 +1,4 @@
-"""Two calibrated cameras that are held in place to each other."""
+"""Two calibrated cameras, rigidly mounted."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEAST_BASELINE = 1e-12  # what rounding leaves of none
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoRig:
-    """A left and a right camera; they may be of any model, differ, and stand in any way to each other."""
+    """A left and a right camera, of any models and in any relative pose."""
 
     left: Camera
     right: Camera
@@ -38,12 +38,14 @@ class StereoRig:
         if self.covariance is not None and self.covariance.shape != (RIG_UNKNOWNS, RIG_UNKNOWNS):
             raise ShapeError(f"covariance must be ({RIG_UNKNOWNS}, {RIG_UNKNOWNS})")
         if self.covariance is not None and not _is_covariance(self.covariance):
-            raise ConfigError("the covariance is none: not finite, not symmetric or with negative variances")
+            raise ConfigError(
+                "covariance is not a covariance matrix: not finite, not symmetric or with negative variances"
+            )
         rotation, translation = self.right_from_left.rotation, self.right_from_left.translation
         if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
             raise ConfigError("right_from_left has values that are not finite")
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-            raise ConfigError("the rotation of right_from_left is none: R R^T is not 1")
+            raise ConfigError("right_from_left holds no rotation: R R^T is not 1")
         if not self.baseline > _LEAST_BASELINE:
             raise ConfigError("the baseline is zero: both cameras stand at the same place")
 

@@ -53,7 +53,7 @@ def courtyard() -> SyntheticScene:
 
 
 def courtyard_views(num_views: int = 24) -> Rigid3:
-    """Places on an arc of 100 degrees before the corner, at breathing heights, all looking at its middle.
+    """Places on an arc of 100 degrees before the corner, at varying heights, all looking at its middle.
 
     Raises:
         ConfigError: no view is asked for.

@@ -51,7 +51,7 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
 def stereo_street(
     seed: int, size: tuple[int, int] = (640, 480), focal_px: float = 800.0, baseline: float = 0.12
 ) -> StereoPair:
-    """A street between walls with things from 2 to 30 m, before the rig of the lesson's example; photographed as the rooms are.
+    """A street between walls with objects from 2 to 30 m, pictured like the rooms.
 
     Args:
         seed: another street for another number.

@@ -1,4 +1,4 @@
-"""The viewer: a reconstruction in the browser, with its pictures."""
+"""The viewer: a reconstruction, or the depth of a stereo pair, in the browser."""
 
 from epipole.viewer.depth_view import DepthView as DepthView
 from epipole.viewer.handle import ViewerHandle as ViewerHandle

@@ -15,9 +15,9 @@ from epipole.pipelines.calibration.config import BoardConfig
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6
 _LEAST_LARGER = 2  # pictures
-_LEAST_SIDE = 64  # pixels: nothing smaller shows a board
+_LEAST_SIDE = 64  # pixels: a smaller picture shows no board
 _WINDOW_SHARE = (
-    0.4  # half the window over the least distance of two corners: the best of 0.15 to 0.5 on real pairs
+    0.4  # half window over the least distance between corners: the best of 0.15 to 0.5 on real pairs
 )
 _REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4)
 
@@ -73,10 +73,10 @@ def _nothing() -> BoardView:
 
 
 def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
-    """Every corner, or none: corners of a part of a chessboard have no names.
+    """All corners or none: in a part of a chessboard one cannot tell which corners they are.
 
-    The saddle points' own neighbourhoods say where they are: a wide one averages more noise, one that holds a part of the
-    next corner is drawn to it.
+    Corners are refined in windows: a larger one averages more noise, but one that reaches the next corner is
+    biased towards it.
     """
     size = (board.columns, board.rows)
     found, pixels = cv2.findChessboardCorners(
@@ -98,10 +98,11 @@ def _find_chessboard(grey: np.ndarray, board: BoardConfig) -> BoardView:
 def whole_chessboard(
     pictures: Iterable[UInt8[np.ndarray, "h w"]], board: BoardConfig
 ) -> tuple[int, int] | None:
-    """Inner corners of the board that pictures show, columns and rows, where it is a larger one than was said.
+    """Columns and rows of inner corners that the pictures show, if the board is larger than stated.
 
-    OpenCV's detector of larger boards sometimes sees a row too many and sometimes none: one picture of a board of just the
-    size says that all is well; else at least two must show more. Of the sizes seen the most frequent counts, of equals the smallest.
+    OpenCV's detector of larger boards sometimes finds a row too many and sometimes nothing: one picture of a
+    board of the stated size settles it; else at least two must show more. The most frequent size wins, the
+    smallest of equally frequent ones.
     """
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
@@ -131,7 +132,7 @@ def _find_charuco(grey: np.ndarray, board: BoardConfig) -> BoardView:
 
 
 def _find_tags(grey: np.ndarray, board: BoardConfig) -> BoardView:
-    """Tags with borders of one or (Kalibr's) two bits, numbered from the top row or (Kalibr's) from the bottom one."""
+    """Tags with a border of one or (Kalibr) two bits, numbered from the top or (Kalibr) the bottom row."""
     best: tuple[Any, Any] = ((), np.zeros(0, np.int64))
     for border in (1, 2):
         parameters = _opencv.aruco.DetectorParameters()
@@ -156,7 +157,7 @@ def _find_tags(grey: np.ndarray, board: BoardConfig) -> BoardView:
 
 
 def _plane_error(plane: np.ndarray, pixels: np.ndarray) -> float:
-    """Median distance from the best homography: large for a grid that is not as thought."""
+    """Median distance from the best homography: large if the grid's layout is another."""
     matrix, _ = cv2.findHomography(plane, pixels)
     if matrix is None:
         return np.inf

@@ -23,11 +23,11 @@ from epipole.scene import StereoRig
 _ROBUST_PX = 1.0
 _LEAST_NOISE_PX = 0.02
 _ROUNDS = 6
-_LEAST_SHARE = 0.5  # a view of which fewer of the corners agree is left out
+_LEAST_SHARE = 0.5  # a view with a smaller share of inlier corners is left out
 
 
 class ViewState(StrEnum):
-    """What became of a picture."""
+    """Whether a picture was used, or why not."""
 
     USED = "used"
     NO_BOARD = "no board found"
@@ -37,12 +37,12 @@ class ViewState(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """The result; lengths are in the unit of the board's squares."""
+    """The result of a calibration; lengths are in the unit of the board's squares."""
 
     state: RigState
     config: CalibrationConfig
     corners: Corners
-    """All that were found."""
+    """All corners that were found."""
     used_mask: Bool[np.ndarray, " k"]
     residuals_px: Float64[np.ndarray, "k 2"]
     """Projected minus found; NaN for views without a place."""
@@ -62,7 +62,7 @@ class Calibration:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the corners used, as OpenCV gives it."""
+        """Root mean square distance of the corners used, as OpenCV reports it."""
         return float(np.sqrt((self.residuals_px[self.used_mask] ** 2).sum(axis=1).mean()))
 
     def view_rms_px(self, camera: int) -> Float64[np.ndarray, " v"]:
@@ -116,11 +116,11 @@ def calibrate_views(
     sizes: Sequence[tuple[int, int]],
     config: CalibrationConfig | None = None,
 ) -> Calibration:
-    """Calibrate one camera, or several that are held in place to each other, from views of a board.
+    """Calibrate one camera, or several that are rigidly mounted, from views of a board.
 
-    Every camera is begun alone (a grid of focal lengths, each view's homography), the rig from the views that agree most. Then
-    all is adjusted under Cauchy's loss; corners and whole views that lie off are left out; the rest is fitted by plain
-    least squares until nothing changes.
+    Each camera is initialised alone (a grid of focal lengths, the homography of each view), the rig from the
+    view whose motion agrees best with the others'. Then everything is adjusted with Cauchy's loss; outlier
+    corners and views are left out; the rest is fitted by least squares until nothing changes.
 
     Args:
         views: [camera][instant]; empty where the board was not found.
@@ -128,7 +128,7 @@ def calibrate_views(
         config: options.
 
     Raises:
-        DegenerateGeometryError: too few views, or they leave something open.
+        DegenerateGeometryError: too few views, or they do not determine everything.
         ShapeError: the views do not fit together.
     """
     config = options_of(CalibrationConfig, config)
@@ -155,7 +155,7 @@ def calibrate_views(
 def _start(
     corners: Corners, board: np.ndarray, sizes: Sequence[tuple[int, int]], config: CalibrationConfig
 ) -> RigState:
-    """Every camera by itself, then their places to each other, then every view from the cameras that see it."""
+    """Initialise each camera, then the rig, then every view from the cameras that see it."""
     model = camera_model_named(config.model)
     alone: list[tuple[Camera, Rigid3]] = []
     for c, size in enumerate(sizes):
@@ -228,7 +228,7 @@ def _agreeing(state: RigState, corners: Corners, board: np.ndarray, config: Cali
 
 
 def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
-    """Without the places of views of which nothing is used."""
+    """The state without the poses of unused views."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     unseen = np.bincount(corners.view[used], minlength=corners.num_views) == 0
     rotation[unseen], translation[unseen] = np.nan, np.nan
@@ -240,7 +240,7 @@ def _only_seen(state: RigState, corners: Corners, used: np.ndarray) -> RigState:
 
 
 def _with_all_places(state: RigState, corners: Corners, board: np.ndarray) -> RigState:
-    """With the place of every view that some camera sees: those left out may agree with a better camera."""
+    """The state with poses for all views: those left out may agree with better cameras."""
     rotation, translation = state.rig_from_board.rotation.copy(), state.rig_from_board.translation.copy()
     for view in np.flatnonzero(~np.isfinite(translation).all(axis=1)):
         for c, camera in enumerate(state.cameras):

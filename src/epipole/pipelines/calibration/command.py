@@ -31,8 +31,8 @@ def calibrate(
         images: Folder of pictures.
         out: Output folder.
         config: Board and options.
-        right: Folder of the right camera's pictures, where it is not found by name.
-        strict: Exit with code 3 where the calibration fails its checks; it is written all the same.
+        right: Folder of the right camera's pictures, if they are in a folder of their own.
+        strict: Exit with code 3 if the calibration fails its checks; it is written all the same.
     """
     from epipole.screen import ANSWER_IS_NO, progress_on_screen
 
@@ -46,7 +46,7 @@ def calibrate(
 
 
 def show_calibration(run: CalibrationRun) -> None:
-    """The verdict, the cameras, and where the report is."""
+    """Print the verdict, the cameras, and where the report is."""
     from rich.console import Console
     from rich.table import Table
 

@@ -1,4 +1,4 @@
-"""Do two calibrations say the same? Differences in pixels, after what no picture can tell is taken off."""
+"""Do two calibrations agree? Differences in pixels, after the best rotation between the cameras."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ProjectionDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossCheck:
-    """What half of the views says of the other half."""
+    """Cross-validation: a calibration from half of the views against the other half."""
 
     fitted_rms_px: float
     """Of the half that was fitted."""
@@ -61,7 +61,7 @@ class CrossCheck:
 
     @property
     def widening(self) -> float:
-        """How many times larger than the covariance says errors are (Birge 1932).
+        """By what factor the standard deviations are too small (Birge ratio, 1932).
 
         1 where chance explains the difference, or where the halves have too few views for their covariances to hold.
         """
@@ -74,7 +74,7 @@ class CrossCheck:
 def projection_difference(
     first: Camera, second: Camera, pixels: Float64[np.ndarray, "n 2"] | None = None
 ) -> ProjectionDifference:
-    """Difference of two cameras over the picture, after the rotation between their axes that makes it least.
+    """Difference of two cameras over the picture, after the rotation that makes it smallest.
 
     A change of the principal point is nearly a turn of the camera, which no picture of a board tells apart; what remains is what
     matters (mrcal's differencing, Kogan 2021, at infinity). Gauss-Newton with Cauchy's weights.
@@ -110,7 +110,7 @@ def projection_difference(
 
 
 def cross_check(views: Sequence[Sequence[BoardView]], found: Calibration) -> CrossCheck | None:
-    """Calibrate with every second view that was used, and look at the others; None with fewer than six views or a bad half."""
+    """Calibrate with every second used view, test on the others; None for too few views, or on failure."""
     used = np.unique(found.corners.view[found.used_mask])
     if len(used) < _LEAST_VIEWS:
         return None

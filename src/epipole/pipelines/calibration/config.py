@@ -19,13 +19,14 @@ class BoardConfig:
     """Inner corners in a row of a chessboard; squares of a ChArUco board; tags of an AprilTag grid."""
     rows: int = 6
     square: float = 1.0
-    """Side of a square (of a tag), in the unit that translations and depths are wanted in; 1: in squares."""
+    """Side of a square (or tag); its unit is that of the translations and depths. 1: they are in squares."""
     marker_share: float = 0.75
-    """Side of a ChArUco marker over that of a square."""
+    """ChArUco: side of a marker divided by that of a square."""
     spacing: float = 0.3
-    """Gap between AprilTags over the side of a tag."""
+    """AprilTag grid: gap between tags divided by the side of a tag (Kalibr's tagSpacing)."""
     dictionary: str = ""
-    """Of the markers, in OpenCV's words without DICT_; empty: 4X4_50 for ChArUco, APRILTAG_36h11 for AprilTags."""
+    """Dictionary of the markers, OpenCV's name without DICT_; empty: 4X4_50 for ChArUco, APRILTAG_36h11 for
+    AprilTags."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -56,7 +57,7 @@ class BoardConfig:
 
     @property
     def dictionary_name(self) -> str:
-        """The dictionary, with the kind's own where none is given."""
+        """The dictionary, or the default of the kind of board."""
         return self.dictionary or ("APRILTAG_36h11" if self.kind == "apriltag" else "4X4_50")
 
 
@@ -68,11 +69,11 @@ class CalibrationConfig:
     model: Literal["PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"] = "OPENCV"
     """OPENCV: two focal lengths, k1, k2, p1, p2; FULL_OPENCV: k3 too (k4 to k6 stay zero); OPENCV_FISHEYE: k1 to k4 of the angle."""
     refine_warp: bool = False
-    """Estimate how the board bends, two numbers; needs views from many sides."""
+    """Estimate how the board is bent (two parameters); needs views from many sides."""
     outlier_factor: float = 5.0
-    """Corners farther off than so many robust standard deviations are left out."""
+    """Corners with residuals of more than this many robust standard deviations are left out."""
     max_view_factor: float = 4.0
-    """Views whose residuals are so many times the median view's are left out."""
+    """Views with residuals of more than this many times the median view's are left out."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -1,4 +1,4 @@
-"""Where in the picture corners were seen: elsewhere a lens is extrapolated."""
+"""Where in the picture corners were seen: elsewhere the lens model is extrapolated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration leaves in its folder."""
+"""The files of a calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from epipole.scene import StereoRig
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationRun:
-    """What `calibrate` has found and written."""
+    """Result of `calibrate`, as written to the output folder."""
 
     out: Path
     calibration: Calibration
@@ -34,7 +34,7 @@ class CalibrationRun:
 
 
 def write_results(found: CalibrationRun, folder: Path) -> None:
-    """As JSON with covariances, and for OpenCV and ROS."""
+    """Write the calibration as JSON with covariances, and for OpenCV and ROS."""
     content = calibration_file(found.calibration)
     about = _about(found.calibration, found.verdict, found.check)
     write_calibration(folder / "calibration.json", content, about)
@@ -46,7 +46,7 @@ def write_results(found: CalibrationRun, folder: Path) -> None:
 
 
 def _write_ros_pair(out: Path, rig: StereoRig) -> None:
-    """ROS asks for rectification; a pair that cannot be rectified goes without its files."""
+    """Write ROS' files, which hold the rectification: there are none of a pair that cannot be rectified."""
     try:
         rectified = rectify(rig)
     except EpipoleError:

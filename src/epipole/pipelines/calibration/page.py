@@ -1,4 +1,4 @@
-"""What the page of a calibration shows: verdict, cameras with standard deviations, where it is known, views."""
+"""The page of a calibration: verdict, cameras and their standard deviations, uncertainty, views."""
 
 from __future__ import annotations
 

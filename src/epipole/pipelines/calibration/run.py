@@ -1,4 +1,4 @@
-"""Pictures of a board to calibrated cameras on disk: the job."""
+"""The job: pictures of a board to calibrated cameras on disk."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def calibrate(
 
     Raises:
         FileFormatError: there are no pictures, or the two folders do not fit.
-        DegenerateGeometryError: the board is seen too seldom, or the views leave something open.
+        DegenerateGeometryError: the board is seen too seldom, or the views do not determine everything.
         WorkspaceError: the output folder cannot be used.
     """
     config, images = options_of(CalibrationConfig, config), as_path(images)
@@ -115,7 +115,7 @@ def _look_at_all(
 
 
 def _against(pictures: Sequence[Sequence[Path]], board: BoardConfig) -> list[str]:
-    """Whether the board is larger than was said: a part of it is found as readily, another part in each view."""
+    """Complain if the board is larger than stated: then a different part of it is found in each view."""
     if board.kind != "chessboard":
         return []
     size = whole_chessboard(_readable(pictures[0][:_LOOKED_AT]), board)

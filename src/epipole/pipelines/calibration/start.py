@@ -1,4 +1,4 @@
-"""Where calibration begins: a focal length, and the place of every view."""
+"""Initial values of calibration: focal length and pose of every view."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from epipole.solvers import solve_pnp
 
 _FOCALS = np.geomspace(0.3, 4.0, 14)  # of the picture's longer side
 _FINER = 1.0 + np.linspace(-0.08, 0.08, 5)
-_FAR_VIEW = 5.0  # a view so many times worse than the median one is left out from the start
+_FAR_VIEW = 5.0  # a view this many times worse than the median view is left out from the start
 _TRIMS, _TRIM = (
     2,
     4.0,
-)  # corners so many times farther off than the median are left out of a view's first place
+)  # corners this many times farther off than the median are left out of a view's first pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,7 @@ class _Places:
 def start_camera(
     corners: Corners, camera: int, board: np.ndarray, model: CameraModel, size: tuple[int, int]
 ) -> tuple[Camera, Rigid3]:
-    """The undistorted camera whose views fit best by their medians, and cam_from_board of each view (NaN: none).
+    """The undistorted camera with the smallest median errors, and cam_from_board of each view (NaN: none).
 
     Each focal length of a grid is tried with the pose that each view's homography gives: it serves every model.
 
@@ -81,7 +81,8 @@ def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
     """cam_from_board from the homography of the board's plane to the rays; None for fewer than four.
 
     ray x (H (X, Y, 1)) = 0 by its null vector; H = [r1 r2 t] up to scale, its first columns brought to the nearest pair of
-    orthogonal unit vectors: what they lack to be one is what tells the focal length (Zhang, PAMI 2000). The board is nearly flat.
+    orthogonal unit vectors: how far they are from orthonormal tells the focal length (Zhang, PAMI 2000). The
+    board is nearly flat.
     """
     if len(rays) < 4:
         return None
@@ -102,7 +103,7 @@ def plane_pose(rays: np.ndarray, points: np.ndarray) -> Rigid3 | None:
 def place_view(
     camera: Camera, pixels: np.ndarray, points: np.ndarray, *, precise: bool = True
 ) -> tuple[Rigid3, float] | None:
-    """cam_from_board of one view, twice without the corners that lie far off, and its median error.
+    """cam_from_board of one view and its median error; refitted twice without outlier corners.
 
     By PnP, or (precise=False, a hundredth of the time) by the board's homography alone.
     """

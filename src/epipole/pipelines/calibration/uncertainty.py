@@ -53,7 +53,8 @@ def uncertainty_of(
     """Covariances at the minimum of plain least squares over these corners.
 
     Raises:
-        DegenerateGeometryError: there are no more residuals than unknowns, or the views leave something open.
+        DegenerateGeometryError: there are no more residuals than unknowns, or the views do not determine
+            everything.
     """
     count = len(state.cameras)
     size = MAX_PARAMS * count + 6 * (count - 1) + 2
@@ -78,7 +79,7 @@ def uncertainty_of(
     freedom = 2 * int(np.isfinite(residuals).all(axis=1).sum()) - int(free.sum()) - 6 * num_views
     if freedom <= 0:
         raise DegenerateGeometryError(
-            "no more residuals than unknowns: the errors of the calibration cannot be told"
+            "no more residuals than unknowns: the errors of the calibration cannot be estimated"
         )
     noise = float(np.sqrt(np.nansum(residuals**2) / freedom))
     theta, scale = np.zeros((size, size)), 1.0 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
@@ -87,7 +88,7 @@ def uncertainty_of(
     lowest = np.linalg.eigvalsh(scaled)[0]
     if not lowest > 1e-13:
         raise DegenerateGeometryError(
-            "the views leave something open: show the board tilted to many sides and near the picture's borders"
+            "the views do not determine everything: show the board tilted to many sides and near the picture's borders"
         )
     theta[own] = np.linalg.inv(scaled) * scale[free][:, None] * scale[free]
     mean_map /= max(num_views, 1)

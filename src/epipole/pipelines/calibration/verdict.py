@@ -1,4 +1,4 @@
-"""Is a calibration good enough to use? One sentence, and what it rests on."""
+"""Is a calibration good enough to use? A sentence, and the numbers behind it."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Verdict:
 
 
 def assess(found: Calibration, check: CrossCheck | None, against: Sequence[str] = ()) -> Verdict:
-    """Compare a calibration with what depth and reconstruction need.
+    """Judge a calibration by what depth and reconstruction need.
 
     Args:
         found: with its covariances widened by the check.
         check: of its halves.
-        against: what else speaks against it.
+        against: further reasons against it.
     """
     failures = list(against)
     widening = 1.0 if check is None else check.widening

@@ -33,7 +33,7 @@ def reconstruct(
 
     Args:
         images: Folder of photographs (sub-folders too), or a video file.
-        out: Output folder; a stopped run continues there.
+        out: Output folder; a stopped run is continued.
         config: Options.
     """
     from epipole.screen import progress_on_screen

@@ -12,16 +12,17 @@ from epipole.errors import ConfigError
 
 @dataclass(frozen=True, kw_only=True)
 class PairingConfig:
-    """Options of choosing the pairs of images that are matched."""
+    """Options for choosing which pairs of images are matched."""
 
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"] = "auto"
-    """auto: sequential for video; exhaustive up to a limit; beyond it spatial with GPS, else retrieval."""
+    """auto: sequential for video, else exhaustive up to exhaustive_limit images, else spatial with GPS, else
+    retrieval."""
     exhaustive_limit: int = 120
-    """auto: up to so many images, all pairs."""
+    """auto: match all pairs of up to this many images."""
     neighbours: int = 30
     """retrieval and spatial: pairs per image."""
     overlap: int = 10
-    """sequential: each image with so many that follow, and with its retrieved look-alikes."""
+    """sequential: match each image with this many that follow, and with similar images found by retrieval."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -38,55 +39,55 @@ class MapperConfig:
     """Options of incremental mapping."""
 
     start_min_inliers: int = 100
-    """Matches that the first pair must have; less is asked when no pair has them."""
+    """Matches that the initial pair must have; lowered when no pair has as many."""
     start_angle_deg: float = 16.0
-    """Median triangulation angle from which on a wider one does not make a better first pair."""
+    """Initial pairs with a median triangulation angle above this are not preferred any further."""
     start_trials: int = 30
-    """First pairs tried at most."""
+    """Largest number of initial pairs tried."""
     probe_images: int = 5
-    """A first pair is kept or not when its model has grown to so many images."""
+    """An initial pair is accepted or rejected when its model has grown to this many images."""
     min_match_agreement: float = 0.75
-    """Share of the matches between registered images that a model must see as common points."""
+    """Share of the matches between registered images that must be common points of the model at that size."""
     min_final_agreement: float = 0.6
-    """The same for a finished model; below it other starts are tried."""
+    """The same for a finished model; below it, mapping starts again from other initial pairs."""
     restarts: int = 3
-    """Other starts tried at most."""
+    """Largest number of restarts from other initial pairs."""
     image_share: float = 0.3
-    """An image whose matches agree less with the model is taken out again."""
+    """An image is removed again if a smaller share of its matches agrees with the model."""
     max_error_px: float = 4.0
     """Observations with a larger reprojection error are dropped."""
     min_angle_deg: float = 1.5
-    """Points seen under a narrower angle are dropped: their depth is not known."""
+    """Points with a smaller triangulation angle are dropped: their depth is not known."""
     resection_max_error_px: float = 12.0
     resection_min_inliers: int = 30
     resection_min_ratio: float = 0.15
-    """Share of the points in sight that must agree with an image's place."""
+    """Share of the visible points that must be inliers of an image's pose."""
     min_observations: int = 15
-    """An image left with fewer is taken out again."""
+    """An image left with fewer observations is removed again."""
     local_images: int = 6
-    """Images adjusted together after each new one."""
+    """Local bundle adjustment: images adjusted together after each new one."""
     global_growth: float = 1.25
-    """The whole model is adjusted each time it has grown by this factor."""
+    """Global bundle adjustment runs each time the model has grown by this factor."""
     final_rounds: int = 5
-    """Adjust, filter and triangulate again at most so often in the end."""
+    """Largest number of final rounds of adjusting, filtering and triangulating again."""
     settled_share: float = 5e-4
-    """Share of changed observations below which the model counts as settled."""
+    """The final rounds end when a smaller share of the observations changes."""
     final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"] = "cauchy"
-    """Robust loss of the last adjustment; soft L1 before it."""
+    """Robust loss of the last adjustment; before it, soft L1."""
     loss_scale_px: float = 1.0
-    """Residuals beyond this count less while the model grows."""
+    """Scale of the robust loss while the model grows."""
     final_scale_px: float = 0.5
-    """The same in the last adjustment."""
+    """Scale of the robust loss in the last adjustment."""
     refine_focal: bool = True
     """Refine focal lengths that are not given as known."""
     refine_distortion: bool = True
     """Refine distortion that is not given as known."""
     max_models: int = 10
-    """Components mapped at most when the pictures do not connect."""
+    """Largest number of models made when the pictures do not connect."""
     gps_sigma_m: float = 3.0
-    """Standard deviation of GPS places; they take part in the adjustment with Cauchy's loss."""
+    """Standard deviation of GPS positions, which enter the adjustment with Cauchy's loss."""
     use_gps: bool = True
-    """Use GPS of the EXIF as a robust prior and for the scale."""
+    """Use GPS positions from EXIF as a robust prior and for the scale."""
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -108,7 +109,8 @@ class ReconstructConfig:
     camera_model: str | None = None
     """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
     camera_params: str | None = None
-    """Known intrinsics, comma separated, in COLMAP's order and pixel convention: one camera took all pictures."""
+    """Known intrinsics, comma separated, in COLMAP's order and pixel convention; one camera took all
+    pictures."""
     refine_known: bool = False
     """Refine known intrinsics too."""
     single_camera: bool = False
@@ -118,11 +120,12 @@ class ReconstructConfig:
     pairs: Path | None = None
     """Text file of image pairs to match, two names a line."""
     database: Path | None = None
-    """COLMAP database whose features and matches are used in place of own ones (its cameras too, unless given)."""
+    """COLMAP database whose features and matches are used instead of computing them (its cameras too, unless
+    given here)."""
     max_frames: int = 200
-    """Frames taken from a video."""
+    """Largest number of frames taken from a video."""
     executor: Literal["threads", "processes", "inline"] = "threads"
-    """Who does the units of work."""
+    """What works on single pictures and pairs: threads, processes, or the calling thread (inline)."""
     threads: int | None = None
     """Number of threads; results do not depend on it. None: every processor."""
     features: FeatureConfig = field(default_factory=FeatureConfig)

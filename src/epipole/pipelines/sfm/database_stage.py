@@ -39,7 +39,7 @@ class GivenMatches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatabaseSource:
-    """A database, and which of its images each picture is."""
+    """A database, and the image of it that each picture is."""
 
     path: Path
     fingerprint: str
@@ -66,7 +66,7 @@ class DatabaseSource:
 
 
 def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[DatabaseSource, ImageSet]:
-    """Read a database and fit it to the pictures of a folder, by name.
+    """Read a database and match its images to the pictures of a folder, by name.
 
     Args:
         path: the database.

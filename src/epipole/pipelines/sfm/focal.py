@@ -15,18 +15,19 @@ FACTORS = np.geomspace(0.25, 4.0, 49)
 MIN_INLIERS = 50
 FULL_WEIGHT_INLIERS = 500
 WIDTHS = (0.1, 0.05, 0.02, 0.01)
-"""Disagreement at which a pair's vote is worth half, in turn: wide to find the hill, narrow to climb it."""
+"""Disagreement at which a pair's vote is worth half: first wide, to find the maximum, then narrow, to refine
+it."""
 MAX_SWEEPS = 20
 MAX_PAIRS_OF_CAMERA = 40
 CLEAR_VOTE = 2.0
-"""A focal length is believed when its vote is so many times the median of all factors'."""
+"""A focal length is accepted when its vote is this many times the median vote of all factors."""
 PRIOR_VOTE, PRIOR_WIDTH = 50.0, 0.7
-"""The guess itself votes, like a pair of so many matches that is half sure within a factor of e^width."""
+"""The initial guess votes, too: like a pair with this many matches, worth half at a factor of e^width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ballot:
-    """What one pair of images says: its disagreement for every combination of both cameras' factors."""
+    """The vote of one pair of images: its disagreement for every combination of both cameras' factors."""
 
     first: int
     second: int
@@ -65,7 +66,7 @@ def estimate_focals(
     found = {}
     for c, index in sorted(chosen.items()):
         votes = _votes(c, chosen, of_camera[c], WIDTHS[-1])
-        # A flat vote tells nothing: the guess stays.
+        # A flat vote carries no information: the guess stays.
         if votes[index] >= CLEAR_VOTE * np.median(votes) and 0 < index < len(FACTORS) - 1:
             found[c] = float(FACTORS[index])
     params, trusted = cameras.params.copy(), cameras.is_focal_trusted.copy()

@@ -26,7 +26,7 @@ from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
 MAX_PROBES = 8
-"""First pairs whose models are grown at most."""
+"""Largest number of initial pairs whose models are grown."""
 
 Progress = Callable[[int, int], None]
 
@@ -83,9 +83,9 @@ class IncrementalMapper:
         return True
 
     def finish(self) -> None:
-        """Adjust with a loss that ignores what is left of wrong matches, and again without those it gave up.
+        """Adjust with a loss that ignores wrong matches, and again without the observations it rejected.
 
-        Not earlier: a loss that falls back cannot pull a bent chain of images together when a loop closes.
+        Not earlier: a redescending loss cannot pull a bent chain of images together when a loop closes.
         """
         last = BundleConfig(
             loss=Loss[self.config.final_loss.upper()],
@@ -162,13 +162,13 @@ class IncrementalMapper:
             candidates = np.flatnonzero(fits & (g.num_inliers() >= least))
             if len(candidates):
                 break
-        # Another start shall differ from those before.
+        # A restart must differ from those before.
         known = np.isin(g.image1, list(self._started)) & np.isin(g.image2, list(self._started))
         candidates = candidates[~known[candidates]]
         return candidates[np.argsort(-(preference * g.num_inliers())[candidates], kind="stable")]
 
     def _take_out_if_wrong(self, image: int) -> None:
-        """Take out an image that sees its own matches as different points: it stands in the wrong place."""
+        """Remove an image that sees its own matches as different points: its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
         if self.consistency.of_image(self.model, image) < self.config.image_share:

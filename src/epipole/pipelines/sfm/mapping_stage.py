@@ -22,7 +22,7 @@ GPS_OUTLIER_SIGMAS = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mapped:
-    """The models, and why images are in none of them."""
+    """The models, and why other images are in none of them."""
 
     models: tuple[Reconstruction, ...]
     """Largest first; each lists all images."""
@@ -42,7 +42,7 @@ def map_images(
     config: MapperConfig,
     progress: ProgressCallback,
 ) -> Mapped:
-    """Map as many components as the pictures have."""
+    """Make a model of each connected component of the pictures."""
     starts = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
@@ -69,7 +69,7 @@ def map_images(
 def _put_in_place(
     mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig
 ) -> np.ndarray | None:
-    """Upright; in metres, east-north-up, when GPS agrees: then the fixes join a last adjustment."""
+    """Turn the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
     upright = upright_from_world(model.registered_places(), model.living_points())
     reach = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
@@ -87,7 +87,7 @@ def _put_in_place(
 
 
 def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
-    """Why the largest model is not in metres although pictures carry GPS, in words; empty where that is not so."""
+    """Why the largest model is not in metres although pictures have GPS, in words; empty otherwise."""
     has_gps = np.isfinite(images.lat_lon_alt).all(axis=1)
     if not (config.use_gps and mapped.models and has_gps.any()) or mapped.gps_residuals_m[0] is not None:
         return ""

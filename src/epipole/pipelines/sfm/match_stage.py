@@ -23,7 +23,7 @@ Result = TypeVar("Result")
 
 FORMAT = 2
 MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
-"""Pairs are cut into about this many blocks: enough to share out, few enough for the disk."""
+"""Pairs are cut into about this many blocks: enough for many workers, not too many files."""
 MIN_PREEMPTIVE = 768
 
 
@@ -40,7 +40,7 @@ class MatchPayload:
     matching: MatchConfig
     verification: RansacConfig
     match_file: Path | None = None
-    """Verification: where the matches stand."""
+    """For verification: the file that holds the matches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +119,8 @@ def match_pair(first: Features, second: Features, i: int, j: int, payload: Match
     """Matches of one pair: the largest features with each other; then the rest along the epipolar lines that these give.
 
     Comparing n with n features costs n^2; n / 4 of them and one band around each epipolar line cost about a tenth of
-    it and find more, for fewer wrong candidates compete (preemptive matching: Wu, 3DV 2013; guided matching: HZ
-    section 11.6).
+    it and find more matches, since fewer wrong candidates compete (preemptive matching: Wu, 3DV 2013; guided
+    matching: HZ section 11.6).
     """
     config = payload.matching
     preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
@@ -180,7 +180,7 @@ def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
 
 
 def _seed(i: int, j: int) -> int:
-    """A pair's own seed makes its answer the same in any order of work."""
+    """A pair's own seed makes its result independent of the order of work."""
     return 1_000_003 * i + j
 
 

@@ -1,4 +1,4 @@
-"""Where a finished model stands: upright, near the origin, in metres where GPS allows."""
+"""The world frame of a finished model: upright, near the origin, in metres where GPS allows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 from epipole.robust import estimate_upright_similarity
 
 MIN_FIXES = 3
-"""Two give scale, heading and place; a third tells whether they can be believed."""
+"""Two positions give scale, heading and translation; a third checks them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ def align_to_gps(
     max_error_m: float,
     seed: int = 0,
 ) -> GpsAlignment | None:
-    """The similarity that brings camera centres onto their GPS fixes; None where the fixes do not tell.
+    """The similarity from the model to the GPS positions of its cameras; None where they do not determine it.
 
     Robust over samples of two images (the model is upright already, so that two fixes give scale, heading and
     place), refined on the agreeing ones: with the full similarity where the path spans a plane, else upright.

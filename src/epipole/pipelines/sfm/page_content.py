@@ -35,7 +35,7 @@ class ImageRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportContent:
-    """Everything that the report tells."""
+    """Everything that the report shows."""
 
     title: str
     reconstruction: Reconstruction
@@ -60,7 +60,7 @@ class ReportContent:
     is_metric: bool = False
     """World coordinates are metres."""
     truth_errors: Mapping[str, str] = field(default_factory=dict)
-    """What was compared with a known truth, and the outcome, in words with units."""
+    """Comparisons with ground truth: what was compared, and the result with its unit."""
 
     @property
     def unit(self) -> str:
@@ -71,7 +71,7 @@ class ReportContent:
 def page_content(
     solution: Solution, reasons: Mapping[str, str], run: Run, settings: dict[str, Any]
 ) -> ReportContent:
-    """What the report tells, gathered."""
+    """Gather what the report shows."""
     models, images = solution.mapped.models, solution.images
     model = models[0]
     component = np.full(len(images), -1)

@@ -35,7 +35,7 @@ class ImageSet:
     """GPS of the EXIF, altitude 0 where not recorded; NaN for none."""
     timestamps_s: Float64[np.ndarray, " n"]
     fingerprints: tuple[str, ...]
-    """Changes when a file does."""
+    """Changes when the picture's file changes."""
     left_out: dict[str, str]
     """Pictures that cannot take part, and why."""
     is_video: bool = False
@@ -146,7 +146,7 @@ def _group_cameras(
     sources: list[str] = []
     rows: list[int] = []
     for header in headers.values():
-        # A picture that names neither camera nor focal length may come from any: sizes decide.
+        # A picture without camera and focal length in its EXIF may come from any camera: sizes decide.
         key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
         if key not in groups:
             groups[key] = len(cameras)

@@ -1,7 +1,7 @@
 """Structure-from-motion from a folder of photographs (or a video) to models, stage by stage.
 
-Every stage turns what the one before has left into files of units, so that a stopped run goes on from them:
-pictures, features, matches, two-view geometries, models.
+Each stage stores its results as files of units of work, from which a stopped run continues: pictures,
+features, matches, two-view geometries, models.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
 
 FOCAL_CORRECTION = 0.1
-"""A trusted focal length that changes by more in mapping was wrong: matching starts again with the better one."""
+"""If mapping changes a trusted focal length by a larger factor, matching is repeated with the new one."""
 UNITS, FRAMES, DATABASE = "work", "work/frames", "database.db"
 """Inside the output folder."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Matches, geometries and models under one idea of the cameras."""
+    """Matches, geometries and models, made with one set of intrinsics."""
 
     images: ImageSet
     features: tuple[Unit, ...]
@@ -75,7 +75,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
 
     Args:
         source: folder of photographs, or a video file.
-        run: where the units are kept, who does them, who is told.
+        run: the run: output folder, executor and progress.
         config: options.
 
     Raises:
@@ -106,7 +106,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
 def _match_and_map(
     images: ImageSet, detected: _Detected, run: Run, config: ReconstructConfig, suffix: str = ""
 ) -> Solution:
-    """Matches of all pairs, their geometries, and models, with the cameras as they are taken to be."""
+    """Match, verify and map with the given intrinsics."""
     todo = PairWork(
         detected.pairs,
         detected.features,
@@ -119,7 +119,7 @@ def _match_and_map(
         folder = run.root / UNITS / f"geometry{suffix}"
         view_graph = _verify(todo, matches, folder, run)
         cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
-        if found:  # focal lengths were guessed: again with those that the pairs agree on
+        if found:  # focal lengths were guessed: repeat with those that the pairs agree on
             again = folder.with_name(f"{folder.name}-calibrated")
             view_graph = _verify(replace(todo, cameras=cameras), matches, again, run)
     with run.stage("map"):

@@ -1,4 +1,4 @@
-"""What a reconstruction leaves in its folder: the database, the models, their points and their pictures."""
+"""The files of a reconstruction: the database, the models, their points and their pictures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from epipole.scene import Frames, Images, Rigs, unregistered
 
 
 def write_results(solution: Solution, run: Run) -> None:
-    """`database.db`, then `sparse/`, `points.ply` and `images/`.
+    """Write `database.db`, then `sparse/`, `points.ply` and `images/`.
 
     Raises:
         NoModelError: there is no model; the database is written all the same.
@@ -36,7 +36,7 @@ def write_results(solution: Solution, run: Run) -> None:
 
 
 def _write_pictures(solution: Solution, run: Run) -> None:
-    """The placed pictures as the model sees them, turned upright; those that are there already stay."""
+    """Write the registered pictures, turned upright; those already there stay."""
     images = solution.images
     placed = np.zeros(len(images), bool)
     for model in solution.mapped.models:

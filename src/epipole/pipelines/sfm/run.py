@@ -24,7 +24,7 @@ from epipole.scene import Reconstruction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReconstructionResult:
-    """What `reconstruct` gives back; everything is also in the output folder."""
+    """What `reconstruct` returns; everything is also in the output folder."""
 
     out: Path
     models: tuple[Reconstruction, ...]
@@ -60,7 +60,8 @@ def reconstruct(
         out: output folder, made if missing.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
-        executor: who does the units of work, in place of the config's: any `concurrent.futures.Executor`.
+        executor: what works on single pictures and pairs, instead of the config's choice: a name or any
+            `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`.
 
     Raises:
         NoModelError: the pictures give no model; the message says why.

@@ -30,10 +30,10 @@ def stereo(
     model: Annotated[ModelPair, tyro.conf.arg(name="")] = NO_MODEL,
     strict: bool = False,
 ) -> None:
-    """Disparities of a pair, each with its standard deviation; depth and points where the cameras are known.
+    """Compute disparities of a pair with standard deviations; depth and points where the cameras are known.
 
-    LEFT and RIGHT are two pictures, two folders, or two videos (twice the same one: both pictures side by side).
-    Without a calibration they count as rectified. With --workspace and --pair there is OUT alone.
+    LEFT and RIGHT are two pictures, two folders, or two videos (the same one twice if it holds both pictures
+    side by side). Without a calibration they count as rectified. With --workspace and --pair give OUT alone.
 
     Args:
         left: Left picture, whose pixels get the disparities.
@@ -42,7 +42,7 @@ def stereo(
         config: Options.
         rig: What is known of the cameras.
         model: Two pictures of a reconstruction.
-        strict: Exit with code 3 where a pair of several could not be measured.
+        strict: Exit with code 3 if any pair of several could not be measured.
     """
     paths = [path for path in (left, right, out) if path is not None]
     if model != NO_MODEL:
@@ -67,16 +67,16 @@ def stereo_doctor(
     json: bool = False,
     strict: bool = False,
 ) -> None:
-    """What is wrong with a stereo pair: swapped, rows that do not match and why, not synchronous, odd units.
+    """Find what is wrong with a stereo pair: swapped, rows off and why, not synchronous, odd units.
 
-    Also the depth error to expect at each range. `epipole stereo doctor` is the same.
+    Also prints the depth error to expect at each range. `epipole stereo doctor` is the same command.
 
     Args:
         left: Left picture, folder or video.
         right: Right picture, folder or video.
         rig: What is known of the cameras.
         json: Print JSON.
-        strict: Exit with code 3 where something is wrong.
+        strict: Exit with code 3 if something is wrong.
     """
     is_healthy = _examine(left, right, rig, json)
     _exit_with(is_healthy or not strict)

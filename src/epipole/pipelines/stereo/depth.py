@@ -25,7 +25,7 @@ def depth_of(
         disparities: of the left picture.
         rig: focal length, baseline and principal points.
         calibration_sigma_px: what the calibration's errors come to in pixels of disparity
-            (`stereo.calibration_error`); None: from the rig's own standard deviations.
+            (`calibration_sigma`); None: from the rig's own standard deviations.
     """
     depth = disparity_to_depth(disparities.disparity_px, rig.focal_px, rig.baseline, rig.principal_offset_px)
     depth = np.where(np.isfinite(depth), depth, np.nan)
@@ -42,7 +42,7 @@ def depth_of(
 def point_covariances(
     depths: DepthMap, rig: RectifiedRig, pixel_sigma_px: float = 0.3
 ) -> Float64[np.ndarray, "h w 3 3"]:
-    """First-order covariance of every pixel's point: a needle along its ray.
+    """First-order covariance of every pixel's point, elongated along its ray.
 
     X = Z r with r = ((x - cx) / f, (y - cy) / f, 1): r r^T sigma_Z^2, and Z^2 / f^2 times the variance of where in its pixel
     the point lies (0.3 px: anywhere in it).

@@ -28,7 +28,7 @@ from epipole.pipelines.stereo.rows import (
 from epipole.scene import RectifiedRig, StereoRig
 
 TYPICAL_SIGMA_PX = 0.25
-"""Standard deviation of a good disparity, of which the table of depth errors is made."""
+"""Standard deviation of a good disparity, from which the table of depth errors is computed."""
 GOOD_PX, BAD_PX = 0.5, 1.0
 """95th percentile and median of the vertical offset up to which rows count as matching."""
 _EXPLAINS, _LESS = 0.7, 0.9
@@ -38,7 +38,7 @@ _GRID = 3
 
 
 class Cause(StrEnum):
-    """What the trend of the vertical offsets points at."""
+    """The likely cause of the vertical offsets, from their trend."""
 
     NONE = "rows match"
     EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or baseline's direction)"
@@ -79,15 +79,15 @@ class Diagnosis:
     vertical_map_px: Float64[np.ndarray, "3 3"]
     """Median offset in each ninth of the picture; NaN where nothing matches."""
     after_extrinsics_px: float
-    """Robust deviation left when the best rotation, scale and baseline's direction are taken off."""
+    """Robust standard deviation left after the best rotation, scale and direction of the baseline."""
     after_distortion_px: float
-    """The same with radial distortion taken off too."""
+    """The same after radial distortion, too."""
     cause: Cause
     expectations: tuple[DepthExpectation, ...] = field(default=())
 
     @property
     def calibration_error_px(self) -> float:
-        """Deviation of the rows that the rig's own errors explain: columns are likely off by as much.
+        """Deviation of the rows that the rig's own errors explain: columns probably are off by as much.
 
         What `RectifiedRig.principal_offset_sigma_px` should be where a calibration comes without its errors.
         """

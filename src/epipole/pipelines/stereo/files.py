@@ -27,14 +27,14 @@ REASON_COLORS = np.array(
     ],
     np.uint8,
 )
-"""Of the values of `StereoReason` in `reasons.png`: white is known."""
+"""Colours of the values of `StereoReason` in `reasons.png`; white: known."""
 
 
 def write_stereo(result: StereoResult, folder: Path) -> None:
-    """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`; and more where there is more.
+    """Write `disparity.pfm`, `disparity.png`, `sigma_disparity.pfm`, `reasons.png`, and more.
 
-    With a rig `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and `right.png`;
-    of an uncalibrated pair the rectified pair and `homographies.json`.
+    With a rig also `depth.pfm`, `sigma_depth.pfm`, `cloud.ply`, `rig.json` and the rectified pair, `left.png` and
+    `right.png`; of an uncalibrated pair the rectified pair and `homographies.json`.
 
     Raises:
         WorkspaceError: the output folder cannot be used.

@@ -1,4 +1,4 @@
-"""Guesses for the pixels that matching left open. They are guesses: a filled pixel has no standard deviation, and stays marked."""
+"""Guesses for unknown pixels; a filled pixel has no standard deviation, and stays marked."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilledDisparities:
-    """Disparities with nothing left open."""
+    """Disparities without holes."""
 
     disparity_px: Float32[np.ndarray, "h w"]
     """The known ones as they were; NaN only where the whole picture has none."""
@@ -39,9 +39,9 @@ def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> 
     All else is the smoothest surface that bends at edges of the picture.
 
     Args:
-        found: what matching knows; known pixels weigh by the inverse of their variance.
+        found: the disparities; known pixels are weighted by the inverse of their variance.
         left: (h, w) or (h, w, 3) of 8 bits.
-        strength: of the ties between neighbours.
+        strength: weight of the smoothness term.
 
     Raises:
         ShapeError: the picture does not fit.

@@ -34,23 +34,23 @@ _FITTED_WITH = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoResult:
-    """What was found of a pair."""
+    """Result of `stereo` for one pair."""
 
     left_rgb: UInt8[np.ndarray, "h w 3"]
-    """Rectified, as all maps are."""
+    """Rectified, like all maps."""
     right_rgb: UInt8[np.ndarray, "h w 3"]
     disparities: DisparityMap
     rig: RectifiedRig | None
-    """Of the rectified pair; None: there are disparities but no depth."""
+    """The rectified cameras; None: there are disparities but no depth."""
     depths: DepthMap | None
     rectification: Rectification | UncalibratedRectification | None
     """None for a pair that came rectified."""
     warnings: tuple[str, ...]
     num_points: int
     filled: FilledDisparities | None = None
-    """Guesses for the rest, where they were asked for."""
+    """With guesses for unknown pixels, if `StereoConfig.fill` is set."""
     out: Path | None = None
-    """Where it was written."""
+    """Folder it was written to."""
 
     def __repr__(self) -> str:
         depth = "no depth" if self.depths is None else f"{self.num_points} points"
@@ -63,7 +63,7 @@ def measure_pair(
     config: StereoConfig,
     rig: RectifiedRig | StereoRig | None = None,
 ) -> StereoResult:
-    """Rectify where the rig says how, match, and turn disparities into depth where it says how far apart the cameras are.
+    """Rectify if the rig is a calibration, match, and compute depth if the rig is known.
 
     Raises:
         ShapeError: the pictures are no pair, or not of the calibration's size.
@@ -130,7 +130,7 @@ def _rectified(
 
 
 def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[str]:
-    """What cannot be said with these settings."""
+    """Warnings about what these settings cannot give."""
     out = []
     default = StereoConfig()
     matters = [name for name in _FITTED_WITH if name != "block_px" or config.method == "block"]
@@ -150,7 +150,7 @@ def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[
 
 
 def _down_to_infinity(config: StereoConfig, rig: RectifiedRig | None) -> StereoConfig:
-    """The same with a range that begins where depth ends: where principal points differ far things have negative disparities."""
+    """The config with the disparity of infinity as minimum, which a principal offset makes negative."""
     if rig is None or config.min_disparity_px != 0 or rig.principal_offset_px <= 0:
         return config
     return replace(config, min_disparity_px=-int(np.ceil(rig.principal_offset_px)))

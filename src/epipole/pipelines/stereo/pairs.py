@@ -18,7 +18,7 @@ from epipole.runs import Progress, ProgressCallback, ignore_progress, is_finishe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StereoBatch:
-    """What became of many pairs."""
+    """Result of `stereo_many`."""
 
     out: Path
     done: tuple[str, ...]
@@ -26,11 +26,11 @@ class StereoBatch:
     earlier: tuple[str, ...]
     """Names of those that an earlier run with the same settings had measured."""
     problems: dict[str, str]
-    """Why the others were not."""
+    """Why the others were not measured."""
     warnings: dict[str, tuple[str, ...]]
-    """What is wrong with those that were measured now."""
+    """Warnings of those that were measured now."""
     known: dict[str, float]
-    """Share of their pixels that is known."""
+    """Share of known pixels of each."""
 
     def __repr__(self) -> str:
         return f"StereoBatch({len(self.done)} done, {len(self.earlier)} done earlier, {len(self.problems)} failed, in {self.out})"
@@ -53,7 +53,7 @@ def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str,
     for folder in (left, right):
         if not folder.is_dir():
             raise FileFormatError(
-                folder, "it is no folder, the other one is; give two pictures, folders or videos"
+                folder, "it is not a folder but the other one is: give pictures, folders or videos"
             )
     found = pair_folders(left, right, ignore=[out])
     return _by_folder([pair for _, pair in found], [name for name, _ in found])
@@ -99,7 +99,7 @@ def run_batch(
 def summary_of(
     batch: StereoBatch, pairs: dict[str, tuple[Path, Path]], before: dict[str, Any]
 ) -> dict[str, Any]:
-    """What is kept of many pairs, those of an earlier run with what it said of them."""
+    """The summary of many pairs, including what earlier runs said of theirs."""
     kept = {
         part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
         for part in ("known", "warnings")
@@ -125,6 +125,6 @@ def read_summary(out: Path) -> dict[str, Any]:
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
-    """Named without suffix, where no two names differ in that alone."""
+    """Names without suffix, unless two names differ in the suffix alone."""
     short = [Path(name).with_suffix("").as_posix() for name in names]
     return {a if short.count(a) == 1 else name: pair for a, name, pair in zip(short, names, pairs)}

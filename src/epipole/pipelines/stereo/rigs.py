@@ -20,7 +20,7 @@ _SAME = 1e-6  # relative: a thousandth of a pixel across a picture
 
 
 def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | StereoRig | None:
-    """What the options and files say of the cameras.
+    """The rig that the options and files describe.
 
     Raises:
         ConfigError: both a calibration and a rectified rig are given, or a part of the latter is missing.
@@ -28,7 +28,7 @@ def rig_of(left: Path, right: Path, options: RigOptions) -> RectifiedRig | Stere
     """
     files = options.calibration
     if options.cameras and not files:
-        raise ConfigError("--cameras chooses two of the cameras of a calibration: give one")
+        raise ConfigError("--cameras chooses two cameras of a calibration: give --calibration, too")
     if len(files) > 2:
         raise ConfigError(f"a calibration is one file or two, got {len(files)}")
     if files:

@@ -1,4 +1,4 @@
-"""Do the rows of a rectified pair match? What features say of vertical offsets, their trend and the order of the pictures."""
+"""Do the rows of a rectified pair match? Vertical offsets of features, their trend, and the pictures' order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.scene import RectifiedRig
 
-_MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are mistakes
+_MOST_OFFSET = 0.1  # of the picture's height: matches with larger vertical offsets are wrong
 _ROUNDS = 20
 LEAST_FOR_TREND = 50
 _KEPT = 3.0  # robust deviations: matches farther from the trend are mistakes
@@ -85,7 +85,7 @@ def match_features(
 
 @dataclass(frozen=True, slots=True)
 class MatchedPair:
-    """What was asked of a pair and came of it."""
+    """The range that was searched in a pair, and the result."""
 
     density: float
     """Share of the pixels for which a disparity was found."""
@@ -95,7 +95,7 @@ class MatchedPair:
 
 
 def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPair) -> tuple[str, ...]:
-    """What is plainly wrong with a rectified pair: swapped, rows that do not match, a range too small, nothing in common.
+    """What is obviously wrong with a rectified pair: swapped, rows off, a range too small, nothing in common.
 
     Args:
         left_rgb: (h, w, 3).

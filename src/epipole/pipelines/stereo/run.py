@@ -39,7 +39,7 @@ def stereo(
     config: StereoConfig | None = None,
     rig: RectifiedRig | StereoRig | None = None,
 ) -> StereoResult:
-    """Disparities of a pair with their standard deviations, with a rig also depth and points, and a report.
+    """Disparities of a pair with standard deviations, with a rig also depth and points, and a report.
 
     Args:
         left: picture whose pixels get a disparity.
@@ -75,9 +75,10 @@ def stereo_many(
     rig: RectifiedRig | StereoRig | None = None,
     progress: ProgressCallback = ignore_progress,
 ) -> StereoBatch:
-    """`stereo` for every pair of two folders, or of stereo video (twice the same file: both pictures side by side).
+    """`stereo` for every pair of two folders or of stereo video.
 
-    A pair that cannot be measured is named with its reason and does not stop the others; a stopped run continues.
+    A video with both pictures side by side is given twice. A pair that cannot be measured is reported with its
+    reason and does not stop the others; a stopped run continues.
 
     Raises:
         FileFormatError: there are no pairs.
@@ -103,7 +104,7 @@ def stereo_of_model(
 
     Args:
         workspace: output folder of `reconstruct`.
-        first: name of the picture whose pixels get depth, unless it stands right of the other one.
+        first: name of the picture whose pixels get depth (the other one's do if it stands left of this one).
         second: name of the other.
         out: output folder.
         config: options.
@@ -120,7 +121,7 @@ def stereo_of_model(
         if name not in rows or not registered[rows[name]]:
             raise FileFormatError(workspace, f"{name} has no place in the model")
     if first == second:
-        raise DegenerateGeometryError("a picture makes no pair with itself")
+        raise DegenerateGeometryError("the two pictures of a pair must differ")
     one, two = rows[first], rows[second]
     cameras, of_image = model.cameras, model.camera_of_image
     rig = StereoRig(
@@ -129,7 +130,7 @@ def stereo_of_model(
     note: tuple[str, ...] = ()
     if is_right_of_left(rig):
         rig, first, second = rig.swapped(), second, first
-        note = (f"{first} stands left of {second}: its pixels have the depth",)
+        note = (f"{first} stands left of {second}: the depth is that of its pixels",)
     pictures = workspace / "images"
     found = stereo(pictures / first, pictures / second, out, config, rig)
     return replace(found, warnings=(*note, *found.warnings))
@@ -138,13 +139,13 @@ def stereo_of_model(
 def examine_stereo(
     left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
 ) -> Diagnosis:
-    """What is wrong with a pair, or with several of one rig: swapped, rows that do not match, not synchronous.
+    """Find what is wrong with a pair, or with several of one rig: swapped, rows off, not synchronous.
 
     Args:
         left: a picture, a folder or a video.
         right: the other.
         rig: as for `stereo`.
-        max_frames: pairs looked at, at most.
+        max_frames: largest number of pairs examined.
 
     Raises:
         FileFormatError: a picture cannot be read, or there is no pair.

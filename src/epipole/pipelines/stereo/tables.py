@@ -18,7 +18,7 @@ from epipole.screen import print_warnings
 
 
 def show_stereo(result: StereoResult) -> None:
-    """What of the pair is known, and where it lies."""
+    """Print how much of the pair is known, and where the results are."""
     found = result.disparities
     known = np.isfinite(found.disparity_px)
     table = Table(title=f"Stereo pair: {100 * found.density:.1f} % of the pixels known", show_header=False)
@@ -41,7 +41,7 @@ def show_stereo(result: StereoResult) -> None:
 
 
 def show_batch(batch: StereoBatch) -> None:
-    """How many pairs were measured, and why others were not."""
+    """Print how many pairs were measured, and why others were not."""
     console = Console()
     earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
     console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
@@ -53,7 +53,7 @@ def show_batch(batch: StereoBatch) -> None:
 
 
 def show_diagnosis(found: Diagnosis) -> None:
-    """What is wrong, or that nothing is; rows and the depth error to expect."""
+    """Print what is wrong, or that nothing is; rows and the depth error to expect."""
     console = Console()
     if found.is_healthy:
         console.print("healthy: nothing wrong was found", style="green")

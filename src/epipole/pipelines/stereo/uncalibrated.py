@@ -17,14 +17,14 @@ from epipole.geometry.rectification import rectifying_homographies
 from epipole.robust import estimate_fundamental_matrix
 
 _LEAST_INLIERS = 30  # fewer agree with some F in pictures of two things
-_BEYOND_PX = 1.0  # so far to the right of all but one in 200 matches the right picture's zero disparity lies
+_BEYOND_PX = 1.0  # least disparity of all but one in 200 matches after the shift
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncalibratedRectification:
-    """Homographies of both pictures after which rows match; nothing in it knows of metres."""
+    """Homographies of both pictures after which rows match; they give no depth."""
 
     rectified_from_left_px: Matrix3
     rectified_from_right_px: Matrix3
@@ -77,7 +77,8 @@ def rectify_uncalibrated(left: Any, right: Any, seed: int = 0) -> UncalibratedRe
         seed: of the robust loop.
 
     Raises:
-        DegenerateGeometryError: too few matches, or no homographies do it (forward motion, a plane, pure rotation).
+        DegenerateGeometryError: too few matches, or no homographies rectify them (forward motion, a plane,
+            pure rotation).
         ShapeError: the pictures are no pair.
     """
     grey = []
