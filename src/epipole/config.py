@@ -93,13 +93,16 @@ class RansacConfig:
     confidence: float = 0.9999
     """Stop when a sample of inliers alone has been drawn with this probability."""
     min_iterations: int = 50
+    """Samples drawn at least."""
     max_iterations: int = 10_000
+    """Samples drawn at most."""
     min_inliers: int = 15
     """Fewer inliers count as failure."""
     min_inlier_ratio: float = 0.0
     """Stop once this share of inliers would have been found; a smaller share may be missed, which saves time
     where it would be a failure anyway."""
     seed: int = 0
+    """Seed of random sampling."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

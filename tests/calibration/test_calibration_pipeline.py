@@ -79,7 +79,7 @@ def test_what_cannot_be_used_is_said(tmp_path):
         calibrate(tmp_path / "blank", tmp_path / "file", CalibrationConfig())
     with pytest.raises(WorkspaceError, match="is the folder of the pictures"):
         calibrate(tmp_path / "blank", tmp_path / "blank", CalibrationConfig())
-    with pytest.raises(FileFormatError, match="both the left and the right"):
+    with pytest.raises(FileFormatError, match="the left and the right folder are the same"):
         calibrate(tmp_path / "blank", tmp_path / "out", CalibrationConfig(), tmp_path / "blank")
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileFormatError, match="no picture"):

@@ -196,7 +196,7 @@ def test_stereo_says_what_it_needs(tmp_path):
     for arguments, words in (
         ((left, right), "expected LEFT RIGHT OUT"),
         (("--workspace", tmp_path, tmp_path / "out"), "--pair A B"),
-        ((left, tmp_path, tmp_path / "out"), "no folder"),
+        ((left, tmp_path, tmp_path / "out"), "not a folder"),
         ((left, right, tmp_path / "out", "--calibration", left), "neither JSON nor YAML"),
     ):
         printed = run("stereo", *arguments, expect=1)

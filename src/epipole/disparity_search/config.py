@@ -37,6 +37,7 @@ class DisparityConfig:
     edge_penalty: float = 6.0
     """P2 = P1 (1 + edge_penalty exp(-difference of brightness / edge_fade)): penalty for larger changes."""
     edge_fade: float = 10.0
+    """Difference of brightness, in grey levels, at which the extra penalty has fallen to 37 %."""
     left_right: Literal["accurate", "fast"] = "accurate"
     """Left-right check: accurate matches the right picture on its own; fast (half the time) reads its
     disparities off the same sums."""

@@ -18,6 +18,7 @@ class BoardConfig:
     columns: int = 9
     """Inner corners in a row of a chessboard; squares of a ChArUco board; tags of an AprilTag grid."""
     rows: int = 6
+    """The same in a column."""
     square: float = 1.0
     """Side of a square (or tag); its unit is that of the translations and depths. 1: they are in squares."""
     marker_share: float = 0.75

@@ -59,9 +59,11 @@ class MapperConfig:
     min_angle_deg: float = 1.5
     """Points with a smaller triangulation angle are dropped: their depth is not known."""
     resection_max_error_px: float = 12.0
+    """Resection: points with a larger reprojection error are outliers."""
     resection_min_inliers: int = 30
+    """Resection: inliers that an image must have to be registered."""
     resection_min_ratio: float = 0.15
-    """Share of the visible points that must be inliers of an image's pose."""
+    """Resection: share of the visible points that must be inliers."""
     min_observations: int = 15
     """An image left with fewer observations is removed again."""
     local_images: int = 6
@@ -89,6 +91,7 @@ class MapperConfig:
     use_gps: bool = True
     """Use GPS positions from EXIF as a robust prior and for the scale."""
     seed: int = 0
+    """Seed of random sampling."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

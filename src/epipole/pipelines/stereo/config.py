@@ -44,7 +44,9 @@ class RigOptions:
     focal_sigma_px: float = 0.0
     """Standard deviation of the focal length; like the next two it enters that of the depth."""
     baseline_sigma: float = 0.0
+    """Standard deviation of the baseline."""
     principal_offset_sigma_px: float = 0.0
+    """Standard deviation of principal_offset_px."""
 
 
 @dataclass(frozen=True, kw_only=True)
