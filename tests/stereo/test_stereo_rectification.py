@@ -116,7 +116,7 @@ def test_what_cannot_be_rectified():
         rectify(rig((-0.2, 0, 0), (0, np.pi, 0)))
     with pytest.raises(ConfigError, match="baseline is zero"):
         rig((0, 0, 0))
-    with pytest.raises(ConfigError, match="is none"):
+    with pytest.raises(ConfigError, match="no rotation"):
         StereoRig(camera, camera, Rigid3(np.diag([1.0, 1.0, -1.0]), np.array([-0.2, 0.0, 0.0])))
     with pytest.raises(ShapeError, match="single motion"):
         StereoRig(camera, camera, Rigid3.identity(2))
