@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from architecture_sources import REPOSITORY, classes, sources
+from architecture_sources import PACKAGE, REPOSITORY, classes, sources
 
 Kernel = tuple[str, str]
 """Module and name."""
