@@ -14,7 +14,8 @@ test: $(STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest
+	$(BIN)/python -c "from epipole.pipelines.sfm.warm_up import warm_up; warm_up()"  # compiled once, for both workers
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # Kernels on the oldest Numba that is allowed and on the newest there is, each in an environment of its own.
 NUMBA_TESTS := tests/test_jit.py tests/test_kernel_modes.py tests/test_simd.py tests/robust tests/optim

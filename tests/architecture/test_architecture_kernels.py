@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from architecture_sources import PACKAGE, REPOSITORY, sources
+from architecture_sources import PACKAGE, REPOSITORY, classes, sources
 
 Kernel = tuple[str, str]
 """Module and name."""
@@ -135,3 +135,22 @@ def test_the_search_finds_what_it_should() -> None:
     called = called_from_python([module, caller])
     assert called == {(module.name, "one"), (module.name, "three")}
     assert with_a_reference([Module("test_x", ast.parse(TEST))], called) == {(module.name, "one")}
+
+
+def test_no_field_is_named_as_a_method_of_problems() -> None:
+    """Inside kernels such a name means the method, of whatever named tuple."""
+    (problems,) = (s for s in sources() if s.name == "robust/_problem_kernels.py")
+    methods = {
+        function.name
+        for node in classes(problems)
+        for function in node.body
+        if isinstance(function, ast.FunctionDef)
+    }
+    assert {"score", "near", "settle"} <= methods
+    wrong = []
+    for source in sources():
+        for node in classes(source):
+            if "NamedTuple" in [ast.unparse(base) for base in node.bases] and source.path.name[0] == "_":
+                fields = [n.target.id for n in node.body if isinstance(n, ast.AnnAssign)]
+                wrong += [f"{source.name} {node.name}.{name}" for name in fields if name in methods]
+    assert not wrong, "\n".join(wrong)

@@ -7,6 +7,7 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, Similarity3
+from epipole.mapping import bundle_problem_of
 from epipole.optim import (
     BundleConfig,
     BundlePriors,
@@ -63,22 +64,7 @@ def model(rng: np.random.Generator) -> Reconstruction:
 
 def problem_of(model: Reconstruction) -> BundleProblem:
     """All frames and points free, the intrinsics held."""
-    image = model.tracks.image
-    return BundleProblem(
-        rig_from_world=model.frames.rig_from_world,
-        cam_from_rig=model.rigs.cam_from_rig,
-        camera_model=model.cameras.model,
-        camera_params=model.cameras.params,
-        points_in_world=model.points.xyz_in_world,
-        offsets=model.tracks.offsets,
-        frame=model.images.frame[image],
-        sensor=model.images.sensor[image],
-        camera=model.camera_of_image[image],
-        pixels=model.observed_pixels(),
-        frame_free=np.ones((len(model.frames), 6)),
-        params_free=np.zeros(model.cameras.params.shape),
-        point_free=np.ones(len(model.points)),
-    )
+    return replace(bundle_problem_of(model), params_free=np.zeros(model.cameras.params.shape))
 
 
 def cost_of(problem: BundleProblem, loss: Loss = Loss.TRIVIAL) -> float:

@@ -1,6 +1,6 @@
 """The incremental mapper alone: exact tracks in, the true cameras out, and a reason for each image that has no place."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -218,3 +218,26 @@ def test_the_better_spread_points_count_more() -> None:
     assert spread_score(np.zeros((0, 2)), 640, 480) == 0.0
     # One point hits one cell of each level: 4 + 16 + ... + 4096.
     assert spread_score(spread[:1], 640, 480) == sum(4.0**level for level in range(1, 7))
+
+
+@pytest.mark.parametrize("wrong_by", [0.5, 1.0, 2.0])
+def test_the_focal_length_of_a_new_camera_is_found_with_its_place(
+    ring: Reconstruction, graph: ViewGraph, wrong_by: float
+) -> None:
+    """The last image has a camera of its own, of which nothing but a guess is known."""
+    truth = float(ring.cameras.params[0, 0])
+    columns = {
+        field.name: np.concatenate([getattr(ring.cameras, field.name)] * 2) for field in fields(ring.cameras)
+    }
+    cameras = replace(ring.cameras, **columns)
+    cameras.params[1, 0] *= wrong_by
+    cameras = replace(cameras, is_constant=np.array([True, False]), is_focal_trusted=np.array([True, False]))
+    keypoints = [ring.images.keypoints_of(i) for i in range(12)]
+    components = connect_matches(graph, ring.images.keypoint_offsets)
+    builder = ModelBuilder(cameras, np.array([0] * 11 + [1], np.int32), keypoints, components)
+    mapper = IncrementalMapper(builder, graph, EXACT)
+    assert mapper.run(np.ones(12, bool))
+    assert builder.registered.all()
+    assert builder.params[1, 0] == pytest.approx(truth, rel=1e-3)
+    off, turned = errors_of(mapper, ring)
+    assert off.max() < 1e-2 and turned.max() < 1e-2

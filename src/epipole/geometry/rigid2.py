@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole.geometry.batch import Batch
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rigid2:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rigid2(Batch):
     """A batch of rigid motions of the plane, `x_in_target = rotation @ x_in_source + translation`."""
 
     angle_rad: Float64[np.ndarray, "*batch"]
@@ -93,13 +94,3 @@ class Rigid2:
             motion.rotation[..., 0, 0] + motion.rotation[..., 1, 1],
         )
         return Rigid2(np.asarray(angle), motion.translation[..., :2].copy())
-
-    def __getitem__(self, index: Any) -> Rigid2:
-        """Select from the batch."""
-        return Rigid2(np.asarray(self.angle_rad[index]), self.translation[index])
-
-    def __len__(self) -> int:
-        return len(self.translation)
-
-    def __repr__(self) -> str:
-        return f"Rigid2(batch {self.translation.shape[:-1]})"

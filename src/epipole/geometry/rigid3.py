@@ -10,11 +10,12 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array
 from epipole.errors import ShapeError
+from epipole.geometry.batch import Batch
 from epipole.geometry.rotation3 import Rotation3, skew
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rigid3:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rigid3(Batch):
     """A batch of rigid motions, `x_in_target = rotation @ x_in_source + translation`.
 
     Variables are named `target_from_source`, so that products read as cancellation:
@@ -70,18 +71,16 @@ class Rigid3:
 
     def inverse(self) -> Rigid3:
         """source_from_target."""
-        rotation = np.ascontiguousarray(np.swapaxes(self.rotation, -1, -2))
-        return Rigid3(rotation, -(rotation @ self.translation[..., None])[..., 0])
+        back = Rotation3(self.rotation).inverse()
+        return Rigid3(back.matrix, -back.apply(self.translation))
 
     def __matmul__(self, other: Rigid3) -> Rigid3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
-        moved = (self.rotation @ other.translation[..., None])[..., 0]
-        return Rigid3(self.rotation @ other.rotation, moved + self.translation)
+        return Rigid3(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
-        rotated = (self.rotation @ as_float_array(points, "points", 3)[..., None])[..., 0]
-        return rotated + self.translation
+        return Rotation3(self.rotation).apply(points) + self.translation
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
         """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, [t]x R], [0, R]]."""
@@ -93,16 +92,6 @@ class Rigid3:
     def centers(self) -> Float64[np.ndarray, "*batch 3"]:
         """The target's origin in source coordinates: the camera centres, for cam_from_world."""
         return self.inverse().translation
-
-    def __getitem__(self, index: Any) -> Rigid3:
-        """Select from the batch."""
-        return Rigid3(self.rotation[index], self.translation[index])
-
-    def __len__(self) -> int:
-        return len(self.translation)
-
-    def __repr__(self) -> str:
-        return f"Rigid3(batch {self.translation.shape[:-1]})"
 
 
 def left_jacobian(phi: Any) -> Float64[np.ndarray, "*batch 3 3"]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
 from epipole.errors import ShapeError
+from epipole.geometry.batch import Batch
 
 
 def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
@@ -20,11 +21,12 @@ def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
     return np.stack(rows, axis=-1).reshape(*v.shape[:-1], 3, 3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rotation3:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rotation3(Batch):
     """A batch of rotations, `x_in_target = matrix @ x_in_source`."""
 
     matrix: Float64[np.ndarray, "*batch 3 3"]
+    _item_axes: ClassVar[int] = 2
 
     @staticmethod
     def identity(*batch: int) -> Rotation3:
@@ -124,13 +126,6 @@ class Rotation3:
     def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
         """The rotation angle in [0, pi], accurate for small angles too."""
         return np.asarray(np.linalg.norm(self.log(), axis=-1))
-
-    def __getitem__(self, index: Any) -> Rotation3:
-        """Select from the batch."""
-        return Rotation3(self.matrix[index])
-
-    def __repr__(self) -> str:
-        return f"Rotation3(batch {self.matrix.shape[:-2]})"
 
 
 def _unit(vector: Any, name: str) -> Float64[np.ndarray, 3]:

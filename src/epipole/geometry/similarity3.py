@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole.geometry.batch import Batch
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
 
@@ -16,8 +17,8 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Similarity3:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Similarity3(Batch):
     """A batch of similarities, `x_in_target = scale * rotation @ x_in_source + translation`.
 
     Tangents are (translation, rotation, log of scale).
@@ -52,9 +53,9 @@ class Similarity3:
 
     def inverse(self) -> Similarity3:
         """source_from_target."""
-        rotation = np.ascontiguousarray(np.swapaxes(self.rotation, -1, -2))
-        translation = -(rotation @ self.translation[..., None])[..., 0] / self.scale[..., None]
-        return Similarity3(1.0 / self.scale, rotation, translation)
+        back = Rotation3(self.rotation).inverse()
+        translation = -back.apply(self.translation) / self.scale[..., None]
+        return Similarity3(1.0 / self.scale, back.matrix, translation)
 
     def __matmul__(self, other: Similarity3) -> Similarity3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
@@ -64,8 +65,7 @@ class Similarity3:
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
-        rotated = (self.rotation @ as_float_array(points, "points", 3)[..., None])[..., 0]
-        return self.scale[..., None] * rotated + self.translation
+        return self.scale[..., None] * Rotation3(self.rotation).apply(points) + self.translation
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 7 7"]:
         """Ad with S exp(xi) S^-1 = exp(Ad xi): [[sR, [t]x R, -t], [0, R, 0], [0, 0, 1]]."""
@@ -85,13 +85,6 @@ class Similarity3:
         rotation = cam_from_source.rotation @ np.swapaxes(self.rotation, -1, -2)
         moved = (rotation @ self.translation[..., None])[..., 0]
         return Rigid3(rotation, self.scale[..., None] * cam_from_source.translation - moved)
-
-    def __getitem__(self, index: Any) -> Similarity3:
-        """Select from the batch."""
-        return Similarity3(self.scale[index], self.rotation[index], self.translation[index])
-
-    def __repr__(self) -> str:
-        return f"Similarity3(batch {self.translation.shape[:-1]})"
 
 
 def _translation_jacobian(phi: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -10,20 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from epipole.io import _colmap_tables as tables
 from epipole.io._bytes import ByteReader, file_bytes
 from epipole.io._colmap_cameras import num_params_of, readable_models
-from epipole.io._colmap_tables import (
-    IDENTITY_POSE,
-    UNKNOWN_POSE,
-    CameraRecord,
-    ColmapTables,
-    DataRecord,
-    FrameRecord,
-    ImageRecord,
-    PointTable,
-    RigRecord,
-    SensorRecord,
-)
 
 Table = TypeVar("Table")
 
@@ -40,10 +29,10 @@ _POINT = np.dtype([("id", "<i8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error",
 _OBSERVATION = np.dtype([("image", "<u4"), ("keypoint", "<u4")])
 
 
-def read_binary(folder: Path) -> ColmapTables:
+def read_binary(folder: Path) -> tables.ColmapTables:
     """Read the .bin files of a folder."""
     with_rigs = (folder / "rigs.bin").is_file() and (folder / "frames.bin").is_file()
-    return ColmapTables(
+    return tables.ColmapTables(
         cameras=_read(folder / "cameras.bin", _read_cameras),
         rigs=_read(folder / "rigs.bin", _read_rigs) if with_rigs else None,
         frames=_read(folder / "frames.bin", _read_frames) if with_rigs else None,
@@ -59,7 +48,7 @@ def _read(path: Path, parse: Callable[[ByteReader], Table]) -> Table:
     return table
 
 
-def _read_cameras(reader: ByteReader) -> list[CameraRecord]:
+def _read_cameras(reader: ByteReader) -> list[tables.CameraRecord]:
     cameras = []
     for _ in range(reader.count(_CAMERA.size, "cameras")):
         camera_id, model_id, width, height = reader.values(_CAMERA, "a camera")
@@ -69,11 +58,11 @@ def _read_cameras(reader: ByteReader) -> list[CameraRecord]:
                 f"camera {camera_id} has the unknown model {model_id}; known are {readable_models()}"
             )
         params = reader.array("<f8", num_params, "a camera's parameters")
-        cameras.append(CameraRecord(camera_id, model_id, width, height, params))
+        cameras.append(tables.CameraRecord(camera_id, model_id, width, height, params))
     return cameras
 
 
-def _read_rigs(reader: ByteReader) -> list[RigRecord]:
+def _read_rigs(reader: ByteReader) -> list[tables.RigRecord]:
     rigs = []
     for _ in range(reader.count(_ID_AND_NUMBER.size, "rigs")):
         rig_id, num_sensors = reader.values(_ID_AND_NUMBER, "a rig")
@@ -81,40 +70,40 @@ def _read_rigs(reader: ByteReader) -> list[RigRecord]:
         sensors = []
         for position in range(num_sensors):
             sensor_type, sensor_id = reader.values(_SENSOR, "a sensor")
-            pose = IDENTITY_POSE
+            pose = tables.IDENTITY_POSE
             if position > 0:
                 (has_pose,) = reader.values(_HAS_POSE, "a sensor")
-                pose = reader.array("<f8", 7, "a sensor's pose") if has_pose else UNKNOWN_POSE
-            sensors.append(SensorRecord(sensor_type, sensor_id, pose))
-        rigs.append(RigRecord(rig_id, tuple(sensors)))
+                pose = reader.array("<f8", 7, "a sensor's pose") if has_pose else tables.UNKNOWN_POSE
+            sensors.append(tables.SensorRecord(sensor_type, sensor_id, pose))
+        rigs.append(tables.RigRecord(rig_id, tuple(sensors)))
     return rigs
 
 
-def _read_frames(reader: ByteReader) -> list[FrameRecord]:
+def _read_frames(reader: ByteReader) -> list[tables.FrameRecord]:
     frames = []
     for _ in range(reader.count(_ID_AND_NUMBER.size + _POSE.size, "frames")):
         frame_id, rig_id = reader.values(_ID_AND_NUMBER, "a frame")
         pose = reader.array("<f8", 7, "a frame's pose")
         (num_data,) = reader.values(struct.Struct("<I"), "a frame")
         reader.require_room(num_data, _DATA.size, "images of a frame")
-        data = tuple(DataRecord(*reader.values(_DATA, "a frame")) for _ in range(num_data))
-        frames.append(FrameRecord(frame_id, rig_id, pose, data))
+        data = tuple(tables.DataRecord(*reader.values(_DATA, "a frame")) for _ in range(num_data))
+        frames.append(tables.FrameRecord(frame_id, rig_id, pose, data))
     return frames
 
 
-def _read_images(reader: ByteReader) -> list[ImageRecord]:
+def _read_images(reader: ByteReader) -> list[tables.ImageRecord]:
     images = []
     for _ in range(reader.count(_IMAGE.size + 1 + _COUNT.size, "images")):
         image_id, *pose, camera_id = reader.values(_IMAGE, "an image")
         name = reader.string("an image's name")
         keypoints = reader.array(_KEYPOINT, reader.count(_KEYPOINT.itemsize, "keypoints"), "keypoints")
         images.append(
-            ImageRecord(image_id, np.array(pose), camera_id, name, keypoints["xy"], keypoints["point"])
+            tables.ImageRecord(image_id, np.array(pose), camera_id, name, keypoints["xy"], keypoints["point"])
         )
     return images
 
 
-def _read_points(reader: ByteReader) -> PointTable:
+def _read_points(reader: ByteReader) -> tables.PointTable:
     """Points have different lengths: one pass finds where each begins, the rest is done on columns."""
     data, heads, tracks = reader.data, [], []
     for _ in range(reader.count(_POINT.itemsize, "points")):
@@ -127,7 +116,7 @@ def _read_points(reader: ByteReader) -> PointTable:
         reader.position = end
     points = np.frombuffer(b"".join(heads), _POINT)
     observations = np.frombuffer(b"".join(tracks), _OBSERVATION)
-    return PointTable(
+    return tables.PointTable(
         ids=points["id"].astype(np.int64),
         xyz=points["xyz"].astype(np.float64),
         rgb=points["rgb"].copy(),
@@ -138,7 +127,7 @@ def _read_points(reader: ByteReader) -> PointTable:
     )
 
 
-def write_binary(tables: ColmapTables, folder: Path) -> None:
+def write_binary(tables: tables.ColmapTables, folder: Path) -> None:
     """Write the five .bin files into a folder."""
     (folder / "cameras.bin").write_bytes(
         _COUNT.pack(len(tables.cameras))
@@ -153,7 +142,7 @@ def write_binary(tables: ColmapTables, folder: Path) -> None:
     (folder / "points3D.bin").write_bytes(_point_bytes(tables.points))
 
 
-def _rig_bytes(rigs: list[RigRecord]) -> bytes:
+def _rig_bytes(rigs: list[tables.RigRecord]) -> bytes:
     out = [_COUNT.pack(len(rigs))]
     for rig in rigs:
         out.append(_ID_AND_NUMBER.pack(rig.id, len(rig.sensors)))
@@ -166,7 +155,7 @@ def _rig_bytes(rigs: list[RigRecord]) -> bytes:
     return b"".join(out)
 
 
-def _frame_bytes(frames: list[FrameRecord]) -> bytes:
+def _frame_bytes(frames: list[tables.FrameRecord]) -> bytes:
     out = [_COUNT.pack(len(frames))]
     for frame in frames:
         out.append(_ID_AND_NUMBER.pack(frame.id, frame.rig_id) + _POSE.pack(*frame.rig_from_world))
@@ -175,14 +164,14 @@ def _frame_bytes(frames: list[FrameRecord]) -> bytes:
     return b"".join(out)
 
 
-def _image_bytes(image: ImageRecord) -> bytes:
+def _image_bytes(image: tables.ImageRecord) -> bytes:
     keypoints = np.empty(len(image.keypoints), _KEYPOINT)
     keypoints["xy"], keypoints["point"] = image.keypoints, image.point_ids
     head = _IMAGE.pack(image.id, *image.cam_from_world, image.camera_id)
     return head + image.name.encode() + b"\0" + _COUNT.pack(len(keypoints)) + keypoints.tobytes()
 
 
-def _point_bytes(points: PointTable) -> bytes:
+def _point_bytes(points: tables.PointTable) -> bytes:
     heads = np.empty(len(points.ids), _POINT)
     heads["id"], heads["xyz"], heads["rgb"], heads["error"] = points.ids, points.xyz, points.rgb, points.error
     heads["length"] = np.diff(points.track_offsets)

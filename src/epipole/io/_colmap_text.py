@@ -10,21 +10,9 @@ import numpy as np
 
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError, FileFormatError
+from epipole.io import _colmap_tables as tables
 from epipole.io._bytes import file_text
 from epipole.io._colmap_cameras import model_id_named, readable_models
-from epipole.io._colmap_tables import (
-    IDENTITY_POSE,
-    SENSOR_TYPES,
-    UNKNOWN_POSE,
-    CameraRecord,
-    ColmapTables,
-    DataRecord,
-    FrameRecord,
-    ImageRecord,
-    PointTable,
-    RigRecord,
-    SensorRecord,
-)
 
 Record = TypeVar("Record")
 
@@ -51,10 +39,10 @@ _HEADERS = {
 }
 
 
-def read_text(folder: Path) -> ColmapTables:
+def read_text(folder: Path) -> tables.ColmapTables:
     """Read the .txt files of a folder."""
     with_rigs = (folder / "rigs.txt").is_file() and (folder / "frames.txt").is_file()
-    return ColmapTables(
+    return tables.ColmapTables(
         cameras=_records(folder / "cameras.txt", _camera, "a camera"),
         rigs=_records(folder / "rigs.txt", _rig, "a rig") if with_rigs else None,
         frames=_records(folder / "frames.txt", _frame, "a frame") if with_rigs else None,
@@ -97,43 +85,46 @@ def _id(word: str) -> int:
 
 
 def _sensor_type(word: str) -> int:
-    return SENSOR_TYPES.index(word)
+    return tables.SENSOR_TYPES.index(word)
 
 
-def _camera(line: str) -> CameraRecord:
+def _camera(line: str) -> tables.CameraRecord:
     camera_id, model_name, width, height, *params = line.split()
     model_id = model_id_named(model_name)
     if model_id is None:
         raise ConfigError(f"unknown camera model {model_name}; known are {readable_models()}")
-    return CameraRecord(_id(camera_id), model_id, int(width), int(height), _floats(params, len(params)))
+    return tables.CameraRecord(
+        _id(camera_id), model_id, int(width), int(height), _floats(params, len(params))
+    )
 
 
-def _rig(line: str) -> RigRecord:
+def _rig(line: str) -> tables.RigRecord:
     rig_id, num_sensors, *words = line.split()
     sensors = []
     for position in range(_id(num_sensors)):
-        sensor_type, sensor_id, pose = _sensor_type(words[0]), _id(words[1]), IDENTITY_POSE
+        sensor_type, sensor_id, pose = _sensor_type(words[0]), _id(words[1]), tables.IDENTITY_POSE
         words = words[2:]
         if position > 0:
             has_pose = int(words[0]) != 0
-            pose = _floats(words[1:], 7) if has_pose else UNKNOWN_POSE
+            pose = _floats(words[1:], 7) if has_pose else tables.UNKNOWN_POSE
             words = words[8:] if has_pose else words[1:]
-        sensors.append(SensorRecord(sensor_type, sensor_id, pose))
-    return RigRecord(_id(rig_id), tuple(sensors))
+        sensors.append(tables.SensorRecord(sensor_type, sensor_id, pose))
+    return tables.RigRecord(_id(rig_id), tuple(sensors))
 
 
-def _frame(line: str) -> FrameRecord:
+def _frame(line: str) -> tables.FrameRecord:
     words = line.split()
     pose, rest = _floats(words[2:], 7), words[10:]
     if len(rest) != 3 * _id(words[9]):
         raise ValueError("the number of images does not fit")
     data = tuple(
-        DataRecord(_sensor_type(a), _id(b), _id(c)) for a, b, c in zip(rest[::3], rest[1::3], rest[2::3])
+        tables.DataRecord(_sensor_type(a), _id(b), _id(c))
+        for a, b, c in zip(rest[::3], rest[1::3], rest[2::3])
     )
-    return FrameRecord(_id(words[0]), _id(words[1]), pose, data)
+    return tables.FrameRecord(_id(words[0]), _id(words[1]), pose, data)
 
 
-def _images(path: Path) -> list[ImageRecord]:
+def _images(path: Path) -> list[tables.ImageRecord]:
     """Every image takes two lines, the second of which may be empty."""
     lines = file_text(path).split("\n")
     images, row = [], 0
@@ -144,7 +135,7 @@ def _images(path: Path) -> list[ImageRecord]:
         head = _parsed(path, row + 1, _image_head, lines[row], "an image")
         second = lines[row + 1] if row + 1 < len(lines) else ""
         xy, point_ids = _parsed(path, row + 2, _keypoints, second, "a list of keypoints")
-        images.append(ImageRecord(*head, xy, point_ids))
+        images.append(tables.ImageRecord(*head, xy, point_ids))
         row += 2
     return images
 
@@ -171,11 +162,11 @@ def _point(line: str) -> tuple[int, np.ndarray, list[int], list[int]]:
     return _id(words[0]), numbers, [int(word) for word in words[4:7]], track
 
 
-def _point_table(rows: list[tuple[int, np.ndarray, list[int], list[int]]]) -> PointTable:
+def _point_table(rows: list[tuple[int, np.ndarray, list[int], list[int]]]) -> tables.PointTable:
     numbers = np.array([row[1] for row in rows]).reshape(-1, 7)
     lengths = [len(row[3]) // 2 for row in rows]
     track = np.array([number for row in rows for number in row[3]], np.int64).reshape(-1, 2)
-    return PointTable(
+    return tables.PointTable(
         ids=np.array([row[0] for row in rows], np.int64),
         xyz=numbers[:, :3].copy(),
         rgb=np.clip(np.array([row[2] for row in rows]).reshape(-1, 3), 0, 255).astype(np.uint8),
@@ -186,7 +177,7 @@ def _point_table(rows: list[tuple[int, np.ndarray, list[int], list[int]]]) -> Po
     )
 
 
-def write_text(tables: ColmapTables, folder: Path) -> None:
+def write_text(tables: tables.ColmapTables, folder: Path) -> None:
     """Write the five .txt files into a folder."""
     rigs, frames = tables.rigs or [], tables.frames or []
     _write(folder, "cameras", len(tables.cameras), (_camera_line(camera) for camera in tables.cameras))
@@ -208,33 +199,33 @@ def _joined(*values: object) -> str:
     return " ".join(words)
 
 
-def _camera_line(camera: CameraRecord) -> str:
+def _camera_line(camera: tables.CameraRecord) -> str:
     name = CameraModel(camera.model_id).name
     return _joined(camera.id, name, camera.width, camera.height, *camera.params.tolist())
 
 
-def _rig_line(rig: RigRecord) -> str:
+def _rig_line(rig: tables.RigRecord) -> str:
     words: list[object] = [rig.id, len(rig.sensors)]
     for position, sensor in enumerate(rig.sensors):
-        words += [SENSOR_TYPES[sensor.type], sensor.id]
+        words += [tables.SENSOR_TYPES[sensor.type], sensor.id]
         if position > 0:
             has_pose = bool(np.isfinite(sensor.sensor_from_rig).all())
             words += [1, *sensor.sensor_from_rig.tolist()] if has_pose else [0]
     return _joined(*words)
 
 
-def _frame_line(frame: FrameRecord) -> str:
-    data = [word for d in frame.data for word in (SENSOR_TYPES[d.sensor_type], d.sensor_id, d.data_id)]
+def _frame_line(frame: tables.FrameRecord) -> str:
+    data = [word for d in frame.data for word in (tables.SENSOR_TYPES[d.sensor_type], d.sensor_id, d.data_id)]
     return _joined(frame.id, frame.rig_id, *frame.rig_from_world.tolist(), len(frame.data), *data)
 
 
-def _image_lines(image: ImageRecord) -> str:
+def _image_lines(image: tables.ImageRecord) -> str:
     head = _joined(image.id, *image.cam_from_world.tolist(), image.camera_id, image.name)
     rows = zip(image.keypoints.tolist(), image.point_ids.tolist())
     return head + "\n" + " ".join(f"{x!r} {y!r} {point}" for (x, y), point in rows)
 
 
-def _point_lines(points: PointTable) -> Iterator[str]:
+def _point_lines(points: tables.PointTable) -> Iterator[str]:
     track = np.stack([points.track_image_ids, points.track_keypoints], axis=1)
     columns = (
         points.ids,

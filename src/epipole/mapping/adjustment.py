@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float64
 
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
@@ -18,6 +19,7 @@ from epipole.optim import (
     free_params_mask,
     with_fixed_gauge,
 )
+from epipole.scene import Cameras
 
 TRUSTED_FOCAL_SIGMA, GUESSED_FOCAL_SIGMA = 0.3, 0.6
 """Standard deviations of first focal lengths, as a share of themselves (EXIF is 40 % wrong at times)."""
@@ -39,6 +41,18 @@ class Freedom:
     focal: bool = True
     principal_point: bool = False
     distortion: bool = True
+
+
+def free_params_of(cameras: Cameras, freedom: Freedom) -> Float64[np.ndarray, "c 12"]:
+    """1 where a camera's parameter may change, else 0."""
+    params_free = free_params_mask(
+        cameras.model,
+        focal=freedom.focal,
+        principal_point=freedom.principal_point,
+        distortion=freedom.distortion,
+    )
+    params_free[cameras.is_constant] = 0.0
+    return params_free
 
 
 def adjust_all(
@@ -90,13 +104,7 @@ def _adjust(
     frame_free = np.zeros((n, 6))
     frame_free[free_images] = 1.0
     camera = model.camera_of_image[model.row_image[rows]]
-    params_free = free_params_mask(
-        model.cameras.model,
-        focal=freedom.focal,
-        principal_point=freedom.principal_point,
-        distortion=freedom.distortion,
-    )
-    params_free[model.cameras.is_constant] = 0.0
+    params_free = free_params_of(model.cameras, freedom)
     serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
     params_free[np.unique(serves_others)] = 0.0
     places = Rigid3(np.nan_to_num(model.motion[:, :9]).reshape(-1, 3, 3), np.nan_to_num(model.motion[:, 9:]))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from epipole.geometry import Rigid3
-from epipole.mapping.adjustment import Freedom
+from epipole.mapping.adjustment import Freedom, free_params_of
 from epipole.optim import (
     BundleConfig,
     BundleIteration,
@@ -16,7 +16,6 @@ from epipole.optim import (
     BundleProblem,
     BundleResult,
     adjust_bundle,
-    free_params_mask,
 )
 from epipole.scene import Reconstruction
 
@@ -31,14 +30,7 @@ def bundle_problem_of(
         freedom: which intrinsics may change, of cameras that are not constant; None: focal length and distortion.
         priors: what else is known; rows are those of the model's frames, cameras and points.
     """
-    freedom, image = freedom or Freedom(), model.tracks.image
-    params_free = free_params_mask(
-        model.cameras.model,
-        focal=freedom.focal,
-        principal_point=freedom.principal_point,
-        distortion=freedom.distortion,
-    )
-    params_free[model.cameras.is_constant] = 0.0
+    image = model.tracks.image
     places = model.frames.rig_from_world
     return BundleProblem(
         rig_from_world=Rigid3(np.nan_to_num(places.rotation), np.nan_to_num(places.translation)),
@@ -52,7 +44,7 @@ def bundle_problem_of(
         camera=model.camera_of_image[image],
         pixels=model.observed_pixels(),
         frame_free=np.ones((len(model.frames), 6)),
-        params_free=params_free,
+        params_free=free_params_of(model.cameras, freedom or Freedom()),
         point_free=np.ones(len(model.points)),
         priors=priors,
     )

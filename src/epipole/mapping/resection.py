@@ -11,10 +11,10 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
-from epipole.robust import Estimate, estimate_absolute_pose
+from epipole.robust import Estimate, estimate_absolute_pose, estimate_pose_and_focal
 
-FOCAL_FACTORS = np.geomspace(0.4, 2.5, 15)
-"""Focal lengths tried, as factors of the guess, for a camera of unknown focal length."""
+MIN_FOCAL_FACTOR, MAX_FOCAL_FACTOR = 0.3, 3.3
+"""Of the guess for a camera of unknown focal length: beyond, what was found is no lens."""
 
 
 def resect_image(
@@ -26,7 +26,7 @@ def resect_image(
         model: the growing model; it is not changed.
         image: which image.
         config: threshold in pixels and inliers needed.
-        search_focal: the camera's focal length is a guess that no registered image supports yet: try many.
+        search_focal: the camera's focal length is a guess that no registered image supports yet: it is sought, too.
 
     Returns:
         The estimate, the camera (with the focal length found) and the rows of the correspondences.
@@ -36,10 +36,11 @@ def resect_image(
     pixels, xyz = model.row_pixel[rows], model.points[points]
     if not search_focal:
         return estimate_absolute_pose(xyz, pixels, camera, config), camera, rows
-    quick = replace(config, max_iterations=300)
-    tried = [(estimate_absolute_pose(xyz, pixels, _with_focal(camera, f), quick), f) for f in FOCAL_FACTORS]
-    factor = max(tried, key=lambda e: e[0].num_inliers)[1]
-    camera = _with_focal(camera, factor)
+    center = camera.params[list(camera.model.principal_point_indices)]
+    found = estimate_pose_and_focal(xyz, pixels, center, config)
+    factor = found.model.focal_px / camera.focal_px
+    if found.success and MIN_FOCAL_FACTOR < factor < MAX_FOCAL_FACTOR:
+        camera = _with_focal(camera, factor)
     estimate = estimate_absolute_pose(xyz, pixels, camera, config)
     if not estimate.success:
         return estimate, camera, rows

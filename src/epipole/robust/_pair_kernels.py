@@ -215,6 +215,14 @@ def _normalize(pairs, chosen, count, frame, items):
     return count
 
 
+@kernel
+def _normalized(pairs, p, use, chosen, frame, items):
+    """The matches of pair p to be used, in random order and normalized; returns their number."""
+    count = choose(pairs, p, use, chosen)
+    shuffle(chosen, count, pairs.seed[p])
+    return _normalize(pairs, chosen, count, frame, items)
+
+
 @kernel(allocates=True)
 def fit_fundamentals(pairs, wanted, use, quality, search, fits):
     """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
@@ -223,9 +231,7 @@ def fit_fundamentals(pairs, wanted, use, quality, search, fits):
     for p in range(len(pairs.seed)):
         if not wanted[p]:
             continue
-        count = choose(pairs, p, use, chosen)
-        shuffle(chosen, count, pairs.seed[p])
-        count = _normalize(pairs, chosen, count, fits.frame[p], items)
+        count = _normalized(pairs, p, use, chosen, fits.frame[p], items)
         problem = FundamentalProblem(items[:, :count].copy())
         search_pair(pairs, p, problem, chosen, quality, search, fits)
 
@@ -236,8 +242,6 @@ def fit_homographies(pairs, use, quality, search, fits):
     most = longest(pairs)
     chosen, items = np.empty(most, np.int64), np.empty((4, most))
     for p in range(len(pairs.seed)):
-        count = choose(pairs, p, use, chosen)
-        shuffle(chosen, count, pairs.seed[p])
-        count = _normalize(pairs, chosen, count, fits.frame[p], items)
+        count = _normalized(pairs, p, use, chosen, fits.frame[p], items)
         problem = HomographyProblem(items[:, :count].copy())
         search_pair(pairs, p, problem, chosen, quality, search, fits)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
@@ -183,13 +183,11 @@ def estimate_fundamental_matrix(
         ShapeError: the arrays do not fit.
     """
     config = options_of(RansacConfig, config)
-    pairs = pack_pairs([(pixels1, pixels2)], None, [config.seed])
-    use, fits = usable_matches(pairs), no_fits(pairs)
-    quality = checked_quality(quality, len(use))
-    kernels.fit_fundamentals(pairs, np.ones(1, bool), use, quality, search_for(config), fits)
-    found = found_of_one(FundamentalProblem(_NO_ITEMS), use, fits, config)
-    t1, t2 = to_coordinates(fits, 0)
-    if found.reason is Reason.OK and _is_held_by_a_plane(pairs, use, fits, config):
+    one = _one_pair(pixels1, pixels2, None, config, quality)
+    kernels.fit_fundamentals(one.pairs, np.ones(1, bool), one.use, one.quality, search_for(config), one.fits)
+    found = found_of_one(FundamentalProblem(_NO_ITEMS), one.use, one.fits, config)
+    t1, t2 = to_coordinates(one.fits, 0)
+    if found.reason is Reason.OK and _is_held_by_a_plane(one, config):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
     model = t2.T @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
@@ -220,15 +218,31 @@ def estimate_homography(
         ShapeError: the arrays do not fit.
     """
     config = options_of(RansacConfig, config)
-    pairs = pack_pairs([(pixels1, pixels2)], None, [config.seed])
-    use, fits = usable_matches(pairs), no_fits(pairs)
-    kernels.fit_homographies(pairs, use, checked_quality(quality, len(use)), search_for(config), fits)
-    found = found_of_one(HomographyProblem(_NO_ITEMS), use, fits, config)
-    t1, t2 = to_coordinates(fits, 0)
+    one = _one_pair(pixels1, pixels2, None, config, quality)
+    kernels.fit_homographies(one.pairs, one.use, one.quality, search_for(config), one.fits)
+    found = found_of_one(HomographyProblem(_NO_ITEMS), one.use, one.fits, config)
+    t1, t2 = to_coordinates(one.fits, 0)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1
     norm = np.linalg.norm(model)
     return found.estimate(model / norm, _projected(np.kron(back, t1.T) / norm, model, found))
+
+
+class _OnePair(NamedTuple):
+    """A list of one pair, the matches that can be used, their quality, and space for what is found."""
+
+    pairs: kernels.Pairs
+    use: np.ndarray
+    quality: np.ndarray | None
+    fits: kernels.Fits
+
+
+def _one_pair(
+    pixels1: Any, pixels2: Any, cameras: tuple[Camera, Camera] | None, config: RansacConfig, quality: Any
+) -> _OnePair:
+    pairs = pack_pairs([(pixels1, pixels2)], None if cameras is None else [cameras], [config.seed])
+    use = usable_matches(pairs)
+    return _OnePair(pairs, use, checked_quality(quality, len(use)), no_fits(pairs))
 
 
 def _fit_motion(
@@ -239,10 +253,9 @@ def _fit_motion(
     config: RansacConfig,
     quality: Any,
 ) -> Found:
-    pairs = pack_pairs([(pixels1, pixels2)], [(camera1, camera2)], [config.seed])
-    use, fits = usable_matches(pairs), no_fits(pairs)
-    fit_motions(pairs, np.ones(1, bool), use, checked_quality(quality, len(use)), search_for(config), fits)
-    return found_of_one(RelativePoseProblem(_NO_ITEMS), use, fits, config)
+    one = _one_pair(pixels1, pixels2, (camera1, camera2), config, quality)
+    fit_motions(one.pairs, np.ones(1, bool), one.use, one.quality, search_for(config), one.fits)
+    return found_of_one(RelativePoseProblem(_NO_ITEMS), one.use, one.fits, config)
 
 
 def _fit_upright_motion(
@@ -261,19 +274,17 @@ def _fit_upright_motion(
     return run_loop(problem, order, n, scale_px, config, None)
 
 
-def _is_held_by_a_plane(
-    pairs: kernels.Pairs, use: np.ndarray, fits: kernels.Fits, config: RansacConfig
-) -> bool:
+def _is_held_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:
     """Whether F stands on a plane and on no more matches off it than chance gives.
 
     Any two matches off the plane fix an epipole: that of the pair with most company must have more than chance is
     expected to give to a tenth of one pair (a contrario: Moisan and Stival, IJCV 2004). Of 800 noisy planes none
     passed for a scene with depth; few points off the plane may pass for none.
     """
-    center, spread = fits.frame[0, :4, None], fits.frame[0, 4]
-    items = np.ascontiguousarray((pairs.pixels[:, use] - center) / spread)
+    center, spread = one.fits.frame[0, :4, None], one.fits.frame[0, 4]
+    items = np.ascontiguousarray((one.pairs.pixels[:, one.use] - center) / spread)
     max_error_sq = (config.max_error_px / spread) ** 2
-    share, num_off, agreed, chance = parallax_support(fits.raw[0], items, max_error_sq, np.uint64(0))
+    share, num_off, agreed, chance = parallax_support(one.fits.raw[0], items, max_error_sq, np.uint64(0))
     if share < _ALL_BUT_CHANCE:
         return False
     pairs = 0.5 * num_off * (num_off - 1)

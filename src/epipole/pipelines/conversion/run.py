@@ -10,20 +10,10 @@ from epipole.io.convert import convert_model
 
 
 def convert(source: str | Path, target: str | Path, format: str) -> Path:
-    """Write a model in another format.
-
-    Args:
-        source: output folder of a reconstruction, a COLMAP model, or a transforms.json.
-        target: a folder for txt and bin, else a file, or a folder in which the file gets its usual name.
-        format: txt, bin, ply, transforms or bundler.
-
-    Returns:
-        What was written.
+    """Write a model, or that of a reconstruction's output folder, in another format; all else as `io.convert_model`.
 
     Raises:
-        ConfigError: unknown format, or one that cannot hold the cameras.
-        FileFormatError: there is no readable model.
-        WorkspaceError: the target cannot be written.
+        EpipoleError: as it does.
     """
     source, target = as_path(source), as_path(target)
     return convert_model(source if source.is_file() else find_model(source), target, format)

@@ -1,0 +1,75 @@
+"""An executor of the user's does the units of a reconstruction, as Dask's or Ray's would."""
+
+import pickle
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from photographs import neighbouring_views, render_to
+
+from epipole import reconstruct
+
+
+class Elsewhere(Executor):
+    """Takes everything there and back as bytes, as an executor on other machines does; knows `submit` alone."""
+
+    def __init__(self) -> None:
+        self.num_tasks, self.is_shut, self._pool = 0, False, ThreadPoolExecutor(2)
+
+    def submit(self, function: Callable, /, *args: object, **kwargs: object) -> Future:
+        """Run function(*args) of copies, and give a copy of its result."""
+        self.num_tasks += 1
+        task = pickle.dumps((function, args, kwargs))
+
+        def run() -> bytes:
+            there, arguments, named = pickle.loads(task)
+            return pickle.dumps(there(*arguments, **named))
+
+        future: Future = Future()
+        self._pool.submit(run).add_done_callback(lambda done: _hand_over(done, future))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Note it: whoever was given an executor leaves it open."""
+        self.is_shut = True
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)
+
+
+def _hand_over(done: Future, future: Future) -> None:
+    if error := done.exception():
+        future.set_exception(error)
+    else:
+        future.set_result(pickle.loads(done.result()))
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rendered")
+    render_to(folder, neighbouring_views(5))
+    return folder
+
+
+def test_the_same_bytes_from_an_executor_of_the_users(rendered: Path, tmp_path: Path) -> None:
+    here = reconstruct(rendered, tmp_path / "here")
+    executor = Elsewhere()
+    there = reconstruct(rendered, tmp_path / "there", executor=executor)
+    assert executor.num_tasks >= 5 + 1 + 1  # a picture each, and blocks of pairs
+    assert not executor.is_shut
+    assert here.summary["num_registered"] == there.summary["num_registered"] == 5
+    files = sorted(p.relative_to(here.out) for p in (here.out / "sparse").rglob("*.bin"))
+    assert {"cameras.bin", "images.bin", "points3D.bin"} <= {path.name for path in files}
+    for name in [*files, Path("points.ply")]:
+        assert (here.out / name).read_bytes() == (there.out / name).read_bytes(), name
+    executor.shutdown()
+
+
+def test_an_error_elsewhere_reaches_the_caller(rendered: Path, tmp_path: Path) -> None:
+    class Broken(Elsewhere):
+        def submit(self, function: Callable, /, *args: object, **kwargs: object) -> Future:
+            future: Future = Future()
+            future.set_exception(ConnectionError("the scheduler has gone"))
+            return future
+
+    with pytest.raises(ConnectionError, match="the scheduler has gone"):
+        reconstruct(rendered, tmp_path / "out", executor=Broken())
