@@ -1,6 +1,6 @@
 """Does depth's error bar hold in metres? `python -m benchmarks.stereo_depth`.
 
-Rendered streets with the lesson's rig (800 px, 0.12 m): measured error of depth from 2 to 30 m against Z^2 / (f B) sigma_d.
+Rendered streets with a rig of 800 px and 0.12 m: measured error of depth from 2 to 30 m against Z^2 / (f B) sigma_d.
 KITTI 06: depth of features against their triangulation from the truth's poses, in joint standard deviations. Its calibration
 comes without errors, and its rows are off by a third of a pixel: what the doctor makes of the rows is taken for the columns too.
 """
