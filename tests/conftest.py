@@ -1,6 +1,7 @@
 """Run-time type checks for the whole test run, and what all tests share."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -21,6 +22,14 @@ settings.register_profile(
 )
 settings.register_profile("hunt", deadline=None, max_examples=600, suppress_health_check=QUIET, database=None)
 settings.load_profile("epipole")
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """Types are not checked at run time: for tests that repeat many times what others have had checked."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture

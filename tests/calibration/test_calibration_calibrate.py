@@ -43,6 +43,7 @@ def test_fisheye_is_found():
     assert np.nanmedian(projection_difference(FISHEYE, found.cameras[0]).distance_px) < 0.15
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_standard_deviations_are_those_of_repeated_calibrations():
     """Normalised errors of all parameters and of the rig's motion over 30 calibrations: the mean square is one."""
     squares = []
@@ -64,6 +65,7 @@ def test_standard_deviations_are_those_of_repeated_calibrations():
     assert 0.8 < np.mean(squares) < 1.25
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_projected_uncertainty_is_that_of_repeated_calibrations():
     """The spread of a point fixed to the boards, which is what the boards' places carry along."""
     at, errors, sigmas = np.array([[100.0, 80.0], [320.0, 240.0], [560.0, 400.0]]), [], []
@@ -141,6 +143,7 @@ def test_a_bent_board_is_straightened():
     assert (np.abs(found.cameras[0].params - LENS.params) < 4.0 * found.params_sigma(0)).all()
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     views = seen_by([LENS], 12, count=30)
     found = calibrate_views(views, [SIZE], CONFIG)
@@ -153,6 +156,7 @@ def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     assert not verdict.passes and "views are used" in verdict.sentence
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_halves_that_disagree_widen_the_standard_deviations():
     """Where the model holds chance explains the halves' difference; where it does not, errors are as large as they say."""
     disagreements = []
@@ -174,6 +178,7 @@ def test_halves_that_disagree_widen_the_standard_deviations():
     np.testing.assert_allclose(sigmas[0], check.widening * sigmas[1])
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_what_cannot_be_calibrated_is_said():
     views = seen_by([LENS], 0)
     with pytest.raises(DegenerateGeometryError, match="at least 3"):

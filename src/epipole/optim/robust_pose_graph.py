@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from epipole import _parallel
 from epipole.config import options_of
@@ -45,7 +45,7 @@ def _optimize_robustly(
     graph: PoseGraph, may_be_wrong_mask: np.ndarray | None, config: PoseGraphConfig
 ) -> PoseGraphResult:
     doubtful = np.abs(graph.second - graph.first) != 1 if may_be_wrong_mask is None else may_be_wrong_mask
-    bound = float(chi2.ppf(config.confidence, graph.dimension))
+    bound = float(chdtri(graph.dimension, 1.0 - config.confidence))
     initial_cost = pose_graph_cost(graph)
     weights = np.ones(len(graph.first))
     current = optimize_weighted(
@@ -87,7 +87,7 @@ def _tightened(
     Where information matrices claim far more noise than there is, a false loop may bend the graph within their bounds. Against
     the median of all residuals it stands out.
     """
-    claimed = float(chi2.ppf(0.5, graph.dimension))
+    claimed = float(chdtri(graph.dimension, 0.5))
     share = float(np.median(found.squared_residuals[found.kept_mask])) / claimed
     if not share < 0.5:
         return found

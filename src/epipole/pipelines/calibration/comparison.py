@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import EpipoleError
@@ -67,7 +67,7 @@ class CrossCheck:
         """
         if self.num_views < _LEAST_VIEWS_TO_WIDEN:
             return 1.0
-        expected = chi2.ppf(_CHANCE, self.num_unknowns) / self.num_unknowns
+        expected = chdtri(self.num_unknowns, 1.0 - _CHANCE) / self.num_unknowns
         return float(np.sqrt(self.disagreement)) if self.disagreement > expected else 1.0
 
 
