@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Kernels are compiled once, for both workers of the tests.
+WARM_UP := $(BIN)/python -c 'from epipole.pipelines.sfm.warm_up import warm_up; warm_up()'
+
 .PHONY: demo test test-numba clean
 
 demo: $(STAMP)
@@ -12,9 +15,8 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -c "from epipole.pipelines.sfm.warm_up import warm_up; warm_up()"  # compiled once, for both workers
+	$(BIN)/mypy & types=$$!; $(WARM_UP) && wait $$types
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # Kernels on the oldest Numba that is allowed and on the newest there is, each in an environment of its own.

@@ -44,6 +44,8 @@ from epipole.io.exif import gps_of, new_exif
 from epipole.optim import BundleProblem, free_params_mask
 from epipole.scene import Reconstruction
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # a thousand files, of types that other tests check
+
 LENSES = (CameraModel.OPENCV, CameraModel.OPENCV_FISHEYE, CameraModel.FULL_OPENCV)
 """Models that OpenCV's coefficient vectors tell apart."""
 

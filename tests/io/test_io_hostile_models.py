@@ -33,6 +33,8 @@ from epipole.io.depth_maps import read_pfm
 from epipole.optim import PoseGraph
 from hostile_bytes import assert_model, assert_motions, read_or_refuse, spoil_one, spoilt
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # a thousand files, of types that other tests check
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
