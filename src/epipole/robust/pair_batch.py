@@ -27,17 +27,16 @@ def pack_pairs(
     Raises:
         ShapeError: the pixels of a pair do not fit.
     """
-    columns = []
-    for pixels1, pixels2 in pixels:
-        p1, p2 = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
-        require_same_length(pixels1=p1, pixels2=p2)
-        columns.append(np.concatenate([p1, p2], axis=1))
-    both = cameras or [(_NO_CAMERA, _NO_CAMERA)] * len(columns)
+    points = [
+        (as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)) for pixels1, pixels2 in pixels
+    ]
+    lengths = [require_same_length(pixels1=p1, pixels2=p2) for p1, p2 in points]
+    both = cameras or [(_NO_CAMERA, _NO_CAMERA)] * len(points)
     different = list({id(camera): camera for pair in both for camera in pair}.values())
     row = {id(camera): k for k, camera in enumerate(different)}
     return kernels.Pairs(
-        np.ascontiguousarray(np.concatenate(columns).T),
-        np.concatenate([[0], np.cumsum([len(c) for c in columns])]).astype(np.int64),
+        np.ascontiguousarray(np.concatenate([np.concatenate(side) for side in zip(*points)], axis=1).T),
+        np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
         np.array([row[id(first)] for first, _ in both], np.int64),
         np.array([row[id(second)] for _, second in both], np.int64),
         np.array([int(c.model) for c in different], np.int64),

@@ -38,7 +38,7 @@ STILL_PX = 0.75
 """A median shift of matches below this leaves no epipolar line worth following."""
 _KINDS = (PairKind.GENERAL, PairKind.PLANAR, PairKind.ROTATION, PairKind.NO_MOTION)
 """Of the models, in the order of their costs."""
-_CHUNKS = 256
+_CHUNKS = 64
 _WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
 
 
