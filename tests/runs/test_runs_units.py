@@ -34,6 +34,19 @@ def test_work_is_done_once_and_again_when_the_key_changes(tmp_path, executor):
     assert sorted(CALLS) == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
+def test_a_file_damaged_behind_its_key_is_an_error(tmp_path):
+    unit = Unit(tmp_path / "1.npz", digest(1), square, 1)
+    run_units([unit], stage="s")
+    data = bytearray(unit.path.read_bytes())
+    data[data.index(b"value.npy") + 140] ^= 255
+    unit.path.write_bytes(data)
+    assert stored_key(unit.path) == unit.key
+    with pytest.raises(WorkspaceError, match=r"1\.npz is damaged"):
+        load(unit.path)
+    with pytest.raises(WorkspaceError, match="is damaged"):
+        load(tmp_path / "none.npz")
+
+
 def test_processes_give_the_same_files(tmp_path):
     squares = [Unit(tmp_path / f"{n}.npz", digest(n), np_square, n) for n in (5, 6)]
     assert run_units(squares, stage="s", executor="processes") == 2

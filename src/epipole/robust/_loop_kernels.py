@@ -26,6 +26,7 @@ SOFT, REACH = (
     1.5,
 )  # Cauchy's scale in deviations of the noise; the farthest item of the polish in thresholds
 POLISH_STEPS = 10
+ROUNDING = 1e-9  # of the worst score: a smaller gain may be no item's
 BEYOND = (
     3.64  # thresholds that the polish of an approximate model looks: 99 % of two Gaussian numbers (MAGSAC)
 )
@@ -280,7 +281,7 @@ def ransac(
         progress = _start_of_ranked(n, size)
     models, settled = np.empty((MOST_MODELS, MODEL_SIZE)), np.empty((4, MODEL_SIZE))
     worst = n * threshold_sq
-    best_score, best_gain, share, iteration, seconds = math.inf, 0.0, 0.0, 0, 0
+    best_score, best_gain, share, iteration, seconds = math.inf, ROUNDING * worst, 0.0, 0, 0
     # A smaller share of inliers than this would count as failure: no need to search for it.
     needed = _iterations_needed(min_share, size, confidence, min_iterations, max_iterations)
     while iteration < needed:

@@ -124,9 +124,16 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
 
 
 def load(path: Path, *names: str) -> Arrays:
-    """Read the arrays of these names from a unit's file; all of them if none is named."""
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in names or file.files if name != "key"}
+    """Read the arrays of these names from a unit's file; all of them if none is named.
+
+    Raises:
+        WorkspaceError: the file is missing or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in names or file.files if name != "key"}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+        raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
 
 def stored_key(path: Path) -> str:
