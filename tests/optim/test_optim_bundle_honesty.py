@@ -20,6 +20,8 @@ from epipole.optim import (
     with_result,
 )
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
+
 
 def without(problem, drop):
     """The problem without the observations of a mask."""

@@ -19,6 +19,8 @@ from epipole.optim import (
 from epipole.optim.bundle_layout import initial_state
 from epipole.optim.bundle_system import BundleSystem
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
+
 
 def system_of(problem, loss=Loss.TRIVIAL, solver=LinearSolver.DIRECT):
     system = BundleSystem(problem, loss, 1.0, solver, single_precision=False)

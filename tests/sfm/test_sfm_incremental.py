@@ -14,6 +14,8 @@ from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 from epipole.synthetic.problems import bundle_problem
 
+pytestmark = pytest.mark.usefixtures("unchecked")  # many small calls, of types that other tests check
+
 EXACT = MapperConfig(refine_distortion=False)
 
 
