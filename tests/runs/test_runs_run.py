@@ -46,7 +46,7 @@ def test_a_resumed_run_adds_to_the_times_of_the_one_before(tmp_path: Path) -> No
     with open_run(job(tmp_path), out) as run:
         with run.stage("features"):
             pass
-        assert 0.1 <= run.timings_s["features"] < 0.5
+        assert 0.1 <= run.timings_s["features"] < 5.0
         run.finish()
     with open_run(job(tmp_path), out) as run, run.stage("features"):  # a new count after a finished one
         pass
