@@ -152,3 +152,18 @@ def test_text_tells_the_batch() -> None:
     assert repr(Rigid3.identity(2, 3)) == "Rigid3(batch (2, 3))"
     assert repr(Similarity3.identity()) == "Similarity3(batch ())"
     assert repr(Rotation3.identity(5)) == "Rotation3(batch (5,))"
+
+
+@pytest.mark.parametrize("target", [[0.0, 0, 1], [0.0, 0, -1], [1.0, 0, 0], [0.6, 0, 0.8], [1e-9, 0, -5.0]])
+def test_the_smallest_rotation_between_two_directions(target: list[float]) -> None:
+    source = np.array([0.0, 0.0, 2.0])
+    found, unit = Rotation3.from_two_vectors(source, target), np.array(target) / np.linalg.norm(target)
+    np.testing.assert_allclose(found.apply(source), 2.0 * unit, atol=1e-8)
+    assert float(found.angle_rad()) == pytest.approx(np.arccos(unit[2]), abs=1e-8)
+    assert np.linalg.det(found.matrix) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("source", [[0.0, 0, 0], [np.nan, 0, 1], [[1.0, 0, 0]]])
+def test_a_rotation_needs_two_directions(source: list[float]) -> None:
+    with pytest.raises(ShapeError):
+        Rotation3.from_two_vectors(source, [0.0, 0.0, 1.0])

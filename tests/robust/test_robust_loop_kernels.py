@@ -28,6 +28,7 @@ from epipole.robust import (
     estimate_similarity,
     estimate_upright_motion,
     estimate_upright_pose,
+    estimate_upright_similarity,
     pair_batch,
     two_view,
 )
@@ -114,6 +115,7 @@ PROBLEMS: dict[str, Callable[[], Any]] = {
     "two focals": lambda: estimate_motion_and_focals(*two_views(), CENTER, CENTER, FEW),
     "rigid": lambda: estimate_rigid(*moved(1.0)),
     "similarity": lambda: estimate_similarity(*moved(2.5)),
+    "upright similarity": lambda: estimate_upright_similarity(*moved(2.5)),
     "nothing agrees": lambda: estimate_homography(
         np.zeros((9, 2)), np.random.default_rng(1).normal(size=(9, 2)), FEW
     ),
@@ -147,7 +149,7 @@ def test_searches(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
             if "focal" in name:
                 for _, after in (ours, theirs):
                     turn_epipole(after[BEST])
-            # A model takes the first places of its room.
+            # A model takes the first numbers of its row.
             assert_same(ours, theirs, only_written=True, **ORDER)
 
 

@@ -20,6 +20,7 @@ from epipole.robust import (
     estimate_similarity,
     estimate_upright_motion,
     estimate_upright_pose,
+    estimate_upright_similarity,
 )
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 
@@ -97,6 +98,37 @@ def test_covariance_of_an_alignment_covers_the_truth(rng):
         xi = (truth @ found.model.inverse()).log()
         squared.append(xi @ np.linalg.solve(found.covariance, xi))
     within_band(squared, 7)
+
+
+def upright_similarity(rng):
+    heading = Rotation3.exp(np.array([0.0, 0.0, rng.uniform(-3, 3)]))
+    return Similarity3(np.asarray(2.5), heading.matrix, 5 * rng.normal(size=3))
+
+
+def test_covariance_of_an_upright_similarity_covers_the_truth(rng):
+    truth, squared = upright_similarity(rng), []
+    for seed in range(TRIALS):
+        x = rng.normal(size=(80, 3))
+        y = truth.apply(x) + 0.05 * rng.normal(size=x.shape)
+        y[:20] = 10 * rng.normal(size=(20, 3))
+        found = estimate_upright_similarity(x, y, RansacConfig(max_error_px=0.3, seed=seed))
+        np.testing.assert_array_equal(found.model.rotation[2], [0.0, 0.0, 1.0])
+        xi = (truth @ found.model.inverse()).log()
+        squared.append(xi @ np.linalg.pinv(found.covariance, rcond=1e-9) @ xi)
+    within_band(squared, 5)
+
+
+def test_a_straight_path_tells_an_upright_similarity_and_a_plumb_line_does_not(rng):
+    truth = upright_similarity(rng)
+    x = np.outer(np.linspace(0, 3, 30), [1.0, 0.5, 0.2])
+    y = truth.apply(x) + 0.01 * rng.normal(size=x.shape)
+    y[:12] = 5 * rng.normal(size=(12, 3))
+    found = estimate_upright_similarity(x, y, RansacConfig(max_error_px=0.05))
+    assert found.success and not found.inlier_mask[:12].any()
+    assert np.abs(found.model.apply(x) - truth.apply(x)).max() < 0.02  # 18 points with 0.01 of noise
+    plumb = np.outer(np.arange(30.0), [0.0, 0.0, 1.0])
+    assert estimate_upright_similarity(plumb, plumb).reason is Reason.NO_MODEL
+    assert estimate_upright_similarity(x[:1], y[:1]).reason is Reason.TOO_FEW
 
 
 def test_rigid_motion_is_found_among_outliers(rng):

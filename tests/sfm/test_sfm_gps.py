@@ -106,15 +106,6 @@ def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
     np.testing.assert_allclose(np.median(moved, axis=0), 0.0, atol=0.2)
 
 
-@pytest.mark.parametrize("target", [[0.0, 0, 1], [0.0, 0, -1], [1.0, 0, 0], [0.6, 0, 0.8]])
-def test_the_smallest_turn_between_two_directions(target: list[float]) -> None:
-    source, target = np.array([0.0, 0, 1]), np.array(target)
-    rotation = Rotation3.from_two_vectors(source, target).matrix
-    np.testing.assert_allclose(rotation @ source, target, atol=1e-12)
-    angle = np.arccos(np.clip(source @ target, -1, 1))
-    assert float(Rotation3(rotation).angle_rad()) == pytest.approx(angle, abs=1e-9)
-
-
 METRES_PER_UNIT = 20.0
 
 

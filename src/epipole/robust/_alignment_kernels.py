@@ -174,7 +174,9 @@ class UprightAlignmentProblem(PointsProblem, Items):
 
     def linearize(self, model, threshold_sq, soft_sq, a, b):
         full_a, full_b = np.empty((7, 7)), np.empty(7)
-        total = alignment_normal_equations(model, self.items, threshold_sq, soft_sq, 7, full_a, full_b)
+        total = alignment_normal_equations(
+            model, self.items, threshold_sq, soft_sq, np.int64(7), full_a, full_b
+        )
         for i in range(5):
             row = i if i < 3 else i + 2
             b[i] = full_b[row]
@@ -185,7 +187,7 @@ class UprightAlignmentProblem(PointsProblem, Items):
     def retract(self, model, delta, out):
         full = np.empty(7)
         _step_in_space(delta, full)
-        _retract_alignment(model, full, 7, out)
+        _retract_alignment(model, full, np.int64(7), out)
 
     def with_items(self, items):
         return UprightAlignmentProblem(items)
