@@ -4,7 +4,7 @@
   internals of Numba's compiler, which every release may change.
 - PLAIN: kernels are compiled by `numba.njit`. Methods of problems and rows of numbers go through `numba.extending`, Numba's
   interface for extensions, and LLVM's builder. The same results, but a function is compiled again for every kernel that
-  calls it: the first run on a machine takes longer.
+  calls it: the first run on a machine takes longer. Sums under `reassoc` may differ in last digits.
 - PYTHON: nothing is compiled; for a debugger, and hundreds of times slower.
 
 `$EPIPOLE_KERNELS` asks for linked or plain. Without it kernels are linked where that works on this Numba, and plain, with
