@@ -100,7 +100,7 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
 def test_devices_and_pipes_are_written_to(tmp_path: Path) -> None:
     with atomic_write("/dev/null") as part:
         part.write_text("gone")
-    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
     pipe = tmp_path / "pipe.json"
     os.mkfifo(pipe)
     with pytest.raises(WorkspaceError, match="cannot write"), atomic_write(pipe) as part:

@@ -9,7 +9,6 @@ import pytest
 from epipole.errors import WorkspaceError
 from epipole.runs.folder import MARK, OutputFolder, claim, read_mark
 
-
 PICTURES = Path("/pictures")
 
 
@@ -180,7 +179,7 @@ def test_nothing_is_written_or_removed_through_a_linked_folder(folder: OutputFol
     (folder.root / "images" / "a.jpg").unlink()
     (folder.root / "images").rmdir()
     (folder.root / "images").symlink_to(photos)
-    with pytest.raises(WorkspaceError, match="leads out of this folder"):
+    with pytest.raises(WorkspaceError, match="no name of a file inside"):
         publish(folder, "images", {"images/a.jpg": "2"})
     publish(folder, "images", {"c.bin": "1"})
     assert (photos / "a.jpg").read_text() == "mine"
@@ -212,7 +211,14 @@ def test_numbers_that_json_does_not_have_are_null(folder: OutputFolder) -> None:
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("", "damaged"), ("[]", "damaged"), ("[" * 100_000, "damaged"), ('{"format": 99}', "another version"), ('{"format": 2}', "damaged"), ('{"format": 1}', "another version")],
+    [
+        ("", "damaged"),
+        ("[]", "damaged"),
+        ("[" * 100_000, "damaged"),
+        ('{"format": 99}', "another version"),
+        ('{"format": 2}', "damaged"),
+        ('{"format": 1}', "another version"),
+    ],
 )
 def test_a_mark_that_cannot_be_read_is_an_error(tmp_path: Path, text: str, match: str) -> None:
     (tmp_path / MARK).write_text(text)

@@ -30,9 +30,9 @@ with open_run(Job(kind="made", inputs=(), settings={}), root) as run:
 def test_the_second_is_told_and_the_next_may_enter(tmp_path: Path) -> None:
     root = tmp_path / "out"
     with alone_in(root):
-        with pytest.raises(WorkspaceError, match=r"another run of epipole \(process \d+\) works in .*out"):
-            with alone_in(root):
-                pytest.fail("two at once")
+        told = pytest.raises(WorkspaceError, match=r"another run of epipole \(process \d+\) works in .*out")
+        with told, alone_in(root):
+            pytest.fail("two at once")
         (root / "a.txt").write_text("1")
     with alone_in(root):
         pass
@@ -58,7 +58,9 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path) -> None
 def test_two_processes_and_a_kill(tmp_path: Path) -> None:
     """The second run gets a sentence; after kill -9 the folder is free and nothing half written stays."""
     root, job = tmp_path / "out", Job(kind="made", inputs=(), settings={"b": 2})
-    with subprocess.Popen([sys.executable, "-c", HOLD, str(root)], stdout=subprocess.PIPE, text=True) as other:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(root)], stdout=subprocess.PIPE, text=True
+    ) as other:
         assert other.stdout is not None and other.stdout.readline() == "in\n"
         with pytest.raises(WorkspaceError, match=f"process {other.pid}"), open_run(job, root):
             pytest.fail("two at once")

@@ -144,7 +144,9 @@ def _is_stream(path: Path) -> bool:
     if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
         return True
     if not stat.S_ISREG(mode):
-        raise WorkspaceError(f"cannot write {path}: it is {'a folder' if stat.S_ISDIR(mode) else 'not a file'}")
+        raise WorkspaceError(
+            f"cannot write {path}: it is {'a folder' if stat.S_ISDIR(mode) else 'not a file'}"
+        )
     return False
 
 

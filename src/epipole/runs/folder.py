@@ -134,7 +134,7 @@ class OutputFolder:
         ours = {name for of_group in self.files.values() for name in of_group}
         parents = set()
         for name in names:
-            parent, _, last = name.rpartition("/")
+            parent = name.rpartition("/")[0]
             if parent not in parents or not is_inside_name(name):
                 try:
                     path_inside(self.root, name)

@@ -69,7 +69,7 @@ def _locked(root: Path) -> int:
                 ) from None
         # The holder before may have removed the file between opening and locking.
         with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(file), os.stat(root / LOCK)):
+            if os.path.samestat(os.fstat(file), (root / LOCK).stat()):
                 os.truncate(file, 0)
                 os.write(file, f"{os.getpid()}\n".encode())
                 return file
