@@ -20,6 +20,7 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io._bytes import file_text
 from epipole.io._colmap_cameras import HALF_PIXEL
 from epipole.io.atomic import atomic_write
+from epipole.io.json_files import json_text
 from epipole.io.names import path_inside
 from epipole.io.ply import read_points_ply, write_points_ply
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
@@ -67,7 +68,7 @@ def write_transforms(reconstruction: Reconstruction, path: str | Path, image_fol
         frames.append(frame)
     content["frames"] = frames
     with atomic_write(path) as part:
-        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        part.write_text(json_text(content), encoding="utf-8")
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
