@@ -21,7 +21,7 @@ from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts, reporting
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
-from epipole.runs.lock import LOCK
+from epipole.runs.lock import LOCK, remove_free_locks
 from epipole.runs.source import content_digest, source_name
 
 MARK = "epipole.json"
@@ -72,6 +72,8 @@ class OutputFolder:
                         target = self.root / name
                         target.parent.mkdir(parents=True, exist_ok=True)
                         (aside / name).replace(target)
+            except WorkspaceError as error:
+                raise WorkspaceError(str(error).replace(str(aside), str(self.root))) from error
             finally:
                 shutil.rmtree(aside, ignore_errors=True)
 
@@ -217,6 +219,7 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
         else:
             raise WorkspaceError(_whose(held))
         remove_abandoned_parts(root)
+        remove_free_locks(root)
         folder.save()
         return folder
 
