@@ -157,7 +157,7 @@ class Trials:
             except EpipoleError as error:
                 is_clear = "cannot" in str(error) and ".part" not in str(error)
                 os._exit(SAID_WHY if is_clear else CRASHED)
-            except BaseException:
+            except BaseException:  # noqa: BLE001 - the child ends here, whatever it was
                 traceback.print_exc()
                 os._exit(CRASHED)
         status = os.waitpid(child, 0)[1]
