@@ -19,7 +19,6 @@ from epipole.robust._triangulation_kernels import (
     polish_point,
 )
 
-
 NEAREST_SQ = 1e-12  # squared share of the farthest view's distance
 
 
