@@ -183,6 +183,8 @@ def _corrected_cameras(found: Solution) -> Cameras | None:
 
 def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
     if is_video(source):
+        if config.include or config.exclude:
+            raise ConfigError(f"include and exclude choose pictures of a folder; {source} is a video")
         folder = run.root / FRAMES
         frames = extract_frames(
             source,
@@ -206,7 +208,7 @@ def _open_database(
         return None, images
     if config.database.resolve() == (run.root / DATABASE).resolve():
         raise ConfigError(f"{config.database} is where this run writes its own; copy it elsewhere first")
-    return open_source(config.database, images, keep_cameras=config.camera_params is not None)
+    return open_source(config.database, images, keep_cameras=config.has_known_camera)
 
 
 def _detect(
