@@ -1,6 +1,7 @@
 """Bad input gets clear words, the rest is reconstructed, and what was made stays."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -53,6 +54,32 @@ def test_a_replaced_picture_replaces_its_copy(rendered, tmp_path):
     shutil.copy(rendered / "view_05.jpg", changed)
     reconstruct(folder, tmp_path / "out")
     assert (tmp_path / "out" / "images" / "view_02.jpg").read_bytes() == changed.read_bytes()
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_turned):
+    """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
+    folder = copied(rendered, tmp_path / "photographs", 4)
+    changed = folder / "view_02.jpg"
+    if is_turned:
+        exif = Image.Exif()
+        exif[0x0112] = 3
+        Image.open(changed).rotate(180).save(changed, quality=97, exif=exif)
+    before = reconstruct(folder, tmp_path / "out").model.images.keypoints_of(2)
+    copy = tmp_path / "out" / "images" / "view_02.jpg"
+    first = copy.read_bytes()
+    changed.unlink()
+    shutil.copy(rendered / "view_04.jpg", changed)
+    os.utime(changed, (1e9, 1e9))
+    (copy.parent / ".view_02.0a1b2c3d.part.jpg").write_bytes(b"a killed run left this")
+    (copy.parent / ".mine.jpg").write_bytes(b"and somebody else this")
+    after = reconstruct(folder, tmp_path / "out").model.images.keypoints_of(2)
+    assert copy.read_bytes() == changed.read_bytes() != first
+    assert before.shape != after.shape or not np.array_equal(before, after)
+    assert [p.name for p in copy.parent.glob(".*")] == [".mine.jpg"]
+    state = copy.stat()
+    reconstruct(folder, tmp_path / "out")
+    assert copy.stat().st_ino == state.st_ino and copy.stat().st_mtime_ns == state.st_mtime_ns
 
 
 def test_avif_ends_with_a_model(rendered, tmp_path):
