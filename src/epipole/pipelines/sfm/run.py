@@ -13,8 +13,9 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
-from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
-from epipole.pipelines.sfm.mapping_stage import gps_note, reasons_in_words
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.mapping_stage import reasons_in_words
+from epipole.pipelines.sfm.notes import absences_of, notes_on_choice_and_lenses, warnings_of
 from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -87,14 +88,11 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
-        run.warnings += [
-            *solution.images.notes,
-            *solution.notes,
-            *_warnings(solution, reasons, config.mapper),
-        ]
+        run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)
             run.folder.write_text("report.html", render_report(content))
+        run.warnings += absences_of(solution, reasons)  # which the report tells in its own words
         summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)
         run.finish(summary)
     return ReconstructionResult(
@@ -125,26 +123,6 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
         solution.keypoints,
         config.mapper.resection_min_inliers,
     )
-
-
-def _warnings(solution: Solution, reasons: dict[str, str], config: MapperConfig) -> list[str]:
-    out, mapped, images = [], solution.mapped, solution.images
-    for number, agreement in enumerate(mapped.agreements):
-        if agreement < config.min_final_agreement:
-            out.append(
-                f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
-                "parts of it are probably wrong (a wrong focal length, or things that look alike)"
-            )
-    if reasons:
-        out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
-    if note := gps_note(images, mapped, config):
-        out.append(note)
-    if len(mapped.models) > 1:
-        counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
-        out.append(
-            f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)"
-        )
-    return out
 
 
 def _summary(
