@@ -10,6 +10,7 @@ import numpy as np
 from epipole.io.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.gps_evidence import gps_evidence
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import MIN_FIXES, align_to_gps, upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
@@ -118,7 +119,10 @@ def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
     )
     if extent_m < reach_m:
         return f"the scale is unknown: the GPS places lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
-    return "the scale is unknown: the GPS places do not fit the model"
+    found = gps_evidence(
+        mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt), config.seed
+    )
+    return f"the scale is unknown: the GPS places do not fit the model: {found.in_words()}"
 
 
 def reasons_in_words(
