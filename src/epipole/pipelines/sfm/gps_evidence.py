@@ -4,7 +4,7 @@ A similarity from the model to the fixes has four horizontal unknowns and finds 
 places are believed where they lie much nearer to the cameras than to their own middle and, with enough of them for
 chance to be measured, where the same fixes shuffled among the pictures hardly ever fit as well (a permutation test:
 Fisher, The Design of Experiments, 1935). The fit is the similarity of least median distance over pairs of pictures
-(Rousseeuw, Least Median of Squares, JASA 1984), so that half of the fixes may be wrong.
+(Rousseeuw, Least Median of Squares, JASA 1984), so that many of the fixes may be wrong.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ MAX_FIXES, MAX_PAIRS, NUM_SHUFFLES = 60, 100, 199
 LEAST_TO_SHUFFLE = 7
 """Fewer have too few orders for chance to be measured."""
 MAX_CHANCE = 0.01
-MAX_SHARE, MAX_SHARE_OF_FEW = 0.5, 0.25
-"""Largest residual as a share of the spread; of random fixes about one set in a hundred stays below, but with four
-fixes (four in a hundred)."""
+MAX_SHARE, MAX_SHARE_OF_FEW = 0.5, 0.3
+"""Largest residual as a share of the spread; one or two in a hundred sets of random fixes stay below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +88,9 @@ def gps_evidence(
 def _least_median(source: np.ndarray, targets: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     """For each row of targets the least, over similarities through a pair, of the middle residual; complex numbers.
 
-    The middle of n residuals of which two are zero is number (n + 3) / 2.
+    Two residuals of n are zero; the middle one is the number n / 2 + 2, so that two others at least agree, of four.
     """
-    middle = (len(source) + 3) // 2 - 1
+    middle = min((len(source) + 4) // 2, len(source)) - 1
     apart = source[pairs[:, 1]] - source[pairs[:, 0]]
     reach = np.abs(source - source.mean()).max()
     best = np.full(len(targets), np.inf)
