@@ -16,7 +16,15 @@ _JOBS = ("reconstruct", "stereo", "calibrate", "evaluate", "undistort", "convert
 _MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo")
 _CONFIGS = ("ReconstructConfig", "StereoConfig", "CalibrationConfig", "BoardConfig")
 _RESULTS = (
-    *("ReconstructionResult", "StereoResult", "StereoBatch", "Diagnosis", "CalibrationRun", "Evaluation"),
+    *(
+        "ReconstructionResult",
+        "StereoResult",
+        "StereoBatch",
+        "Diagnosis",
+        "CalibrationRun",
+        "Conversion",
+        "Evaluation",
+    ),
     *("DemoResult", "ViewerHandle"),
 )
 _ROOMS = (

@@ -56,6 +56,16 @@ def test_a_replaced_picture_replaces_its_copy(rendered, tmp_path):
     assert (tmp_path / "out" / "images" / "view_02.jpg").read_bytes() == changed.read_bytes()
 
 
+KILLED_WHILE_WRITING = """
+import os, signal, sys
+from epipole.io.atomic import atomic_write
+
+with atomic_write(sys.argv[1]) as aside:
+    aside.write_bytes(b"half a picture")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
 @pytest.mark.parametrize("is_turned", [False, True])
 def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_turned):
     """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
@@ -71,7 +81,9 @@ def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_turned):
     changed.unlink()
     shutil.copy(rendered / "view_04.jpg", changed)
     os.utime(changed, (1e9, 1e9))
-    (copy.parent / ".view_02.0a1b2c3d.part.jpg").write_bytes(b"a killed run left this")
+    left = [sys.executable, "-c", KILLED_WHILE_WRITING, str(copy)]
+    assert subprocess.run(left, check=False).returncode == -signal.SIGKILL
+    assert len(list(copy.parent.glob(".*.part.jpg"))) == 1
     (copy.parent / ".mine.jpg").write_bytes(b"and somebody else this")
     after = reconstruct(folder, tmp_path / "out").model.images.keypoints_of(2)
     assert copy.read_bytes() == changed.read_bytes() != first

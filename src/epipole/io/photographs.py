@@ -278,7 +278,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     if target_format is None:
         raise FileFormatError(target, "pictures are not written in this format; use .jpg, .png or .tif")
     if orientation_of(exif) == 1 and file_format == target_format:
-        _link_or_copy(source, target)
+        link_or_copy(source, target)
         return
     pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
     lossy: dict[str, Any] = {"quality": 97, "subsampling": 0}
@@ -355,7 +355,12 @@ def _advice(unreadable: Sequence[str]) -> str:
     return " ".join(sentences)
 
 
-def _link_or_copy(source: Path, target: Path) -> None:
+def link_or_copy(source: Path, target: Path) -> None:
+    """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
+
+    Raises:
+        WorkspaceError: it cannot be written.
+    """
     if target.exists() and source.samefile(target):
         return
     with atomic_write(target) as part:

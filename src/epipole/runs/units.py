@@ -1,8 +1,8 @@
 """Units of work: each makes one file from its inputs, and is skipped when that file is already there.
 
-A unit's key is a digest of everything its result depends on. The file holds the key, and is written under
-another name and then renamed: a killed run leaves complete files only, and a changed option repeats only what
-depends on it.
+A unit's key is a digest of everything its result depends on. The file (an npz archive) holds the key, and ends with a
+digest of its own bytes. It is written under another name and then renamed. So a killed run leaves complete files only, a
+changed option repeats only what depends on it, and a damaged file is made again.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
+from typing import Any, BinaryIO
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from epipole import _parallel
 from epipole.errors import WorkspaceError
+from epipole.io.atomic import atomic_write
 from epipole.runs.executors import ExecutorChoice, opened
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
 Arrays = dict[str, np.ndarray]
+_SEAL_BYTES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def run_units(
     Raises:
         WorkspaceError: a result cannot be written, or the executor's workers have died.
     """
-    waiting = [unit for unit in units if stored_key(unit.path) != unit.key]
+    waiting = [unit for unit in units if not is_done(unit.path, unit.key)]
     total = sum(unit.size for unit in units)
     done = total - sum(unit.size for unit in waiting)
     progress(Progress(stage, done, total))
@@ -114,16 +115,15 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
     Raises:
         WorkspaceError: the folder is not writable or the disk is full.
     """
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as aside:
         with aside.open("wb") as file:
             np.savez(file, key=np.array(key), **arrays)  # type: ignore[arg-type]
-        aside.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            aside.unlink()
-        raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
+        with ZipFile(aside, "a") as archive:
+            archive.comment = bytes(_SEAL_BYTES)  # stands at the end of the file
+        with aside.open("r+b") as file:
+            seal = _digest_of_file(file)
+            file.seek(-_SEAL_BYTES, os.SEEK_END)
+            file.write(seal)
 
 
 def load(path: Path, *names: str) -> Arrays:
@@ -139,10 +139,37 @@ def load(path: Path, *names: str) -> Arrays:
         raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
 
+def is_done(path: Path, key: str) -> bool:
+    """Whether a file holds the result of this key, every byte as it was written."""
+    return stored_key(path) == key and _is_whole(path)
+
+
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
+        if not path.is_file():
+            return ""
         with np.load(path, allow_pickle=False) as file:
             return str(file["key"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, BadZipFile):
         return ""
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            seal = _digest_of_file(file)
+            return file.read() == seal
+    except OSError:
+        return False
+
+
+def _digest_of_file(file: BinaryIO) -> bytes:
+    """Of all bytes but the last, which are left to be read: the place of the seal."""
+    state = hashlib.blake2b(digest_size=_SEAL_BYTES)
+    left = file.seek(0, os.SEEK_END) - _SEAL_BYTES
+    file.seek(0)
+    while left > 0 and (chunk := file.read(min(left, 1 << 20))):
+        state.update(chunk)
+        left -= len(chunk)
+    return state.digest()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from epipole.errors import NoModelError
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap import write_colmap_model
 from epipole.io.colmap_database import DatabaseContents, write_database
+from epipole.io.json_files import json_text
 from epipole.io.photographs import copy_or_rotate
 from epipole.io.ply import write_scene_ply
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
@@ -22,7 +22,6 @@ from epipole.scene import Frames, Images, Rigs, unregistered
 
 COPIES = f"{UNITS}/copied_pictures.json"
 """In the output folder: which state of each picture its copy was made of."""
-_PART = re.compile(r"^\..*\.[0-9a-f]{8}\.part(\.[^.]*)?$", re.DOTALL)
 
 
 def write_results(solution: Solution, run: Run) -> None:
@@ -53,30 +52,22 @@ def _write_pictures(solution: Solution, run: Run) -> None:
     rows = np.flatnonzero(placed)
     copied = {images.names[i]: images.fingerprints[i] for i in rows}
     before = _read_record(record)
-    _remove_parts(run.root / "images")
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
         for name, fingerprint in copied.items():
             target = run.root / "images" / name
             if not target.is_file() or before.get(name) != fingerprint:
                 copy_or_rotate(images.folder / name, target)
     with atomic_write(record) as aside:
-        aside.write_text(json.dumps(copied, indent=1), encoding="utf-8")
+        aside.write_text(json_text(copied, indent=1), encoding="utf-8")
 
 
 def _read_record(path: Path) -> dict[str, str]:
     """Of which state of its picture each copy was made; empty where that is not known."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
-
-
-def _remove_parts(folder: Path) -> None:
-    """Remove the unfinished files of a run that was killed."""
-    for path in folder.rglob(".*"):
-        if _PART.search(path.name) and path.is_file():
-            path.unlink(missing_ok=True)
 
 
 def database_contents(solution: Solution) -> DatabaseContents:

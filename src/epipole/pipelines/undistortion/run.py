@@ -15,6 +15,7 @@ from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
@@ -36,12 +37,13 @@ def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> 
     pinholes = [undistorted_camera(model.cameras[c]) for c in range(len(model.cameras))]
     registered = np.flatnonzero(model.is_registered())
     names = [model.images.name[image] for image in registered]
+    pictures = [path_inside(workspace / "images", name) for name in names]
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
     with open_run(job, workspace / "undistorted") as run:
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
-            for n, (image, name) in enumerate(zip(registered, names), 1):
+            for n, (image, name, picture) in enumerate(zip(registered, names, pictures), 1):
                 c = int(model.camera_of_image[image])
-                rgb = undistort_image(read_rgb(workspace / "images" / name), model.cameras[c], pinholes[c])
+                rgb = undistort_image(read_rgb(picture), model.cameras[c], pinholes[c])
                 write_picture(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
