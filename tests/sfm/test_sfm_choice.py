@@ -15,7 +15,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.colmap import params_to_colmap
+from epipole.pipelines.calibration.command import camera_options
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from epipole.runs import ignore_progress
@@ -120,9 +120,10 @@ def test_a_calibration_makes_the_camera_known(rendered, tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(path, CalibrationFile((CAMERA,), Rigid3.identity(1)))
     given = chosen(rendered, calibration=path)
-    typed = ",".join(repr(float(p)) for p in params_to_colmap(CAMERA.model, CAMERA.params))
-    pasted = chosen(rendered, camera_model=CAMERA.model.name, camera_params=typed)
-    np.testing.assert_allclose(given.cameras.params, pasted.cameras.params, rtol=1e-15)
+    words = camera_options(CAMERA).split()  # as `epipole calibrate` prints it
+    assert words[0::2] == ["--camera-model", "--camera-params"]
+    pasted = chosen(rendered, camera_model=words[1], camera_params=words[3])
+    np.testing.assert_allclose(given.cameras.params, pasted.cameras.params, rtol=1e-7)
     np.testing.assert_array_equal(given.cameras[0].params, CAMERA.params)
     assert given.cameras.is_constant.all() and given.focal_sources == ("given by calibration.json",)
     assert not chosen(rendered, calibration=path, refine_known=True).cameras.is_constant.any()

@@ -73,8 +73,11 @@ def show_calibration(run: CalibrationRun) -> None:
         for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
+    console.print(
+        "for `epipole reconstruct`, with the principal point from the picture's corner:", markup=False
+    )
     for camera in found.cameras:
-        console.print(f"for reconstruct  {camera_options(camera)}", highlight=False, soft_wrap=True)
+        console.print(f"  {camera_options(camera)}", highlight=False, markup=False, soft_wrap=True)
     if len(found.cameras) == 2:
         console.print(
             f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}"
