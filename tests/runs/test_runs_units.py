@@ -104,3 +104,15 @@ def test_digests_tell_arrays_apart():
     assert digest(a) == digest(a.copy())
     assert digest(a) != digest(a.reshape(2, 3)) != digest(a.astype(float))
     assert digest("ab", "c") != digest("a", "bc")
+
+
+def test_progress_counts_what_units_hold(tmp_path):
+    reports = []
+    units = [Unit(tmp_path / f"{n}.npz", f"key {n}", square, n, size) for n, size in enumerate((4, 4, 2))]
+    run_units(units[:1], stage="pairs", progress=reports.append)
+    run_units(units, stage="pairs", progress=reports.append)
+    assert [(r.done, r.total) for r in reports[:2]] == [(0, 4), (4, 4)]
+    assert (reports[2].done, reports[2].total) == (4, 10) and (reports[-1].done, reports[-1].total) == (
+        10,
+        10,
+    )

@@ -39,6 +39,8 @@ class Unit:
     work: Callable[[Any], Arrays]
     """A module-level function, so that another process can call it."""
     payload: Any
+    size: int = 1
+    """What it counts in the progress: the pairs of a block, for one."""
 
 
 def digest(*parts: object) -> str:
@@ -69,22 +71,22 @@ def run_units(
         WorkspaceError: a result cannot be written, or the executor's workers have died.
     """
     waiting = [unit for unit in units if not is_done(unit.path, unit.key)]
-    done, total = len(units) - len(waiting), len(units)
+    total = sum(unit.size for unit in units)
+    done = total - sum(unit.size for unit in waiting)
     progress(Progress(stage, done, total))
     with opened(executor if len(waiting) > 1 else "inline") as pool:
-        for _ in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
-            done += 1
+        for size in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
+            done += size
             progress(Progress(stage, done, total))
     return len(waiting)
 
 
-def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
-    """Yields once for each unit that is done."""
+def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
+    """The size of each unit when it is done."""
     futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
     try:
         for future in as_completed(futures):
-            future.result()
-            yield
+            yield future.result()
     except BrokenExecutor as error:
         raise WorkspaceError(
             "the processes that share the work ended early: out of memory, or a script that starts them "
@@ -95,15 +97,16 @@ def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
             future.cancel()
 
 
-def do_unit(unit: Unit) -> None:
-    """Run one unit and store its result."""
+def do_unit(unit: Unit) -> int:
+    """Run one unit and store its result; returns its size."""
     store(unit.path, unit.key, unit.work(unit.payload))
+    return unit.size
 
 
-def do_unit_as_worker(unit: Unit) -> None:
+def do_unit_as_worker(unit: Unit) -> int:
     """`do_unit` in one of many workers: parallel work inside it runs inline, libraries use one thread."""
     with _parallel.inline_here(), opencv_in_one_thread(), _parallel.single_threaded_blas():
-        do_unit(unit)
+        return do_unit(unit)
 
 
 def store(path: Path, key: str, arrays: Arrays) -> None:
