@@ -84,7 +84,7 @@ class Bench:
     def prepare(self, name: str) -> None:
         """Write the valid example and read it, which also warms up what is compiled or loaded late."""
         folder = self.root / name
-        folder.mkdir()
+        folder.mkdir(parents=True)
         FORMATS[name].write(folder)
         self.files[name] = {
             str(path.relative_to(folder)): path.read_bytes()

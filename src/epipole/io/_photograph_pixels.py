@@ -34,6 +34,7 @@ MAX_JPEG_PX = 2**30
 
 _MOST_JPEG_PX_PER_BYTE = 1024
 _MOST_PX_PER_BYTE, _MANY_PX = 8256, 1 << 24
+_COMMENT, _LONGEST_PPM_HEADER = re.compile(rb"#[^\r\n]*"), 1 << 16
 _MOST_SCANS, _MOST_SCANNED_PX = 16, 1 << 30
 
 _PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm"})
@@ -100,6 +101,10 @@ def format_of(path: Path, head: bytes) -> str:
 def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
     """Read a header. The reader is called by name: `Image.open` refuses every picture of 180 megapixels."""
     stream.seek(0)
+    # Pillow would look for the numbers of the header byte by byte, behind comments without end.
+    if file_format == "PPM" and len(_COMMENT.sub(b" ", stream.read(_LONGEST_PPM_HEADER)).split()) < 3:
+        raise FileFormatError(path, "the PPM header is damaged: it has no size")
+    stream.seek(0)
     reader = _PILLOW_READERS.get(file_format) or _optional_reader(path, file_format)
     try:
         return reader(stream)
@@ -154,13 +159,14 @@ def stored_size(image: ImageFile) -> tuple[int, int]:
     return image.size
 
 
-def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
-    """Refuse a picture that is too large, before memory is used.
+def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
+    """Refuse a picture that is too large, before memory or time is used.
 
     Raises:
-        FileFormatError: more pixels than the format's limit, or than a JPEG of so many bytes can hold.
+        FileFormatError: more pixels than the format's limit, or than so many bytes can hold; a JPEG that goes over its
+            pixels again and again.
     """
-    width, height = image.size
+    (width, height), num_bytes = image.size, len(data)
     limit = MAX_JPEG_PX if isinstance(image, JpegImageFile) else MAX_LOSSLESS_PX
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
@@ -172,13 +178,16 @@ def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
     if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:
         problem = f"{num_bytes} bytes cannot hold {width} x {height} pixels"
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
+    num_scans = data.count(b"\xff\xda") if isinstance(image, JpegImageFile) else 1
+    if num_scans > _MOST_SCANS and num_scans * width * height > _MOST_SCANNED_PX:
+        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no picture needs that")
 
 
 def decode(path: Path, grey: bool, max_size_px: int | None) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
-    refuse_huge(path, image, len(data))
+    refuse_huge(path, image, data)
     if isinstance(image, JpegImageFile):
         orientation = orientation_of(exif_of(image))
         full_size = image.size
@@ -209,9 +218,6 @@ def _decode_jpeg(
         raise FileFormatError(
             path, f"the JPEG is truncated: the file ends ({len(data)} bytes) before the picture"
         )
-    num_scans = data.count(b"\xff\xda")
-    if num_scans > _MOST_SCANS and num_scans * image.width * image.height > _MOST_SCANNED_PX:
-        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no picture needs that")
     if image.layers == 4:
         if reduction > 1:
             image.draft(None, (image.width // reduction, image.height // reduction))

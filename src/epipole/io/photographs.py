@@ -219,7 +219,7 @@ def read_mask(
         return None
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
-    refuse_huge(path, image, len(data))
+    refuse_huge(path, image, data)
     pixels, orientation = pillow_pixels(path, image, stretch=False)
     keep = np.ascontiguousarray((pixels != 0).any(axis=2) if pixels.ndim == 3 else pixels != 0)
     keep = turn(keep.view(np.uint8), orientation).view(bool)

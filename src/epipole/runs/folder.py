@@ -19,6 +19,7 @@ from typing import Any
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
 from epipole.io.atomic import atomic_write, reporting
+from epipole.io.files import read_json
 
 MARK = "epipole.json"
 FORMAT = 2
@@ -173,7 +174,7 @@ def read_mark(root: Path) -> OutputFolder | None:
     if not mark.is_file():
         return None
     try:
-        content = json.loads(mark.read_text(encoding="utf-8"))
+        content = read_json(mark)
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
             folder = OutputFolder(root, str(content["kind"]), str(content["source"]))

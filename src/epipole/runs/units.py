@@ -10,23 +10,42 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from epipole import _parallel
 from epipole.errors import WorkspaceError
+from epipole.io.files import require_file
 from epipole.runs.executors import ExecutorChoice, opened
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
 Arrays = dict[str, np.ndarray]
+_DAMAGE = (
+    *(
+        OSError,
+        ValueError,
+        LookupError,
+        EOFError,
+        TypeError,
+        OverflowError,
+        MemoryError,
+        RuntimeError,
+        SyntaxError,
+    ),
+    *(BadZipFile, TokenError, zlib.error),
+)
+"""What zipfile and NumPy may raise on a damaged file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +142,19 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
         raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
 
 
+def _open_arrays(path: Path) -> NpzFile:
+    """A file of arrays that are stored as they are: one that is packed may stand for gigabytes."""
+    num_bytes = require_file(path)
+    file = np.load(path, allow_pickle=False)
+    if not isinstance(file, NpzFile):
+        raise ValueError("it holds one array alone")
+    members = file.zip.infolist() if file.zip is not None else []
+    if sum(member.file_size for member in members) > num_bytes:
+        file.close()
+        raise ValueError("its arrays are larger than the file")
+    return file
+
+
 def load(path: Path, *names: str) -> Arrays:
     """Read the arrays of these names from a unit's file; all of them if none is named.
 
@@ -130,16 +162,16 @@ def load(path: Path, *names: str) -> Arrays:
         WorkspaceError: the file is missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with _open_arrays(path) as file:
             return {name: file[name] for name in names or file.files if name != "key"}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+    except _DAMAGE as error:
         raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
 
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with _open_arrays(path) as file:
             return str(file["key"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except _DAMAGE:
         return ""
