@@ -11,8 +11,9 @@ from jaxtyping import Float64, UInt8
 
 from epipole._checks import as_points, require_same_length
 from epipole.errors import FileFormatError, ShapeError
-from epipole.io._bytes import ByteReader, file_bytes
+from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)

@@ -9,8 +9,8 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io._bytes import file_text
 from epipole.io.colmap import read_colmap_model
+from epipole.io.files import file_text
 from epipole.io.transforms_json import read_transforms
 from epipole.scene import Reconstruction
 

@@ -7,7 +7,6 @@ no earlier run has written.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import stat
@@ -19,6 +18,7 @@ from typing import Any
 from epipole._version import __version__
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts, reporting
+from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
 from epipole.runs.lock import LOCK, remove_free_locks
@@ -26,8 +26,6 @@ from epipole.runs.source import content_digest, source_name
 
 MARK = "epipole.json"
 FORMAT = 2
-_LARGEST_MARK = 1 << 28
-"""Bytes: a million names of results."""
 
 
 class OutputFolder:
@@ -256,9 +254,7 @@ def read_mark(root: Path) -> OutputFolder | None:
     if not mark.is_file():
         return None
     try:
-        if mark.stat().st_size > _LARGEST_MARK:
-            raise ValueError
-        content = json.loads(mark.read_text(encoding="utf-8"))
+        content = read_json(mark)
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
             folder = OutputFolder(
@@ -269,7 +265,7 @@ def read_mark(root: Path) -> OutputFolder | None:
             folder.has_failed = content.get("has_failed", False) is True
             folder.timings_s = {str(stage): float(seconds or 0.0) for stage, seconds in timings.items()}
             return folder
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")
 
