@@ -8,10 +8,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
+from epipole._checks import check_index, check_indices, check_offsets, check_squarable
+from epipole._declared import Declared, checked
 from epipole.cameras import Camera
+from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import (
@@ -48,7 +51,7 @@ class _Cams(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchComponents:
+class MatchComponents(Declared):
     """Keypoints connected by verified matches: rows offsets[t] to offsets[t + 1] are component t."""
 
     offsets: Int64[np.ndarray, " t1"]
@@ -59,8 +62,11 @@ class MatchComponents:
         return len(self.offsets) - 1
 
 
+@checked
 def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
     """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
+    check_offsets(keypoint_offsets, "keypoint_offsets")
+    check_matches(view_graph, np.diff(keypoint_offsets))
     pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
     strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
     row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
@@ -83,6 +89,27 @@ def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, "
     )
 
 
+def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:
+    """Check that matches join keypoints that are there.
+
+    Args:
+        view_graph: pairs of images and their matches.
+        num_keypoints: of each image.
+
+    Raises:
+        ShapeError: a match does not.
+    """
+    check_offsets(view_graph.match_offsets, "match_offsets", len(view_graph.keypoint1))
+    if len(view_graph.match_offsets) != len(view_graph) + 1:
+        raise ShapeError(f"match_offsets must have {len(view_graph) + 1} rows")
+    for side in ("1", "2"):
+        image, keypoint = getattr(view_graph, f"image{side}"), getattr(view_graph, f"keypoint{side}")
+        check_indices(image, f"image{side}", len(num_keypoints))
+        most = np.repeat(num_keypoints[image], view_graph.num_inliers())
+        if not ((keypoint >= 0) & (keypoint < most)).all():
+            raise ShapeError(f"keypoint{side} names a keypoint that is not there")
+
+
 class Snapshot(NamedTuple):
     """A saved state of a model."""
 
@@ -96,13 +123,18 @@ class Snapshot(NamedTuple):
 class ModelBuilder:
     """Images, points and rows under construction. One image is one frame of its own rig."""
 
+    @checked
     def __init__(
         self,
         cameras: Cameras,
         camera_of_image: Int32[np.ndarray, " n"],
-        keypoints: Sequence[np.ndarray],
+        keypoints: Sequence[Float64[np.ndarray, "_ 2"]],
         components: MatchComponents,
     ) -> None:
+        _check_components(components, keypoints)
+        check_indices(camera_of_image, "camera_of_image", len(cameras))
+        if len(camera_of_image) != len(keypoints):
+            raise ShapeError(f"camera_of_image must have {len(keypoints)} rows, got {len(camera_of_image)}")
         self.cameras = cameras
         self.camera_of_image = camera_of_image.astype(np.int32)
         self.params = cameras.params.copy()
@@ -163,6 +195,7 @@ class ModelBuilder:
         """Points in world coordinates; those without observations are not used."""
         return self._points[: self.num_points]
 
+    @checked
     def update_rays(self, camera: int) -> None:
         """Unproject the rows of one camera again, after its parameters changed."""
         model = self.camera(camera)
@@ -171,16 +204,22 @@ class ModelBuilder:
             rows = np.concatenate([self.rows_of_image[i] for i in images])
             self.row_ray[rows] = np.nan_to_num(model.unproject(self.row_pixel[rows]))
 
+    @checked
     def camera(self, index: int) -> Camera:
         """The camera of this row with its present parameters."""
+        check_index(index, "index", len(self.cameras))
         return replace(self.cameras, params=self.params)[index]
 
+    @checked
     def cam_from_world(self, image: int) -> Rigid3:
         """Pose of one image."""
+        check_index(image, "image", len(self.motion))
         return Rigid3(self.motion[image, :9].reshape(3, 3).copy(), self.motion[image, 9:].copy())
 
+    @checked
     def register(self, image: int, cam_from_world: Rigid3) -> None:
         """Register an image with this pose."""
+        check_index(image, "image", len(self.motion))
         self.set_places(
             np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None])
         )
@@ -192,8 +231,10 @@ class ModelBuilder:
         self.motion[images, 9:] = cams_from_world.translation
         self.center[images] = cams_from_world.centers()
 
+    @checked
     def deregister(self, image: int) -> None:
         """Unregister an image and remove its observations."""
+        check_index(image, "image", len(self.motion))
         self.registered[image] = False
         self.motion[image] = self.center[image] = np.nan
         self.row_point[self.rows_of_image[image]] = -1
@@ -225,8 +266,13 @@ class ModelBuilder:
             self.motion, self.center, self.registered, self.camera_of_image, self.cameras.model, self.params
         )
 
-    def triangulate(self, components: np.ndarray, max_error_px: float, min_angle_rad: float) -> int:
+    @checked
+    def triangulate(
+        self, components: Int64[np.ndarray, " k"], max_error_px: float, min_angle_rad: float
+    ) -> int:
         """Make new points from rows without one; returns the number of new observations."""
+        check_indices(components, "components", len(self.components))
+        check_squarable(max_error_px, "max_error_px")
         limit = np.cos(min_angle_rad)
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -253,8 +299,11 @@ class ModelBuilder:
             added += len(rows)
         return added
 
-    def extend(self, components: np.ndarray, max_error_px: float) -> int:
+    @checked
+    def extend(self, components: Int64[np.ndarray, " k"], max_error_px: float) -> int:
         """Give rows without a point to points of their component; returns the number of new observations."""
+        check_indices(components, "components", len(self.components))
+        check_squarable(max_error_px, "max_error_px")
         given = np.full(len(self.row_image), -1, np.int32)
         counts = _parallel.map_chunks(
             lambda a, b, _: kernels.extend_components(
@@ -267,8 +316,10 @@ class ModelBuilder:
         self.row_point[rows] = given[rows]
         return int(sum(counts))
 
+    @checked
     def filter(self, max_error_px: float, min_angle_rad: float) -> int:
         """Drop rows with large errors and points seen under a narrow angle; returns the number of dropped rows."""
+        check_squarable(max_error_px, "max_error_px")
         order, offsets = self.rows_by_point()
         keep, errors = np.zeros(len(self.row_image), bool), np.empty(self.num_points)
         limit = np.cos(min_angle_rad)
@@ -296,8 +347,10 @@ class ModelBuilder:
         out[self.row_component[self.row_point >= 0]] = True
         return out
 
+    @checked
     def points_in_sight(self, image: int) -> tuple[Int64[np.ndarray, " k"], Int32[np.ndarray, " k"]]:
         """(rows, points) that an image sees if its matches are right: points of its rows' components."""
+        check_index(image, "image", len(self.rows_of_image))
         rows = self.rows_of_image[image]
         component = self.row_component[rows]
         near = _rows_of(self.components.offsets, component)
@@ -314,11 +367,12 @@ class ModelBuilder:
             bigger[: self.num_points] = self.points
             self._points = bigger
 
+    @checked
     def freeze(
         self,
         names: Sequence[str],
-        colors: Sequence[np.ndarray] | None = None,
-        timestamps_s: np.ndarray | None = None,
+        colors: Sequence[UInt8[np.ndarray, "_ 3"]] | None = None,
+        timestamps_s: Float64[np.ndarray, " n"] | None = None,
     ) -> Reconstruction:
         """The model as frozen columns: living points only, in order of their index.
 
@@ -326,7 +380,15 @@ class ModelBuilder:
             names: of all images.
             colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 where absent.
             timestamps_s: one per image.
+
+        Raises:
+            ShapeError: there are not as many as images, or keypoints.
         """
+        for name, given in (("names", names), ("timestamps_s", timestamps_s)):
+            if given is not None and len(given) != len(self.keypoints):
+                raise ShapeError(f"{name} must have {len(self.keypoints)} rows, got {len(given)}")
+        if colors is not None and [len(c) for c in colors] != [len(k) for k in self.keypoints]:
+            raise ShapeError("colors must have a row for each keypoint")
         order, offsets = self.rows_by_point()
         alive = np.diff(offsets) >= 2
         order = order[alive[self.row_point[order]]]
@@ -364,6 +426,14 @@ class ModelBuilder:
         errors = model.reprojection_errors_px()
         mean = np.add.reduceat(errors, offsets[:-1]) / np.diff(offsets) if len(rgb) else np.zeros(0)
         return replace(model, points=replace(model.points, error_px=mean))
+
+
+def _check_components(components: MatchComponents, keypoints: Sequence[np.ndarray]) -> None:
+    check_offsets(components.offsets, "components.offsets", len(components.image))
+    check_indices(components.image, "components.image", len(keypoints))
+    most = np.array([len(k) for k in keypoints], np.int64)[components.image]
+    if not ((components.keypoint >= 0) & (components.keypoint < most)).all():
+        raise ShapeError("components.keypoint names a keypoint that is not there")
 
 
 def _rows_of(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
