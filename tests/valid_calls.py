@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,7 @@ def _some(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=shape)
 
 
+IN_FRONT = np.array([0.0, 0.0, 6.0])
 LENS = Camera(CameraModel.OPENCV, 64, 48, np.array([60.0, 61.0, 31.5, 23.5, -0.05, 0.01, 1e-3, -1e-3]))
 PINHOLE = Camera(CameraModel.PINHOLE, 64, 48, np.array([60.0, 60.0, 31.5, 23.5]))
 QUICK = RansacConfig(max_iterations=200, min_inliers=8)
@@ -100,7 +102,7 @@ def _geometry() -> Iterator[Row]:
     p1, p2, K = _some(12, 2), _some(12, 2, seed=1), np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
     E = geometry.essential_from_cam2_from_cam1(PLACE)
     F = geometry.fundamental_from_essential(E, K, K)
-    rays = _some(5, 3) + [0, 0, 5]
+    rays = _some(5, 3) + IN_FRONT
     yield _row(geometry.align_points, source=rays, target=rays + 1, with_scale=True)
     yield _row(
         geometry.depth_error, depth=rays, focal_px=50.0, baseline=0.1, disparity_error_px=0.5 + 0 * rays
@@ -164,8 +166,8 @@ def _motions() -> Iterator[Row]:
 
 def _cameras() -> Iterator[Row]:
     yield _row(Camera, model=LENS.model, width=64, height=48, params=LENS.params)
-    yield _row(LENS.project, points_in_cam=_some(5, 3) + [0, 0, 5])
-    yield _row(LENS.project_with_jacobian, points_in_cam=_some(5, 3) + [0, 0, 5])
+    yield _row(LENS.project, points_in_cam=_some(5, 3) + IN_FRONT)
+    yield _row(LENS.project_with_jacobian, points_in_cam=_some(5, 3) + IN_FRONT)
     yield _row(LENS.unproject, pixels=_some(5, 2))
     yield _row(LENS.unproject_with_jacobian, pixels=_some(5, 2))
     yield _row(LENS.scaled_to, width=32, height=24)
@@ -246,7 +248,7 @@ def _estimators() -> Iterator[Row]:
 
 
 def _triangulation() -> Iterator[Row]:
-    points, lens = _some(6, 3) + [0, 0, 8], LENS
+    points, lens = _some(6, 3) + IN_FRONT, LENS
     for n in (2, 4):
         pixels = np.stack([lens.project(place.apply(points)) for place in (PLACES[k] for k in range(n))])
         views = {"cams_from_world": PLACES[:n], "cameras": [lens] * n}
@@ -418,7 +420,7 @@ def _view_graph() -> scene.ViewGraph:
     rows = []
     for j in range(len(model.points)):
         own = np.flatnonzero(point == j)
-        rows += [(image_of[a], image_of[b], keypoint[a], keypoint[b]) for a, b in zip(own, own[1:])]
+        rows += [(image_of[a], image_of[b], keypoint[a], keypoint[b]) for a, b in pairwise(own)]
     rows.sort(key=lambda row: row[:2])
     pairs = sorted({row[:2] for row in rows})
     counts = [sum(row[:2] == pair for row in rows) for pair in pairs]

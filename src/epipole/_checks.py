@@ -124,8 +124,10 @@ def check_count(count: int, name: str, most: int = 1 << 24) -> None:
     Raises:
         ConfigError: it is negative, or more than `most`.
     """
-    if not 0 <= count <= most:
-        raise ConfigError(f"{name} must be within 0 and {most}, got {count}")
+    if count < 0:
+        raise ConfigError(f"{name} must not be negative, got {count}")
+    if count > most:
+        raise ConfigError(f"{name} must be at most {most}, got {count}")
 
 
 def check_pixels(width: int, height: int, most: int = 1 << 30) -> None:

@@ -150,8 +150,7 @@ def main() -> int:
         _be_child(numbers, arguments.seed)
         return 0
     findings = run_cases(numbers, arguments.seed)
-    print("\n".join(findings))
-    print(f"{len(findings)} findings in {len(numbers)} calls")
+    sys.stdout.write("\n".join([*findings, f"{len(findings)} findings in {len(numbers)} calls", ""]))
     return 1 if findings else 0
 
 

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cache, wraps
+from functools import wraps
 from inspect import Parameter, get_annotations, signature, unwrap
 from typing import Any, TypeVar, cast
 
-from epipole._declared.values import Convert, Sizes, converter_of
+from epipole._declared.kinds import Convert, Sizes
+from epipole._declared.values import converter_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
+"""Of each data class the fields that are checked."""
 
 
 def checked(function: Function) -> Function:
@@ -43,7 +46,10 @@ def checked(function: Function) -> Function:
 def check_fields(data: Any) -> None:
     """Check and convert the fields of a data class's instance as their annotations say; for `__post_init__`."""
     sizes: Sizes = {}
-    for name, convert in _fields(type(data)):
+    kind = type(data)
+    if kind not in _plans:
+        _plans[kind] = _fields(kind)
+    for name, convert in _plans[kind]:
         value = getattr(data, name)
         kept = convert(value, name, sizes)
         if kept is not value:
@@ -75,7 +81,6 @@ class Declared:
         check_fields(self)
 
 
-@cache
 def _fields(kind: type) -> tuple[tuple[str, Convert], ...]:
     """The converters of a data class's fields, those of its bases first."""
     found: dict[str, Convert | None] = {}

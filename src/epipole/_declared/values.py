@@ -11,12 +11,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
+from epipole._declared.kinds import Convert, Sizes
 from epipole.errors import ConfigError, EpipoleError
-
-Sizes = dict[str, tuple[int, str]]
-"""Of each named axis the length, and the argument that has it."""
-Convert = Callable[[Any, str, Sizes], Any]
-"""(value, name, sizes) -> the value to go on with."""
 
 _LARGEST = 2**63 - 1
 

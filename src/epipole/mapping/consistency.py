@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole._declared import checked
-from epipole.mapping.model_builder import ModelBuilder, check_matches
+from epipole.mapping.match_components import check_matches
+from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import ViewGraph
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
-from epipole._checks import check_index, check_indices, check_offsets, check_squarable
-from epipole._declared import Declared, checked
+from epipole._checks import check_index, check_indices, check_squarable
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
+from epipole.mapping.match_components import MatchComponents, check_components
 from epipole.scene import (
     Cameras,
     Frames,
@@ -25,7 +26,6 @@ from epipole.scene import (
     Reconstruction,
     Rigs,
     Tracks,
-    ViewGraph,
     unregistered,
 )
 
@@ -50,66 +50,6 @@ class _Cams(NamedTuple):
     params: np.ndarray  # (c, 12)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchComponents(Declared):
-    """Keypoints connected by verified matches: rows offsets[t] to offsets[t + 1] are component t."""
-
-    offsets: Int64[np.ndarray, " t1"]
-    image: Int32[np.ndarray, " r"]
-    keypoint: Int32[np.ndarray, " r"]
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-
-@checked
-def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
-    """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
-    check_offsets(keypoint_offsets, "keypoint_offsets")
-    check_matches(view_graph, np.diff(keypoint_offsets))
-    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
-    strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
-    row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
-    row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
-    parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
-    kernels.connect_without_conflict(
-        *(row1[strongest_first].astype(np.int64), row2[strongest_first].astype(np.int64), image_of_row),
-        *(parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64)),
-    )
-    sizes = np.bincount(parent, minlength=len(parent))
-    rows = np.flatnonzero(sizes[parent] >= 2)
-    rows = rows[np.argsort(parent[rows], kind="stable")]
-    _, counts = np.unique(parent[rows], return_counts=True)
-    image = np.searchsorted(keypoint_offsets, rows, side="right") - 1
-    return MatchComponents(
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        image.astype(np.int32),
-        (rows - keypoint_offsets[image]).astype(np.int32),
-    )
-
-
-def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:
-    """Check that matches join keypoints that are there.
-
-    Args:
-        view_graph: pairs of images and their matches.
-        num_keypoints: of each image.
-
-    Raises:
-        ShapeError: a match does not.
-    """
-    check_offsets(view_graph.match_offsets, "match_offsets", len(view_graph.keypoint1))
-    if len(view_graph.match_offsets) != len(view_graph) + 1:
-        raise ShapeError(f"match_offsets must have {len(view_graph) + 1} rows")
-    for side in ("1", "2"):
-        image, keypoint = getattr(view_graph, f"image{side}"), getattr(view_graph, f"keypoint{side}")
-        check_indices(image, f"image{side}", len(num_keypoints))
-        most = np.repeat(num_keypoints[image], view_graph.num_inliers())
-        if not ((keypoint >= 0) & (keypoint < most)).all():
-            raise ShapeError(f"keypoint{side} names a keypoint that is not there")
-
-
 class Snapshot(NamedTuple):
     """A saved state of a model."""
 
@@ -131,7 +71,7 @@ class ModelBuilder:
         keypoints: Sequence[Float64[np.ndarray, "_ 2"]],
         components: MatchComponents,
     ) -> None:
-        _check_components(components, keypoints)
+        check_components(components, [len(k) for k in keypoints])
         check_indices(camera_of_image, "camera_of_image", len(cameras))
         if len(camera_of_image) != len(keypoints):
             raise ShapeError(f"camera_of_image must have {len(keypoints)} rows, got {len(camera_of_image)}")
@@ -426,14 +366,6 @@ class ModelBuilder:
         errors = model.reprojection_errors_px()
         mean = np.add.reduceat(errors, offsets[:-1]) / np.diff(offsets) if len(rgb) else np.zeros(0)
         return replace(model, points=replace(model.points, error_px=mean))
-
-
-def _check_components(components: MatchComponents, keypoints: Sequence[np.ndarray]) -> None:
-    check_offsets(components.offsets, "components.offsets", len(components.image))
-    check_indices(components.image, "components.image", len(keypoints))
-    most = np.array([len(k) for k in keypoints], np.int64)[components.image]
-    if not ((components.keypoint >= 0) & (components.keypoint < most)).all():
-        raise ShapeError("components.keypoint names a keypoint that is not there")
 
 
 def _rows_of(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:

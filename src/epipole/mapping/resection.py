@@ -10,7 +10,7 @@ from jaxtyping import Float64
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
@@ -68,9 +68,12 @@ def refine_resection(
 
     Raises:
         ShapeError: the arrays are not of the same points.
+        ConfigError: it is no estimate of a pose.
     """
     if not (len(pixels),) == (len(points_in_world),) == np.shape(estimate.inlier_mask):
         raise ShapeError("points_in_world, pixels and estimate must be of the same points")
+    if not isinstance(estimate.model, Rigid3):
+        raise ConfigError(f"estimate must be that of a pose, not of a {type(estimate.model).__name__}")
     inliers = np.flatnonzero(estimate.inlier_mask)
     n = len(inliers)
     start = Rigid3(estimate.model.rotation[None], estimate.model.translation[None])
