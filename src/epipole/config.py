@@ -6,9 +6,11 @@ line's help does not wait for them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -47,8 +49,13 @@ class FeatureConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
+        if not 0 <= self.contrast_threshold < math.inf:
+            raise ConfigError(
+                f"contrast_threshold must be finite and not negative, got {self.contrast_threshold}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,10 +85,13 @@ class MatchConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
-        if self.preemptive_features < 0 or not self.band_px > 0:
-            raise ConfigError("preemptive_features must not be negative and band_px must be positive")
+        if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
+            raise ConfigError(
+                "preemptive_features must not be negative and band_px must be positive and finite"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +120,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if not 0 < self.confidence < 1:

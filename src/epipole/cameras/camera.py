@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points
+from epipole._declared import check_fields, checked
 from epipole.cameras import _camera_kernels as kernels
 from epipole.cameras.models import MAX_PARAMS, CameraModel
 from epipole.errors import ConfigError
@@ -29,6 +30,7 @@ class Camera:
         Raises:
             ConfigError: the parameters do not fit the model, or no camera can have these values.
         """
+        check_fields(self)
         names = self.model.param_names
         if self.params.shape != (len(names),):
             raise ConfigError(
@@ -105,6 +107,7 @@ class Camera:
             )
         return rays, out
 
+    @checked
     def scaled_to(self, width: int, height: int) -> Camera:
         """The camera of the same picture resampled to another size (pixel edges are aligned, not centres)."""
         sx, sy = width / self.width, height / self.height

@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError
 
 MAX_PARAMS = 12
@@ -53,6 +54,7 @@ class CameraModel(IntEnum):
         """Positions of the distortion coefficients (may be empty)."""
         return tuple(range(len(_SPECS[self].focal) + 2, self.num_params))
 
+    @checked
     def initial_params(self, focal_px: float, width: int, height: int) -> np.ndarray:
         """Parameters of an undistorted camera that looks through the middle of its picture."""
         focal = [focal_px] * len(_SPECS[self].focal)
@@ -79,6 +81,7 @@ _SPECS = {
 }
 
 
+@checked
 def camera_model_named(name: str) -> CameraModel:
     """The model of this name (any case).
 

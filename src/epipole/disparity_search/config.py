@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 
@@ -59,18 +60,7 @@ class DisparityConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        allowed = {
-            "search": ("full", "coarse_to_fine"),
-            "method": ("sgm", "block"),
-            "paths": (4, 8),
-            "left_right": ("accurate", "fast"),
-            "median_px": (0, 3, 5),
-        }
-        for name, values in allowed.items():
-            if getattr(self, name) not in values:
-                raise ConfigError(
-                    f"{name} must be one of {', '.join(map(str, values))}, got {getattr(self, name)}"
-                )
+        check_fields(self)
         if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
             raise ConfigError(
                 f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"

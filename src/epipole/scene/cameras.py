@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
+from epipole._declared import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
+from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,7 +27,20 @@ class Cameras:
     is_constant: Bool[np.ndarray, " n"]
     """The intrinsics are known and stay as they are."""
 
+    def __post_init__(self) -> None:
+        """Check the columns.
+
+        Raises:
+            ShapeError: an array is of another kind or shape.
+            ConfigError: there is no such camera model.
+        """
+        check_fields(self)
+        known = [int(model) for model in CameraModel]
+        if not np.isin(self.model, known).all():
+            raise ConfigError(f"model must be within {known[0]} and {known[-1]}, got {self.model}")
+
     @staticmethod
+    @checked
     def from_list(
         cameras: Iterable[Camera],
         is_focal_trusted: Iterable[bool] | None = None,
