@@ -31,17 +31,20 @@ from epipole.pipelines.undistortion.run import undistort as undistort
 from epipole.viewer import ViewerHandle as ViewerHandle
 
 
-def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
+def view(
+    out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
+) -> ViewerHandle:
     """Show an output folder in the browser: a model with its cameras and pictures, or a pair's depth.
 
     Args:
         out: output folder of a job, or a COLMAP model.
-        port: where to listen; the next free port is taken if this one is in use.
-        host: the address to listen on.
+        port: where to listen; None: 8080, or the next free port if that is in use, which the handle's note says.
+        host: the address to listen on; "0.0.0.0" lets other machines in.
         block: return only when the user interrupts with Ctrl-C.
 
     Raises:
         FileFormatError: the folder holds nothing that can be shown.
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     path = as_path(out)
     scene = _stereo_scene if _stereo_scene.is_mine(path) else _sfm_scene
