@@ -96,9 +96,13 @@ def main(arguments: list[str] | None = None) -> None:
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
+    with _loudness(asked, words):
+        _run(words)
+
+
+def _run(words: list[str]) -> None:
     try:
-        with _loudness(asked, words):
-            _parsed(words)()
+        _parsed(words)()
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
         _refuse(_as_options(error, words, while_parsing=False), 1)
