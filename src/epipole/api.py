@@ -5,6 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from epipole._checks import as_path
+from epipole.cameras import Camera as Camera
+from epipole.cameras import CameraModel as CameraModel
+from epipole.config import FeatureConfig as FeatureConfig
+from epipole.config import MatchConfig as MatchConfig
+from epipole.config import RansacConfig as RansacConfig
+from epipole.geometry import Rigid3 as Rigid3
 from epipole.pipelines.calibration.config import BoardConfig as BoardConfig
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun
@@ -15,6 +21,8 @@ from epipole.pipelines.demo.run import demo as demo
 from epipole.pipelines.evaluation.run import Evaluation as Evaluation
 from epipole.pipelines.evaluation.run import evaluate as evaluate
 from epipole.pipelines.sfm import scene as _sfm_scene
+from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
+from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
@@ -28,6 +36,9 @@ from epipole.pipelines.stereo.run import stereo as stereo
 from epipole.pipelines.stereo.run import stereo_many as stereo_many
 from epipole.pipelines.stereo.run import stereo_of_model as stereo_of_model
 from epipole.pipelines.undistortion.run import undistort as undistort
+from epipole.scene import Reconstruction as Reconstruction
+from epipole.scene import RectifiedRig as RectifiedRig
+from epipole.scene import StereoRig as StereoRig
 from epipole.viewer import ViewerHandle as ViewerHandle
 
 

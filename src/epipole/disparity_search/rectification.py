@@ -74,6 +74,10 @@ class Rectification:
             )
         return pictures[0], pictures[1]
 
+    def __repr__(self) -> str:
+        turned = ", turned on its side" if self.is_turned else ""
+        return f"Rectification({self.size[0]} x {self.size[1]}{turned}, {self.rig!r})"
+
 
 def rectify(rig: StereoRig) -> Rectification:
     """Rectify two calibrated cameras of any kind (Fusiello, Trucco and Verri 2000, with the axes' mean direction).

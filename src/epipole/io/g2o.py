@@ -31,6 +31,9 @@ class G2oFile:
     ids: Int64[np.ndarray, " n"]
     """Ascending."""
 
+    def __repr__(self) -> str:
+        return f"G2oFile({self.graph!r})"
+
 
 def read_g2o(path: str | Path) -> G2oFile:
     """Read vertices and edges of one kind; parameters and comments are passed over.

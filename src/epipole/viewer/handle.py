@@ -18,6 +18,9 @@ class ViewerHandle:
     note: str = ""
     """What the user should know: that another port was taken than the usual one."""
 
+    def __repr__(self) -> str:
+        return f"ViewerHandle({self.url})"
+
 
 @runtime_checkable
 class Stoppable(Protocol):

@@ -99,6 +99,10 @@ class Diagnosis:
         """Whether nothing is wrong."""
         return not self.problems
 
+    def __repr__(self) -> str:
+        found = "healthy" if self.is_healthy else "; ".join(self.problems)
+        return f"Diagnosis({found}; {self.num_matches} matches)"
+
 
 def examine(
     pairs: Sequence[tuple[np.ndarray, np.ndarray]], rig: StereoRig | RectifiedRig | None = None
