@@ -38,12 +38,12 @@ _GRID = 3
 
 
 class Cause(StrEnum):
-    """The likely cause of the vertical offsets, from their trend."""
+    """The likely cause of the vertical offsets, from their trend; the words stand after "likely cause"."""
 
     NONE = "rows match"
-    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or baseline's direction)"
+    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or the baseline's direction)"
     DISTORTION = "lens distortion"
-    UNCLEAR = "neither rotation nor distortion explains the offsets: blur, rolling shutter, or moving things"
+    UNCLEAR = "blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
     UNKNOWN = "too few features match to tell"
 
 
@@ -239,7 +239,8 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if not num_pairs:
         return []
     if len(matches) < LEAST_FOR_TREND:
-        words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
+        found = f"{len(matches)} {'feature matches' if len(matches) == 1 else 'features match'}"
+        words = f"{found}, too few to say anything: the pictures are blank, blurred or of different things"
         return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
         return [_Finding("left and right are the same picture", True)]
@@ -247,7 +248,7 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if cause is Cause.NONE:
         return []
     offset = np.abs(matches.vertical_px)
-    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); this points at {cause}"
+    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); likely cause: {cause}"
     is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
     return [_Finding(words, is_bad)]
 

@@ -79,11 +79,11 @@ def _add_rows(table: Table, found: Diagnosis) -> None:
         f"{found.vertical_signed_px:+.2f} px",
     )
     table.add_row(
-        "left after the best extrinsics, after distortion",
+        "left once the rig is fitted, once its lenses are too",
         f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
     )
     if found.calibration_error_px == found.calibration_error_px:
-        table.add_row("of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
+        table.add_row("the part of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
 
