@@ -132,7 +132,8 @@ def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallb
         stage = stages.get(report.stage)
         if stage is None:
             stage = stages[report.stage] = _Stage(now, now, report)
-            say(stage, f"begins, {report.done} of {report.total} are done")
+            stage.is_over = report.done >= report.total
+            say(stage, f"{report.done} of {report.total} are done{'' if stage.is_over else ', begins'}")
         stage.last = report
         if stage.is_over:
             return

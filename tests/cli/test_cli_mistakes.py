@@ -36,7 +36,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("--nosuch", ["unknown option --nosuch"]),
         ("reconstruct", ["IMAGES and OUT are missing"]),
         ("reconstruct a", ["needs IMAGES OUT; OUT is missing"]),
-        ("reconstruct a b c", ["takes IMAGES OUT and no more", "'c'"]),
+        ("reconstruct a b c", ["takes IMAGES OUT alone", "'c'"]),
         ("version a", ["takes no path", "'a'"]),
         ("reconstruct a b --mapper.nosuch 1", ["no option --mapper.nosuch; see"]),
         ("reconstruct a b --pairing.mode x", ["--pairing.mode; did you mean --pairing.method?"]),
@@ -61,6 +61,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
         ("stereo a b c --paths 5", ["--paths must be one of 4, 8; got '5'"]),
         ("evaluate a", ["needs --truth with a path"]),
         ("convert a b", ["needs --format with one of txt, bin, ply, transforms, bundler"]),
+        ("convert a b txt", ["needs --format with one of txt"]),
         ("convert a b --format obj", ["--format must be one of txt", "got 'obj'"]),
         ("calibrate a b --square", ["--square needs a number"]),
         ("view a --port 8x", ["--port must be a whole number, or None; got '8x'"]),
@@ -178,7 +179,7 @@ def test_quiet_and_verbose_before_and_after_the_command(flag, place, capsys, mon
         assert said.out == "" and said.err == ""
         return
     assert said.out == "said x True\n"
-    assert "Doing: begins, 0 of 2" in said.err and "Doing: 2 of 2 after" in said.err
+    assert "Doing: 0 of 2 are done, begins" in said.err and "Doing: 2 of 2 after" in said.err
     assert ("Doing: 1 of 2, 50 %" in said.err) == bool(flag)
     assert ("DEBUG epipole.anything: thought" in said.err) == bool(flag)
     assert not logging.getLogger("epipole").handlers
@@ -210,3 +211,10 @@ def test_files_that_the_system_refuses_are_one_line(capsys, tmp_path):
         assert stopped.value.code == 1
         said = capsys.readouterr().err
         assert said.splitlines()[-1].startswith("epipole: ") and "Traceback" not in said
+
+
+@pytest.mark.parametrize(("given", "words"), [("help", "stereo-doctor"), ("help convert", "SOURCE TARGET")])
+def test_help_as_a_command(given, words, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(given.split())
+    assert stopped.value.code == 0 and words in capsys.readouterr().out

@@ -91,11 +91,15 @@ def main(arguments: list[str] | None = None) -> None:
         _refuse("--quiet and --verbose exclude each other", WRONG_USAGE)
     if "version" in asked:
         words = ["version"]
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
     if words[:2] == ["stereo", "doctor"]:
         words = ["stereo-doctor", *words[2:]]
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
+    if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     with _loudness(asked, words):
         _run(words)
 

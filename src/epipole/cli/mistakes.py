@@ -37,7 +37,9 @@ def explain(words: Sequence[str], signatures: Mapping[str, Signature]) -> str | 
         problem, used = _option_at(rest[k:], mine, signatures)
         given.add(_named(rest[k])[0])
         k += used
-    problem = problem or _paths(paths, mine) or _missing(given, mine)
+    problem = (
+        problem or _missing_path(paths, mine) or _missing_option(given, mine) or _extra_path(paths, mine)
+    )
     if problem is None or problem.endswith("?"):
         return problem
     return f"{problem}; see `epipole {command} --help`"
@@ -50,14 +52,15 @@ def with_option_names(message: str, words: Sequence[str], signature: Signature, 
         message: the message.
         words: the command line.
         signature: of its command.
-        also_plain: replace fields whose names are English words, such as `rows`, too, if their option was given.
+        also_plain: replace fields whose names are English words, such as `rows`, too, if their option was given;
+            else only where the message begins with them.
     """
     given = {_named(word)[0] for word in words if _is_option(word)}
 
     def option(found: re.Match[str]) -> str:
         named = [each.name for each in signature.of_field(found[0])]
         mine = [name for name in named if name in given]
-        if "_" not in found[0] and not also_plain:
+        if "_" not in found[0] and not also_plain and found.start() > 0:
             return found[0]
         if not mine and "_" in found[0] and len(named) == 1:
             mine = named
@@ -117,20 +120,28 @@ def _unknown(name: str, mine: Signature, signatures: Mapping[str, Signature]) ->
     return f"{begin}; did you mean {' or '.join(names)}?" if names else begin
 
 
-def _paths(paths: Sequence[str], mine: Signature) -> str | None:
-    wanted = " ".join(name for name, _ in mine.paths)
-    if len(paths) > len(mine.paths):
-        extra = paths[len(mine.paths)]
-        what = f"takes {wanted} and no more" if wanted else "takes no path"
-        return f"`epipole {mine.command}` {what}; {extra!r} is too much (a name with spaces needs quotes)"
+def _extra_path(paths: Sequence[str], mine: Signature) -> str | None:
+    if len(paths) <= len(mine.paths):
+        return None
+    extra, wanted = paths[len(mine.paths)], _wanted(mine)
+    if not wanted:
+        return f"`epipole {mine.command}` takes no path, got {extra!r}"
+    return f"`epipole {mine.command}` takes {wanted} alone; {extra!r} is too much (a name with spaces needs quotes)"
+
+
+def _missing_path(paths: Sequence[str], mine: Signature) -> str | None:
     missing = [name for name, is_required in mine.paths[len(paths) :] if is_required]
-    if missing:
-        are = "is" if len(missing) == 1 else "are"
-        return f"`epipole {mine.command}` needs {wanted}; {' and '.join(missing)} {are} missing"
-    return None
+    if not missing:
+        return None
+    are = "is" if len(missing) == 1 else "are"
+    return f"`epipole {mine.command}` needs {_wanted(mine)}; {' and '.join(missing)} {are} missing"
 
 
-def _missing(given: set[str], mine: Signature) -> str | None:
+def _wanted(mine: Signature) -> str:
+    return " ".join(name for name, _ in mine.paths)
+
+
+def _missing_option(given: set[str], mine: Signature) -> str | None:
     missing = [o for o in mine.options.values() if o.is_required and o.name not in given]
     if not missing:
         return None

@@ -79,7 +79,7 @@ def _problem_of(host: str, port: int) -> str | None:
             host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE if not host else 0
         )
     except (OSError, UnicodeError) as error:
-        raise ConfigError(f"host {host!r} is not known: {error}") from error
+        raise ConfigError(f"host {host!r} is not known: {getattr(error, 'strerror', error)}") from error
     for family, kind, protocol, _, address in found:
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -173,7 +173,7 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
         grey = list(rectification.apply(grey[0], grey[1]))
     elif grey[0].shape != grey[1].shape:
         raise ShapeError(
-            f"left is {grey[0].shape[::-1]} pixels and right {grey[1].shape[::-1]}: a rectified pair has one size"
+            f"left is {_size(grey[0])} pixels and right {_size(grey[1])}: a rectified pair has one size"
         )
     found = match_features(grey[0], grey[1])
     if rectification is None or not len(found):
@@ -187,6 +187,10 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
         height, width = valid.shape
         inside &= valid[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
     return RowMatches(found.left_px[inside], found.right_px[inside])
+
+
+def _size(grey: np.ndarray) -> str:
+    return f"{grey.shape[1]} x {grey.shape[0]}"
 
 
 def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
