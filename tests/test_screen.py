@@ -34,7 +34,7 @@ def lines_of(reports, capsys, seconds_each, monkeypatch, **options):
 def test_a_log_gets_a_line_at_the_begin_at_the_end_and_every_ten_seconds(capsys, monkeypatch):
     reports = [("a", k, 100) for k in range(101)]
     assert lines_of(reports, capsys, 0.24, monkeypatch) == [
-        "Doing [x]: 0 of 100 are done, begins",
+        "Doing [x]: begins, 100 to do",
         "Doing [x]: 42 of 100, 42 %, about 14 s left",
         "Doing [x]: 84 of 100, 84 %, about 4 s left",
         "Doing [x]: 100 of 100 after 24.0 s",
@@ -44,10 +44,10 @@ def test_a_log_gets_a_line_at_the_begin_at_the_end_and_every_ten_seconds(capsys,
 def test_stages_that_overlap_end_once_and_one_that_stops_early_ends_too(capsys, monkeypatch):
     reports = [("a", 0, 2), ("b", 0, 9), ("a", 2, 2), ("a", 2, 2), ("b", 4, 9), ("c", 0, 0)]
     assert lines_of(reports, capsys, 1.0, monkeypatch) == [
-        "Doing [x]: 0 of 2 are done, begins",
-        "b: 0 of 9 are done, begins",
+        "Doing [x]: begins, 2 to do",
+        "b: begins, 9 to do",
         "Doing [x]: 2 of 2 after 2.0 s",
-        "c: 0 of 0 are done",
+        "c: begins, 0 to do",
         "b: 4 of 9 after 5.0 s",
     ]
 
@@ -61,6 +61,7 @@ def test_that_kernels_compile_is_said_once_something_works(capsys, monkeypatch):
 
 def test_quiet_and_verbose(capsys, monkeypatch):
     reports = [("a", k, 3) for k in range(4)]
+    assert lines_of([("a", 3, 3)], capsys, 0.1, monkeypatch) == ["Doing [x]: 3 of 3 are done"]
     with screen.loudness("quiet"):
         assert lines_of(reports, capsys, 0.1, monkeypatch) == []
     with screen.loudness("verbose"):

@@ -133,7 +133,12 @@ def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallb
         if stage is None:
             stage = stages[report.stage] = _Stage(now, now, report)
             stage.is_over = report.done >= report.total
-            say(stage, f"{report.done} of {report.total} are done{'' if stage.is_over else ', begins'}")
+            done = (
+                f"{report.done} of {report.total} are done"
+                if report.done
+                else f"begins, {report.total} to do"
+            )
+            say(stage, done)
         stage.last = report
         if stage.is_over:
             return

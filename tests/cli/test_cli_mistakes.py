@@ -179,10 +179,28 @@ def test_quiet_and_verbose_before_and_after_the_command(flag, place, capsys, mon
         assert said.out == "" and said.err == ""
         return
     assert said.out == "said x True\n"
-    assert "Doing: 0 of 2 are done, begins" in said.err and "Doing: 2 of 2 after" in said.err
+    assert "Doing: begins, 2 to do" in said.err and "Doing: 2 of 2 after" in said.err
     assert ("Doing: 1 of 2, 50 %" in said.err) == bool(flag)
     assert ("DEBUG epipole.anything: thought" in said.err) == bool(flag)
     assert not logging.getLogger("epipole").handlers
+
+
+def test_long_lines_stay_whole_in_a_file_and_help_stays_narrow(capsys, monkeypatch):
+    from rich.console import Console
+
+    def wide(out: str) -> None:
+        """Say it."""
+        Console().print(out)
+
+    monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setattr(command_line, "_functions", lambda: {"wide": wide, "silent": speaking})
+    path = "/".join(["some folder"] * 30)
+    main(["wide", "--out", path])
+    assert capsys.readouterr().out == path + "\n"
+    assert "COLUMNS" not in command_line.os.environ
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert max(map(len, capsys.readouterr().out.splitlines())) < 250
 
 
 def test_a_quiet_command_still_answers_and_still_fails(capsys, monkeypatch):

@@ -10,7 +10,7 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
@@ -106,7 +106,9 @@ def main(arguments: list[str] | None = None) -> None:
 
 def _run(words: list[str]) -> None:
     try:
-        _parsed(words)()
+        call = _parsed(words)
+        with _unwrapped():
+            call()
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
         _refuse(_as_options(error, words, while_parsing=False), 1)
@@ -124,13 +126,26 @@ def _run(words: list[str]) -> None:
         sys.exit(130)
 
 
+@contextlib.contextmanager
+def _unwrapped() -> Iterator[None]:
+    """Lines in a file are as long as they are: a path that was broken in two could not be copied."""
+    if sys.stdout.isatty() or "COLUMNS" in os.environ:
+        yield
+        return
+    os.environ["COLUMNS"] = "1000"
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS", None)
+
+
 def _refuse(message: str, code: int) -> NoReturn:
     print(f"epipole: {message}", file=sys.stderr)
     sys.exit(code)
 
 
 @contextlib.contextmanager
-def _loudness(asked: set[str], words: list[str]) -> Any:
+def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
     """What is printed beside errors: nothing but answers, the usual, or all."""
     if not asked & {"quiet", "verbose"}:
         yield

@@ -17,7 +17,7 @@ def convert(
 
     Args:
         source: Output folder of a reconstruction, or a model.
-        target: Where to write.
+        target: Where to write: a folder for txt and bin, a file for the others.
         format: COLMAP txt or bin, PLY, nerfstudio transforms.json, or Bundler.
     """
     from epipole.pipelines.conversion.run import convert as run

@@ -32,12 +32,15 @@ def show_stereo(result: StereoResult) -> None:
         table.add_row("their median standard deviation", f"{np.median(found.sigma_px[known]):.2f} px")
     if result.depths is not None and np.isfinite(result.depths.depth).any():
         near, far = np.nanpercentile(result.depths.depth, (1, 99))
-        table.add_row("depths", f"{near:.3g} to {far:.3g}")
+        table.add_row("depths, in the baseline's unit", f"{near:.3g} to {far:.3g}")
         table.add_row("points", f"{result.num_points}")
-    table.add_row("written to", str(result.out))
     console = Console()
     console.print(table)
     print_warnings(console, result.warnings)
+    if result.out is not None:
+        look = "" if result.depths is None else f"\nlook     epipole view {result.out}"
+        words = f"results  {result.out}\nreport   {result.out / 'report.html'}{look}"
+        console.print(words, highlight=False, markup=False)
 
 
 def show_batch(batch: StereoBatch) -> None:
