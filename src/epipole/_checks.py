@@ -1,11 +1,15 @@
 """Checks at the public border: shapes, finiteness, kernels' memory layout, with messages that name the argument."""
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from epipole.errors import ConfigError, ShapeError
+
+_NO_PATH = (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
 
 
 def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> np.ndarray:
@@ -173,11 +177,18 @@ def check_offsets(offsets: np.ndarray, name: str, total: int | None = None) -> N
 
 
 def as_path(given: str | Path) -> Path:
-    """The path given; an empty string, which would mean the current folder, is refused.
+    """The path given, a leading ~ read as the home folder; an empty string, which would mean the current one, is refused.
 
     Raises:
-        ConfigError: it is empty.
+        ConfigError: it is empty, or cannot be a path.
     """
     if str(given) == "":
         raise ConfigError("a path is empty")
-    return Path(given)
+    path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know
+    try:
+        path.stat()
+    except (OSError, ValueError) as error:
+        code = getattr(error, "errno", errno.EINVAL)
+        if code in _NO_PATH:
+            raise ConfigError(f"{str(given)[:100]!r} cannot be a path: {os.strerror(code)}") from error
+    return path

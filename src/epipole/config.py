@@ -7,8 +7,10 @@ line's help does not wait for them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import Any, Literal, TypeVar, cast
 
 from epipole._declared import check_fields
 from epipole.errors import ConfigError
@@ -16,18 +18,60 @@ from epipole.errors import ConfigError
 Options = TypeVar("Options")
 
 
-def options_of(kind: type[Options], given: Options | None) -> Options:
-    """The options given, or the defaults for None.
+def options_of(kind: type[Options], given: Options | None, named: Mapping[str, Any] | None = None) -> Options:
+    """The options given, or the defaults for None; single ones that are named override them.
+
+    A name is that of a field, or of a field of the configs inside it where only one has it.
 
     Raises:
-        ConfigError: something else was given, such as a dict.
+        ConfigError: something else was given, such as a dict, or a name is unknown or has a value that cannot be.
     """
-    if given is None:
-        return kind()
-    if not isinstance(given, kind):
+    if given is not None and not isinstance(given, kind):
         hint = f"; {kind.__name__}(**it) makes one" if isinstance(given, dict) else ""
         raise ConfigError(f"options must be a {kind.__name__}, not a {type(given).__name__}{hint}")
-    return given
+    options = kind() if given is None else given
+    if not named:
+        return options
+    changes: dict[str, Any] = {}
+    for name in sorted(
+        named, key=lambda name: name not in _names(options)
+    ):  # whole configs before their parts
+        if name in _names(options):
+            present = getattr(options, name)
+            changes[name] = options_of(type(present), named[name]) if is_dataclass(present) else named[name]
+            continue
+        holder = _holder_of(name, options)
+        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), {name: named[name]})
+    return _changed(options, changes)
+
+
+def _changed(options: Options, changes: Mapping[str, Any]) -> Options:
+    try:
+        return replace(cast(Any, options), **changes)
+    except TypeError as error:  # its checks compared text with numbers
+        given = ", ".join(f"{name}={value!r}" for name, value in changes.items())
+        raise ConfigError(f"an option has a value of the wrong type, {given}: {error}") from error
+
+
+def _holder_of(name: str, options: object) -> str:
+    """The field whose config has a field of this name."""
+    parts = {field: getattr(options, field) for field in _names(options)}
+    parts = {field: part for field, part in parts.items() if is_dataclass(part)}
+    holding = [field for field, part in parts.items() if name in _names(part)]
+    if len(holding) == 1:
+        return holding[0]
+    if holding:
+        of = " and of ".join(holding)
+        example = f"{holding[-1]}={type(parts[holding[-1]]).__name__}({name}=...)"
+        raise ConfigError(f"{name} is an option of {of}: say which, as in {example}")
+    known = [*_names(options), *(each for part in parts.values() for each in _names(part))]
+    near = get_close_matches(name, dict.fromkeys(known), 3, 0.6)
+    hint = f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(_names(options))}"
+    raise ConfigError(f"{type(options).__name__} has no option {name}{hint}")
+
+
+def _names(config: Any) -> list[str]:
+    return [field.name for field in fields(config)]
 
 
 @dataclass(frozen=True, kw_only=True)

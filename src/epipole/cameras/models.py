@@ -93,3 +93,20 @@ def camera_model_named(name: str) -> CameraModel:
     except KeyError:
         known = ", ".join(m.name for m in CameraModel)
         raise ConfigError(f"unknown camera model {name!r}; one of {known}") from None
+
+
+def as_camera_model(given: CameraModel | str | int) -> CameraModel:
+    """The model given, or the one of this name or number.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if isinstance(given, CameraModel):
+        return given
+    if isinstance(given, str):
+        return camera_model_named(given)
+    try:
+        return CameraModel(given)
+    except (ValueError, TypeError):
+        known = ", ".join(m.name for m in CameraModel)
+        raise ConfigError(f"a camera's model must be one of {known}; got {given!r}") from None

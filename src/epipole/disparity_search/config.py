@@ -76,9 +76,14 @@ class DisparityConfig:
             raise ConfigError("brightness_cost must not be negative")
         bits = self.window[0] * self.window[1] - 1 + self.brightness_cost
         largest = self.small_penalty * (1.0 + self.edge_penalty)
-        if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
+        if self.small_penalty < 1 or not self.edge_penalty >= 0 or not self.edge_fade > 0:
             raise ConfigError(
-                f"the cost's {bits} bits and the largest penalty {largest:g} must be positive and at most 254 together"
+                "small_penalty must be at least 1, edge_penalty not negative and edge_fade positive, "
+                f"got {self.small_penalty}, {self.edge_penalty} and {self.edge_fade}"
+            )
+        if bits + largest > 254:
+            raise ConfigError(
+                f"the cost's {bits} bits and the largest penalty {largest:g} must be at most 254 together"
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(

@@ -78,6 +78,10 @@ class Rectification(Declared):
             )
         return pictures[0], pictures[1]
 
+    def __repr__(self) -> str:
+        turned = ", turned on its side" if self.is_turned else ""
+        return f"Rectification({self.size[0]} x {self.size[1]}{turned}, {self.rig!r})"
+
 
 @checked
 def rectify(rig: StereoRig) -> Rectification:

@@ -29,6 +29,9 @@ class PlaneMotions:
     def __len__(self) -> int:
         return len(self.normals_in_cam1)
 
+    def __repr__(self) -> str:
+        return f"PlaneMotions({len(self)} solutions)"
+
 
 def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None) -> PlaneMotions:
     """The motions that a homography x2 ~ H x1 allows: up to four, or two where points on the plane are known.

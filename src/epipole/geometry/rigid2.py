@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array
 from epipole._declared import checked
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3
 
@@ -53,6 +53,10 @@ class Rigid2(Batch):
         along = np.where(small, 1.0 - half * half / 3.0, half / np.tan(np.where(small, 1.0, half)))
         x, y = self.translation[..., 0], self.translation[..., 1]
         return np.stack([along * x + half * y, along * y - half * x, self.angle_rad], axis=-1)
+
+    def _in_words(self) -> str:
+        degrees = in_words(np.rad2deg(self.angle_rad))
+        return f"{degrees} degrees, translation {in_words(self.translation)}"
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 3 3"]:
         """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, (t_y, -t_x)], [0, 1]]."""

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import as_float_array
 from epipole._declared import checked
 from epipole.errors import ShapeError
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rotation3 import Rotation3, skew
 
 
@@ -92,6 +92,9 @@ class Rigid3(Batch):
         out[..., :3, :3] = out[..., 3:, 3:] = self.rotation
         out[..., :3, 3:] = skew(self.translation) @ self.rotation
         return out
+
+    def _in_words(self) -> str:
+        return f"{Rotation3(self.rotation)._in_words()}, translation {in_words(self.translation)}"
 
     def centers(self) -> Float64[np.ndarray, "*batch 3"]:
         """The target's origin in source coordinates: the camera centres, for cam_from_world."""

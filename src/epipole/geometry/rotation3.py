@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import as_float_array
 from epipole._declared import checked
 from epipole.errors import ShapeError
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 
 
 def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
@@ -131,6 +131,12 @@ class Rotation3(Batch):
     def adjoint(self) -> Float64[np.ndarray, "*batch 3 3"]:
         """Ad with R exp(phi) R^-1 = exp(Ad phi): the matrix itself."""
         return self.matrix
+
+    def _in_words(self) -> str:
+        phi = self.log()
+        angle = np.linalg.norm(phi)
+        around = f" about {in_words(phi / angle)}" if angle > 0 else ""
+        return f"{in_words(np.rad2deg(angle))} degrees{around}"
 
     def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
         """The rotation angle in [0, pi], accurate for small angles too."""

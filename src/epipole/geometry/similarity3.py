@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array
 from epipole._declared import checked
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
 
@@ -76,6 +76,9 @@ class Similarity3(Batch):
         out[..., 3:6, 3:6] = self.rotation
         out[..., 6, 6] = 1.0
         return out
+
+    def _in_words(self) -> str:
+        return f"scale {in_words(self.scale)}, {Rigid3(self.rotation, self.translation)._in_words()}"
 
     @checked
     def move_cam_from_source(self, cam_from_source: Rigid3) -> Rigid3:

@@ -49,6 +49,10 @@ class CalibrationFile:
     covariance: Float64[np.ndarray, "30 30"] | None = None
     """Of a pair, as in `StereoRig`."""
 
+    def __repr__(self) -> str:
+        errors = "no covariance" if self.covariance is None else "with covariance"
+        return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
+
 
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
     """Read cameras, and how they stand to each other where a file says so.

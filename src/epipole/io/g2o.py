@@ -38,6 +38,9 @@ class G2oFile:
     mended_edges: Int64[np.ndarray, " e"]
     """Edges of the graph whose information matrices were not positive definite, and were replaced."""
 
+    def __repr__(self) -> str:
+        return f"G2oFile({self.graph!r})"
+
 
 @checked
 def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "refuse") -> G2oFile:

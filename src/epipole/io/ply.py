@@ -49,6 +49,9 @@ class PlyPoints:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    def __repr__(self) -> str:
+        return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
+
 
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
     """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY in single precision.

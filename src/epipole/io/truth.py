@@ -32,6 +32,9 @@ class TruthCameras:
     def __len__(self) -> int:
         return len(self.names)
 
+    def __repr__(self) -> str:
+        return f"TruthCameras({len(self)} cameras)"
+
 
 def read_truth(path: str | Path) -> TruthCameras:
     """Read ground-truth cameras; the format is detected.

@@ -39,6 +39,12 @@ class BundleCovariance:
     noise_px: float
     """Standard deviation of a pixel coordinate for which they hold."""
 
+    def __repr__(self) -> str:
+        return (
+            f"BundleCovariance({len(self.rig_from_world)} frames, {len(self.camera_params)} cameras, "
+            f"{len(self.points_in_world)} points, noise {self.noise_px:.3g} px)"
+        )
+
 
 @checked
 def bundle_covariance(

@@ -174,6 +174,12 @@ class BundleProblem:
         if self.priors is not None:
             self.priors.check(num_frames, num_cameras, num_points)
 
+    def __repr__(self) -> str:
+        return (
+            f"BundleProblem({len(self.rig_from_world)} frames, {len(self.camera_params)} cameras, "
+            f"{len(self.points_in_world)} points, {len(self.pixels)} observations)"
+        )
+
 
 def check_models(models: Int32[np.ndarray, " c"]) -> None:
     """Check that all are camera models.

@@ -81,6 +81,9 @@ class PoseGraph:
     def __len__(self) -> int:
         return len(self.world_from_body.translation)
 
+    def __repr__(self) -> str:
+        return f"PoseGraph({len(self.world_from_body)} bodies, {len(self.first)} motions between them)"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseGraphConfig:

@@ -56,6 +56,9 @@ class PairMatches(Declared):
     seed: int = 0
     """Added to the configuration's: a pair keeps its answer in whatever list it stands."""
 
+    def __repr__(self) -> str:
+        return f"PairMatches({len(self.pixels1)} matches, {self.camera1!r}, {self.camera2!r})"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairGeometry:
@@ -91,6 +94,9 @@ class PairGeometry:
         if np.isfinite(self.median_angle_rad):
             return f"{words}; rays meet at {np.degrees(self.median_angle_rad):.1f} degrees"
         return f"{words}; there is no depth in it"
+
+    def __repr__(self) -> str:
+        return f"PairGeometry({self.kind.name}: {self.explanation})"
 
 
 @checked

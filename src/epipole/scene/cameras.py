@@ -15,7 +15,7 @@ from epipole.errors import ConfigError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cameras:
-    """One row per camera; the row is its id inside epipole."""
+    """One row per camera; the row is its id inside epipole. `Cameras.from_list` makes them of single cameras."""
 
     model: Int32[np.ndarray, " n"]
     width: Int32[np.ndarray, " n"]
@@ -46,8 +46,15 @@ class Cameras:
         is_focal_trusted: Iterable[bool] | None = None,
         is_constant: Iterable[bool] | None = None,
     ) -> Cameras:
-        """Collect single cameras into columns (flags default to True and False)."""
+        """Collect single cameras into columns (flags default to True and False).
+
+        Raises:
+            ConfigError: one is no camera.
+        """
         rows = list(cameras)
+        wrong = next((row for row in rows if not isinstance(row, Camera)), None)
+        if wrong is not None:
+            raise ConfigError(f"cameras must be Camera objects, got {type(wrong).__name__}")
         n = len(rows)
         return Cameras(
             np.array([int(c.model) for c in rows], np.int32),

@@ -30,6 +30,10 @@ class Extent(Declared):
         """Mask of points inside the box; false for non-finite ones."""
         return np.asarray(((points_in_world >= self.low) & (points_in_world <= self.high)).all(axis=1))
 
+    def __repr__(self) -> str:
+        low, high, focus = (np.array2string(v, precision=4) for v in (self.low, self.high, self.focus))
+        return f"Extent(from {low} to {high}, focus {focus}, radius {self.radius:.4g})"
+
 
 @checked
 def extent_of(

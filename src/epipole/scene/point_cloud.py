@@ -24,6 +24,10 @@ class PointCloud(Declared):
     def __len__(self) -> int:
         return len(self.points_in_cam)
 
+    def __repr__(self) -> str:
+        height, width = self.mask.shape
+        return f"PointCloud({len(self)} points of {width} x {height} pixels)"
+
 
 def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:
     """The points (Z (x - cx) / fx, Z (y - cy) / fy, Z) of a depth map.

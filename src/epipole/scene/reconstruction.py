@@ -125,7 +125,15 @@ class Reconstruction:
         )
 
     def __repr__(self) -> str:
+        # The points' own errors, which are there already: projecting all of them would make printing slow.
+        seen = np.diff(self.tracks.offsets)
+        known = np.isfinite(self.points.error_px) & (seen > 0)
+        error = ""
+        if known.any():
+            mean = np.average(self.points.error_px[known], weights=seen[known])
+            error = f", mean error {mean:.2f} px"
         return (
-            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images, "
-            f"{len(self.cameras)} cameras, {len(self.points)} points, {len(self.tracks.image)} observations)"
+            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images placed, "
+            f"{len(self.points)} points, {len(self.tracks.image)} observations{error}, "
+            f"{len(self.cameras)} cameras)"
         )
