@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 # Kernels are compiled once, for both workers of the tests.
 WARM_UP := $(BIN)/python -c 'from epipole.pipelines.sfm.warm_up import warm_up; warm_up()'
 
-.PHONY: demo test test-numba clean
+.PHONY: demo test test-numba fuzz clean
 
 demo: $(STAMP)
 	$(BIN)/epipole demo
@@ -24,6 +24,13 @@ NUMBA_TESTS := tests/test_jit.py tests/test_kernel_modes.py tests/test_simd.py t
 test-numba: .venv-oldest/.installed .venv-newest/.installed
 	.venv-oldest/bin/python -m pytest $(NUMBA_TESTS)
 	.venv-newest/bin/python -m pytest $(NUMBA_TESTS)
+
+# Damaged files for every reader and wrong arguments for every function; what is found is printed with its seed and case.
+CASES ?= 100000
+SEED ?= 0
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.fuzz.run --cases $(CASES) --seed $(SEED)
+	test ! -f tests/fuzz/wrong_calls.py || $(BIN)/python -m tests.fuzz.wrong_calls --cases $(CASES)
 
 .venv-oldest/.installed: CHOICE := numba==0.61.*
 .venv-newest/.installed: CHOICE := --upgrade numba

@@ -1,10 +1,12 @@
 """Checks at the public border."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from epipole._checks import as_float_array, as_points, require_same_length
-from epipole.errors import EpipoleError, ShapeError
+from epipole._checks import as_float_array, as_path, as_points, require_same_length
+from epipole.errors import ConfigError, EpipoleError, ShapeError
 
 
 def test_arrays_come_back_as_c_contiguous_doubles() -> None:
@@ -84,3 +86,18 @@ def test_errors_can_be_caught_by_their_builtin_kind() -> None:
         as_points([1.0], "points", 2)
     with pytest.raises(EpipoleError):
         as_points([1.0], "points", 2)
+
+
+def test_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert as_path("~/photos") == tmp_path / "photos" and as_path("a~b") == Path("a~b")
+    assert as_path("~no such user/x") == Path("~no such user/x")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for wrong, words in (
+        ("", "a path is empty"),
+        (tmp_path / "loop", "symbolic links"),
+        ("x" * 5000, "too long"),
+        ("a\0b", "Invalid"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            as_path(wrong)

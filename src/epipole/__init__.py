@@ -14,7 +14,11 @@ if TYPE_CHECKING:
 
 _JOBS = ("reconstruct", "stereo", "calibrate", "evaluate", "undistort", "convert", "view", "demo")
 _MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo")
-_CONFIGS = ("ReconstructConfig", "StereoConfig", "CalibrationConfig", "BoardConfig")
+_CONFIGS = (
+    *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
+    *("StereoConfig", "CalibrationConfig", "BoardConfig"),
+)
+_DATA = ("Camera", "CameraModel", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig")
 _RESULTS = (
     *(
         "ReconstructionResult",
@@ -32,7 +36,7 @@ _ROOMS = (
     *("mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
     *("synthetic", "viewer"),
 )
-__all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings
+__all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_DATA, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings
 
 
 def __getattr__(name: str) -> Any:

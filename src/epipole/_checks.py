@@ -1,5 +1,7 @@
 """Checks at the public border: shapes, finiteness, kernels' memory layout, with messages that name the argument."""
 
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -7,20 +9,26 @@ import numpy as np
 
 from epipole.errors import ConfigError, ShapeError
 
+_NO_PATH = (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
+
 
 def as_float_array(array: Any, name: str, *tail: int, finite: bool = False) -> np.ndarray:
     """Return `array` as a C-contiguous float64 array whose last axes are `tail` (batch axes are free).
+
+    What is read-only is copied: kernels are compiled for writeable arrays alone.
 
     Raises:
         ShapeError: the trailing axes differ, the values are not numbers, or `finite` and some are not.
     """
     try:
         given = np.asarray(array)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ShapeError(f"{name} must be an array of numbers: {error}") from error
     if given.dtype.kind not in "biuf":  # text, objects and complex numbers
         raise ShapeError(f"{name} must be an array of numbers, got {given.dtype}")
     out = np.ascontiguousarray(given, dtype=np.float64)
+    if not out.flags.carray:
+        out = out.copy()
     if tail and out.shape[-len(tail) :] != tail:
         shape = "(..., " + ", ".join(map(str, tail)) + ")"
         hint = "; transpose?" if out.ndim >= 2 and out.shape[-2:] == (*tail, out.shape[-1]) else ""
@@ -43,6 +51,30 @@ def as_points(array: Any, name: str, dim: int, *, finite: bool = False) -> np.nd
     return out
 
 
+def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
+    """Return `array` as a C-contiguous (rows, columns) float64 array of finite numbers.
+
+    Raises:
+        ShapeError: it has other axes, or some value is not finite.
+    """
+    out = as_float_array(array, name, rows, columns, finite=True)
+    if out.ndim != 2:
+        raise ShapeError(f"{name} must be ({rows}, {columns}), got {out.shape}")
+    return out
+
+
+def as_directions(rays: np.ndarray, name: str) -> np.ndarray:
+    """Rays (n, 3) scaled to unit length.
+
+    Raises:
+        ShapeError: one has no length, or one that cannot be calculated with.
+    """
+    length = np.linalg.norm(rays, axis=1, keepdims=True)
+    if not ((length > 0) & (length < np.inf)).all():
+        raise ShapeError(f"{name} must be directions of some length")
+    return rays / length
+
+
 def require_same_length(**arrays: np.ndarray) -> int:
     """Return the common first-axis length of the named arrays.
 
@@ -55,12 +87,108 @@ def require_same_length(**arrays: np.ndarray) -> int:
     return next(iter(lengths.values()))
 
 
-def as_path(given: str | Path) -> Path:
-    """The path given; an empty string, which would mean the current folder, is refused.
+def check_broadcast(**shapes: tuple[int, ...]) -> None:
+    """Check that the named shapes can be broadcast.
 
     Raises:
-        ConfigError: it is empty.
+        ShapeError: they cannot.
+    """
+    if len(set(shapes.values())) > 1:
+        try:
+            np.broadcast_shapes(*shapes.values())
+        except ValueError as error:
+            raise ShapeError(
+                "shapes do not fit: " + ", ".join(f"{k} {v}" for k, v in shapes.items())
+            ) from error
+
+
+def check_indices(index: np.ndarray, name: str, size: int) -> None:
+    """Check that every index names one of `size` things.
+
+    Raises:
+        ShapeError: one does not.
+    """
+    if index.size and not (index.min() >= 0 and index.max() < size):
+        raise ShapeError(f"{name} must be within 0 and {size - 1}, got {index.min()} to {index.max()}")
+
+
+def check_index(index: int, name: str, size: int) -> None:
+    """Check that an index names one of `size` things; negative ones do not.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if not 0 <= index < size:
+        raise ConfigError(f"{name} must be within 0 and {size - 1}, got {index}")
+
+
+def check_count(count: int, name: str, most: int = 1 << 24) -> None:
+    """Check a number of things that arrays are made for.
+
+    Raises:
+        ConfigError: it is negative, or more than `most`.
+    """
+    if count < 0:
+        raise ConfigError(f"{name} must not be negative, got {count}")
+    if count > most:
+        raise ConfigError(f"{name} must be at most {most}, got {count}")
+
+
+def check_pixels(width: int, height: int, most: int = 1 << 30) -> None:
+    """Check the size of a picture that is to be made.
+
+    Raises:
+        ConfigError: it has no pixel, or too many.
+    """
+    if min(width, height) < 1 or width * height > most:
+        raise ConfigError(f"a picture must have between 1 and {most} pixels, not {width} x {height}")
+
+
+def check_squarable(value: float, name: str) -> None:
+    """Check that a number has a square; an infinite one has.
+
+    Raises:
+        ConfigError: it is too large.
+    """
+    if 1e150 < abs(value) < np.inf:
+        raise ConfigError(f"{name} is too large to be calculated with: {value:g}")
+
+
+def check_seed(seed: int) -> None:
+    """Check a seed of random numbers.
+
+    Raises:
+        ConfigError: it is negative.
+    """
+    if seed < 0:
+        raise ConfigError(f"seed must not be negative, got {seed}")
+
+
+def check_offsets(offsets: np.ndarray, name: str, total: int | None = None) -> None:
+    """Check that offsets of compressed rows rise from zero (to the number of all rows).
+
+    Raises:
+        ShapeError: they do not.
+    """
+    if not len(offsets) or offsets[0] != 0 or (offsets[1:] < offsets[:-1]).any():
+        raise ShapeError(f"{name} must rise from 0")
+    if total is not None and offsets[-1] != total:
+        raise ShapeError(f"{name} must end at {total}, got {offsets[-1]}")
+
+
+def as_path(given: str | Path) -> Path:
+    """The path given, a leading ~ read as the home folder; an empty string, which would mean the current one, is refused.
+
+    Raises:
+        ConfigError: it is empty, or cannot be a path.
     """
     if str(given) == "":
         raise ConfigError("a path is empty")
-    return Path(given)
+    path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know
+    try:
+        path.stat()
+    except (OSError, ValueError) as error:
+        code = getattr(error, "errno", errno.EINVAL)
+        if code in _NO_PATH:
+            raise ConfigError(f"{str(given)[:100]!r} cannot be a path: {os.strerror(code)}") from error
+    return path

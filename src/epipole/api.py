@@ -5,6 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from epipole._checks import as_path
+from epipole.cameras import Camera as Camera
+from epipole.cameras import CameraModel as CameraModel
+from epipole.config import FeatureConfig as FeatureConfig
+from epipole.config import MatchConfig as MatchConfig
+from epipole.config import RansacConfig as RansacConfig
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3 as Rigid3
 from epipole.pipelines.calibration.config import BoardConfig as BoardConfig
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun
@@ -16,6 +23,8 @@ from epipole.pipelines.demo.run import demo as demo
 from epipole.pipelines.evaluation.run import Evaluation as Evaluation
 from epipole.pipelines.evaluation.run import evaluate as evaluate
 from epipole.pipelines.sfm import scene as _sfm_scene
+from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
+from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
@@ -29,21 +38,29 @@ from epipole.pipelines.stereo.run import stereo as stereo
 from epipole.pipelines.stereo.run import stereo_many as stereo_many
 from epipole.pipelines.stereo.run import stereo_of_model as stereo_of_model
 from epipole.pipelines.undistortion.run import undistort as undistort
+from epipole.scene import Reconstruction as Reconstruction
+from epipole.scene import RectifiedRig as RectifiedRig
+from epipole.scene import StereoRig as StereoRig
 from epipole.viewer import ViewerHandle as ViewerHandle
 
 
-def view(out: str | Path, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True) -> ViewerHandle:
+def view(
+    out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
+) -> ViewerHandle:
     """Show an output folder in the browser: a model with its cameras and pictures, or a pair's depth.
 
     Args:
         out: output folder of a job, or a COLMAP model.
-        port: where to listen; the next free port is taken if this one is in use.
-        host: the address to listen on.
+        port: where to listen; None: 8080, or the next free port if that is in use, which the handle's note says.
+        host: the address to listen on; "0.0.0.0" lets other machines in.
         block: return only when the user interrupts with Ctrl-C.
 
     Raises:
         FileFormatError: the folder holds nothing that can be shown.
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     path = as_path(out)
+    if not path.exists():
+        raise FileFormatError(path, "there is no such folder")
     scene = _stereo_scene if _stereo_scene.is_mine(path) else _sfm_scene
     return scene.show(path, port=port, host=host, block=block)

@@ -6,26 +6,72 @@ line's help does not wait for them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, TypeVar
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from difflib import get_close_matches
+from typing import Any, Literal, TypeVar, cast
 
+from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
 
 
-def options_of(kind: type[Options], given: Options | None) -> Options:
-    """The options given, or the defaults for None.
+def options_of(kind: type[Options], given: Options | None, named: Mapping[str, Any] | None = None) -> Options:
+    """The options given, or the defaults for None; single ones that are named override them.
+
+    A name is that of a field, or of a field of the configs inside it where only one has it.
 
     Raises:
-        ConfigError: something else was given, such as a dict.
+        ConfigError: something else was given, such as a dict, or a name is unknown or has a value that cannot be.
     """
-    if given is None:
-        return kind()
-    if not isinstance(given, kind):
+    if given is not None and not isinstance(given, kind):
         hint = f"; {kind.__name__}(**it) makes one" if isinstance(given, dict) else ""
         raise ConfigError(f"options must be a {kind.__name__}, not a {type(given).__name__}{hint}")
-    return given
+    options = kind() if given is None else given
+    if not named:
+        return options
+    changes: dict[str, Any] = {}
+    for name in sorted(
+        named, key=lambda name: name not in _names(options)
+    ):  # whole configs before their parts
+        if name in _names(options):
+            present = getattr(options, name)
+            changes[name] = options_of(type(present), named[name]) if is_dataclass(present) else named[name]
+            continue
+        holder = _holder_of(name, options)
+        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), {name: named[name]})
+    return _changed(options, changes)
+
+
+def _changed(options: Options, changes: Mapping[str, Any]) -> Options:
+    try:
+        return replace(cast(Any, options), **changes)
+    except TypeError as error:  # its checks compared text with numbers
+        given = ", ".join(f"{name}={value!r}" for name, value in changes.items())
+        raise ConfigError(f"an option has a value of the wrong type, {given}: {error}") from error
+
+
+def _holder_of(name: str, options: object) -> str:
+    """The field whose config has a field of this name."""
+    parts = {field: getattr(options, field) for field in _names(options)}
+    parts = {field: part for field, part in parts.items() if is_dataclass(part)}
+    holding = [field for field, part in parts.items() if name in _names(part)]
+    if len(holding) == 1:
+        return holding[0]
+    if holding:
+        of = " and of ".join(holding)
+        example = f"{holding[-1]}={type(parts[holding[-1]]).__name__}({name}=...)"
+        raise ConfigError(f"{name} is an option of {of}: say which, as in {example}")
+    known = [*_names(options), *(each for part in parts.values() for each in _names(part))]
+    near = get_close_matches(name, dict.fromkeys(known), 3, 0.6)
+    hint = f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(_names(options))}"
+    raise ConfigError(f"{type(options).__name__} has no option {name}{hint}")
+
+
+def _names(config: Any) -> list[str]:
+    return [field.name for field in fields(config)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +93,13 @@ class FeatureConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
+        if not 0 <= self.contrast_threshold < math.inf:
+            raise ConfigError(
+                f"contrast_threshold must be finite and not negative, got {self.contrast_threshold}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,10 +129,13 @@ class MatchConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
-        if self.preemptive_features < 0 or not self.band_px > 0:
-            raise ConfigError("preemptive_features must not be negative and band_px must be positive")
+        if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
+            raise ConfigError(
+                "preemptive_features must not be negative and band_px must be positive and finite"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,6 +164,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if not 0 < self.confidence < 1:

@@ -5,6 +5,8 @@ Misuse and bad files raise. A failure to *estimate* is data: estimators return a
 
 from pathlib import Path
 
+_LONGEST_PROBLEM = 2000
+
 
 class EpipoleError(Exception):
     """Base of every error raised on purpose; the command line prints it as one line."""
@@ -26,6 +28,10 @@ class FileFormatError(EpipoleError, ValueError):
     """A file is missing, damaged or of another format; the message names the file and the place."""
 
     def __init__(self, path: Path | str, problem: str) -> None:
+        # What is quoted comes from the file: it may be endless, or unfit for a terminal's encoding.
+        if len(problem) > _LONGEST_PROBLEM:
+            problem = f"{problem[:_LONGEST_PROBLEM]} ..."
+        problem = problem.encode(errors="backslashreplace").decode()
         super().__init__(f"{path}: {problem}")
         self.path = Path(path)
 

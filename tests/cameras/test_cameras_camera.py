@@ -1,10 +1,13 @@
 """One camera: what it accepts, what it cannot see, and how it follows its picture's size."""
 
+import pickle
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel, camera_model_named
-from epipole.errors import ConfigError, ShapeError
+from epipole.errors import ConfigError, EpipoleError, ShapeError
 
 PINHOLE = Camera(CameraModel.PINHOLE, 640, 480, np.array([500.0, 400.0, 320.0, 240.0]))
 FISHEYE = Camera(
@@ -177,3 +180,28 @@ def test_model_numbers_are_those_of_colmap() -> None:
 
 def test_the_text_of_a_camera_tells_its_parameters() -> None:
     assert repr(PINHOLE) == "Camera(PINHOLE, 640x480, fx 500, fy 400, cx 320, cy 240)"
+
+
+def test_a_model_by_its_name_or_number_and_parameters_in_any_sequence() -> None:
+    wanted = Camera(CameraModel.PINHOLE, 640, 480, np.array([500.0, 400, 320, 240]))
+    for model in ("PINHOLE", " pinhole", 1):
+        found = Camera(model, 640, 480, (500, 400, 320, 240))
+        assert found.model is CameraModel.PINHOLE and repr(found) == repr(wanted)
+        np.testing.assert_array_equal(found.project([[0.1, 0.2, 1.0]]), wanted.project([[0.1, 0.2, 1.0]]))
+    assert repr(replace(wanted, width=9)) == "Camera(PINHOLE, 9x480, fx 500, fy 400, cx 320, cy 240)"
+    assert repr(pickle.loads(pickle.dumps(wanted))) == repr(wanted)
+
+
+@pytest.mark.parametrize(
+    ("model", "params", "words"),
+    [
+        ("PINHOL", [1.0], "unknown camera model 'PINHOL'; one of SIMPLE_PINHOLE, PINHOLE"),
+        (99, [1.0], "model must be one of SIMPLE_PINHOLE, .*; got 99"),
+        ("PINHOLE", [1.0, 2.0], r"PINHOLE has 4 parameters \(fx, fy, cx, cy\), got 2"),
+        ("PINHOLE", "1,2,3,4", "params must be an array of numbers"),
+        ("PINHOLE", None, "params must be an array of numbers"),
+    ],
+)
+def test_what_is_no_camera(model: object, params: object, words: str) -> None:
+    with pytest.raises(EpipoleError, match=words):
+        Camera(model, 640, 480, params)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation as ScipyRotation
 
 from epipole.errors import ShapeError
-from epipole.geometry import Rigid3, Rotation3, Similarity3, skew
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, skew
 
 
 def test_skew_is_the_cross_product(rng: np.random.Generator) -> None:
@@ -148,10 +148,33 @@ def test_wrong_shapes_are_named(name: str, call: object) -> None:
         call()  # type: ignore[operator]
 
 
-def test_text_tells_the_batch() -> None:
-    assert repr(Rigid3.identity(2, 3)) == "Rigid3(batch (2, 3))"
-    assert repr(Similarity3.identity()) == "Similarity3(batch ())"
-    assert repr(Rotation3.identity(5)) == "Rotation3(batch (5,))"
+def test_text_tells_the_batch_or_the_values_of_a_single_one() -> None:
+    assert repr(Rigid3.identity(2, 3)) == "Rigid3(batch of 2 x 3)"
+    assert repr(Rotation3.identity(5)) == "Rotation3(batch of 5)"
+    assert repr(Rotation3.identity()) == "Rotation3(0 degrees)"
+    quarter = Rigid3(Rotation3.exp([0.0, 0.0, -np.pi / 2]).matrix, np.array([1.0, -0.25, 1e6]))
+    words = "90 degrees about (0, 0, -1), translation (1, -0.25, 1e+06)"
+    assert repr(quarter) == f"Rigid3({words})"
+    assert (
+        repr(Similarity3(np.array(2.0), quarter.rotation, quarter.translation))
+        == f"Similarity3(scale 2, {words})"
+    )
+    assert repr(Rigid2(np.array(0.1), np.ones(2))) == "Rigid2(5.73 degrees, translation (1, 1))"
+    assert repr(Rigid3(np.full((3, 3), np.nan), np.zeros(3))) == "Rigid3(not known)"
+
+
+@pytest.mark.parametrize("kind", [Rotation3, Rigid2, Rigid3, Similarity3])
+def test_a_single_one_has_no_length_and_no_rows(kind: type) -> None:
+    single, three = kind.identity(), kind.identity(3)
+    assert len(three) == 3 and len(list(three)) == 3 and three[1].batch_shape() == ()
+    for wrong in (len, iter, list):
+        with pytest.raises(TypeError, match=f"a single {kind.__name__} has no length"):
+            wrong(single)
+    for index in (0, slice(2), np.array([0])):
+        with pytest.raises(IndexError):
+            single[index]
+    assert single[None].batch_shape() == (1,) and single[...].batch_shape() == ()
+    assert single and three and not kind.identity(0)
 
 
 @pytest.mark.parametrize("target", [[0.0, 0, 1], [0.0, 0, -1], [1.0, 0, 0], [0.6, 0, 0.8], [1e-9, 0, -5.0]])

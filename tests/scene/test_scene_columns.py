@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scene_models import CAMERAS, empty_model, rig_model
 
-from epipole.cameras import MAX_PARAMS, CameraModel
+from epipole.cameras import MAX_PARAMS, Camera, CameraModel
+from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.scene import Cameras, Frames, Points, Rigs, Tracks, ViewGraph, unregistered
 
@@ -123,3 +124,14 @@ def test_rows_must_fit_each_other_in_the_test_run() -> None:
     """The type checks of this test run see columns of unequal length."""
     with pytest.raises(Exception, match="rgb"):
         Points(np.zeros((4, 3)), np.zeros((3, 3), np.uint8), np.zeros(4))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_single_cameras_are_no_columns() -> None:
+    camera = Camera("PINHOLE", 64, 48, [50, 50, 31.5, 23.5])
+    assert repr(Cameras.from_list([camera])[0]) == repr(camera)
+    for wrong in ("PINHOLE", [camera], camera):
+        with pytest.raises(ConfigError, match=r"Cameras\.from_list\(\[Camera\(\.\.\.\)\]\) makes one"):
+            Cameras(wrong, 64, 48, camera.params, True, False)
+    with pytest.raises(ConfigError, match="cameras must be Camera objects, got str"):
+        Cameras.from_list(["PINHOLE"])

@@ -109,7 +109,7 @@ def test_nothing_is_a_model_too() -> None:
     assert model.observed_pixels().shape == (0, 2) and model.reprojection_errors_px().shape == (0,)
     assert np.isnan(model.mean_reprojection_error_px())
     assert len(model.transformed(Similarity3.identity()).points) == 0
-    assert repr(model) == "Reconstruction(0 of 0 images, 0 cameras, 0 points, 0 observations)"
+    assert repr(model) == "Reconstruction(0 of 0 images placed, 0 points, 0 observations, 0 cameras)"
 
 
 def test_one_point(rng: np.random.Generator) -> None:
@@ -119,7 +119,13 @@ def test_one_point(rng: np.random.Generator) -> None:
 
 
 def test_text(model: Reconstruction) -> None:
-    assert repr(model) == "Reconstruction(7 of 8 images, 3 cameras, 12 points, 79 observations)"
+    begin, end = "Reconstruction(7 of 8 images placed, 12 points, 79 observations", ", 3 cameras)"
+    known = replace(model.points, error_px=np.r_[[0.5] * 6, [1.5] * 6])
+    weights = np.diff(model.tracks.offsets)
+    mean = (0.5 * weights[:6].sum() + 1.5 * weights[6:].sum()) / weights.sum()
+    assert repr(replace(model, points=known)) == f"{begin}, mean error {mean:.2f} px{end}"
+    unknown = replace(model.points, error_px=np.full(12, np.nan))
+    assert repr(replace(model, points=unknown)) == begin + end
 
 
 def test_single_cameras_are_rigs_of_one(rng: np.random.Generator) -> None:

@@ -215,3 +215,24 @@ def test_a_blank_right_picture_gives_nothing(cones):
     left, _ = cones
     found = measure_pair(left, np.zeros_like(left), StereoConfig(max_disparity_px=63))
     assert found.disparities.density == 0 and found.warnings
+
+
+def test_every_cause_makes_a_sentence():
+    """Offsets in waves are no rotation, no distortion; each cause's words follow upon "likely cause"."""
+    pair = stereo_room(3, (640, 480))
+    height, width = pair.right.shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    wavy = cv2.remap(pair.right, x, y + 4 * np.sin(x / 25), cv2.INTER_LINEAR)
+    found = examine([(pair.left, wavy)])
+    assert found.cause is Cause.UNCLEAR
+    assert found.problems[0].endswith(
+        "likely cause: blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
+    )
+    tilted = examine([(pair.left, cv2.remap(pair.right, x, y + 3, cv2.INTER_LINEAR))])
+    assert "; likely cause: how the cameras stand to each other (" in tilted.problems[0]
+    blank = np.zeros((480, 640), np.uint8)
+    assert (
+        examine([(blank, blank)])
+        .problems[0]
+        .startswith("0 features match, too few to say anything: the pictures")
+    )

@@ -101,20 +101,6 @@ def test_an_empty_model_can_be_viewed() -> None:
         handle.stop()
 
 
-def test_a_taken_port_is_stepped_over() -> None:
-    port = free_port()
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", port))
-        taken.listen()
-        handle = view(three_cameras(), lambda _: None, port=port, block=False)
-        try:
-            assert handle.url != f"http://127.0.0.1:{port}"
-            with OPEN(handle.url, timeout=10) as answer:
-                assert answer.status == 200
-        finally:
-            handle.stop()
-
-
 def test_first_view_takes_in_the_scene() -> None:
     viewer = ModelViewer(open_server("127.0.0.1", free_port()), three_cameras())
     try:

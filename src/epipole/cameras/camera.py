@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points
+from epipole._declared import check_fields, checked
 from epipole.cameras import _camera_kernels as kernels
-from epipole.cameras.models import MAX_PARAMS, CameraModel
+from epipole.cameras.models import MAX_PARAMS, CameraModel, as_camera_model
 from epipole.errors import ConfigError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False)
 class Camera:
     """A camera's intrinsics. Axes: x right, y down, z forward; pixel (0, 0) is the top-left pixel's centre."""
 
@@ -23,12 +24,33 @@ class Camera:
     height: int
     params: Float64[np.ndarray, " p"]
 
+    def __init__(self, model: CameraModel | str | int, width: int, height: int, params: Any) -> None:
+        """Make a camera, as `Camera("PINHOLE", 640, 480, [500, 500, 319.5, 239.5])`.
+
+        Args:
+            model: the model, or its name or number.
+            width: of the picture, in pixels.
+            height: the same.
+            params: the model's parameters in their order, `model.param_names`.
+
+        Raises:
+            ConfigError: there is no such model, the parameters do not fit it, or no camera can have these values.
+            ShapeError: the parameters are no numbers.
+        """
+        put = object.__setattr__
+        put(self, "model", as_camera_model(model))
+        put(self, "width", width)
+        put(self, "height", height)
+        put(self, "params", as_float_array(params, "params"))
+        self.__post_init__()
+
     def __post_init__(self) -> None:
         """Check the number and the values of the parameters, and the size.
 
         Raises:
             ConfigError: the parameters do not fit the model, or no camera can have these values.
         """
+        check_fields(self)
         names = self.model.param_names
         if self.params.shape != (len(names),):
             raise ConfigError(
@@ -105,6 +127,7 @@ class Camera:
             )
         return rays, out
 
+    @checked
     def scaled_to(self, width: int, height: int) -> Camera:
         """The camera of the same picture resampled to another size (pixel edges are aligned, not centres)."""
         sx, sy = width / self.width, height / self.height

@@ -10,6 +10,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError
 
 MAX_PARAMS = 12
@@ -53,6 +54,7 @@ class CameraModel(IntEnum):
         """Positions of the distortion coefficients (may be empty)."""
         return tuple(range(len(_SPECS[self].focal) + 2, self.num_params))
 
+    @checked
     def initial_params(self, focal_px: float, width: int, height: int) -> np.ndarray:
         """Parameters of an undistorted camera that looks through the middle of its picture."""
         focal = [focal_px] * len(_SPECS[self].focal)
@@ -79,6 +81,7 @@ _SPECS = {
 }
 
 
+@checked
 def camera_model_named(name: str) -> CameraModel:
     """The model of this name (any case).
 
@@ -90,3 +93,20 @@ def camera_model_named(name: str) -> CameraModel:
     except KeyError:
         known = ", ".join(m.name for m in CameraModel)
         raise ConfigError(f"unknown camera model {name!r}; one of {known}") from None
+
+
+def as_camera_model(given: CameraModel | str | int) -> CameraModel:
+    """The model given, or the one of this name or number.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if isinstance(given, CameraModel):
+        return given
+    if isinstance(given, str):
+        return camera_model_named(given)
+    try:
+        return CameraModel(given)
+    except (ValueError, TypeError):
+        known = ", ".join(m.name for m in CameraModel)
+        raise ConfigError(f"a camera's model must be one of {known}; got {given!r}") from None

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import functools
 import gc
+import io
+import logging
 import os
 import sys
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, NoReturn, get_args, get_origin
 
 import tyro
 
-from epipole.errors import EpipoleError
+from epipole.errors import ConfigError, EpipoleError
 
 COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
@@ -28,26 +33,43 @@ COMMANDS = (
     "epipole.cli.main:version",
 )
 """Module and function of every command."""
+ANSWERING = ("stereo-doctor", "view", "evaluate", "version")
+"""Commands that are run for what they print, which --quiet leaves."""
+EVERYWHERE = {
+    **{"-q": "quiet", "--quiet": "quiet"},
+    **{"-v": "verbose", "--verbose": "verbose"},
+    **{"-V": "version", "--version": "version"},
+}
+"""Options of all commands, before the command's name or after it."""
+EVERYWHERE_HELP = (
+    "Every command takes -q, --quiet (print errors alone, and the answer of commands that give one) and"
+    " -v, --verbose (print each unit of work with its time, and where an error comes from)."
+)
+WRONG_USAGE = 2
+
+logger = logging.getLogger("epipole")
 
 
 def view(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    port: int = 8080,
+    port: int | None = None,
     host: str = "127.0.0.1",
 ) -> None:
     """Show a model, or the depth of a pair, in the browser.
 
     Args:
         out: Output folder of a reconstruction or of `stereo`, or a COLMAP model.
-        port: The port to listen on; the next free one if it is in use.
-        host: The address to listen on.
+        port: The port to listen on; None: 8080, or the next free one if it is in use.
+        host: The address to listen on; 0.0.0.0 lets other machines in.
     """
     import threading
 
     from epipole.api import view as run
 
     handle = run(out, port=port, host=host, block=False)
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)")
+    if handle.note:
+        print(f"epipole: {handle.note}", file=sys.stderr)
+    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
     threading.Event().wait()
 
 
@@ -59,44 +81,153 @@ def version() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; errors that are meant for the user become one line and exit code 1."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if "" in given:
-        print("epipole: an argument is empty (an unset variable?)", file=sys.stderr)
-        sys.exit(2)
-    if given[:2] == ["stereo", "doctor"]:
-        given = ["stereo-doctor", *given[2:]]
+    """Run a command; errors that are meant for the user become one line and exit code 1, wrong usage 2."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    asked = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
+    words = [word for word in words if word not in EVERYWHERE]
+    if "" in words:
+        _refuse("an argument is empty (an unset variable?)", WRONG_USAGE)
+    if {"quiet", "verbose"} <= asked:
+        _refuse("--quiet and --verbose exclude each other", WRONG_USAGE)
+    if "version" in asked:
+        words = ["version"]
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    if words[:2] == ["stereo", "doctor"]:
+        words = ["stereo-doctor", *words[2:]]
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
+    if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    with _loudness(asked, words):
+        _run(words)
+
+
+def _run(words: list[str]) -> None:
     try:
-        _dispatch(given)
+        call = _parsed(words)
+        with _unwrapped():
+            call()
     except EpipoleError as error:
-        print(f"epipole: {error}", file=sys.stderr)
-        sys.exit(1)
+        logger.debug("where it was raised", exc_info=True)
+        _refuse(_as_options(error, words, while_parsing=False), 1)
     except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if error.errno != errno.ENOSPC and error.filename is None:
             raise
-        print(
-            f"epipole: {error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}",
-            file=sys.stderr,
-        )
-        sys.exit(1)
+        logger.debug("where it was raised", exc_info=True)
+        _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
     except KeyboardInterrupt:
         note = "epipole: stopped. What was finished is kept; the same command continues from there."
-        print(f"\n{note}" if given[:1] == ["reconstruct"] else "", file=sys.stderr)
+        print(f"\n{note}" if words[:1] == ["reconstruct"] else "", file=sys.stderr)
         sys.exit(130)
 
 
-def _dispatch(given: list[str]) -> None:
+@contextlib.contextmanager
+def _unwrapped() -> Iterator[None]:
+    """Lines in a file are as long as they are: a path that was broken in two could not be copied."""
+    if sys.stdout.isatty() or "COLUMNS" in os.environ:
+        yield
+        return
+    os.environ["COLUMNS"] = "1000"
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS", None)
+
+
+def _refuse(message: str, code: int) -> NoReturn:
+    print(f"epipole: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+@contextlib.contextmanager
+def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
+    """What is printed beside errors: nothing but answers, the usual, or all."""
+    if not asked & {"quiet", "verbose"}:
+        yield
+        return
+    from epipole import screen
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(screen.loudness("quiet" if "quiet" in asked else "verbose"))
+        if "quiet" in asked and words[:1] and words[0] not in ANSWERING:
+            stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
+        if "verbose" in asked:
+            from epipole._version import __version__
+
+            logger.debug("epipole %s, Python %s, arguments %s", __version__, sys.version.split()[0], words)
+        yield
+
+
+def _functions() -> dict[str, Callable[..., None]]:
+    """The function of every command by the command's name."""
+    places = [place.split(":") for place in COMMANDS]
+    found = [getattr(import_module(module), name) for module, name in places]
+    return {function.__name__.replace("_", "-"): function for function in found}
+
+
+def _parsed(words: list[str]) -> Callable[[], None]:
+    """The call that the words ask for. Help is printed here, and wrong usage explained."""
+    functions = _functions()
+    calls: list[Callable[[], None]] = []
     app: Any = tyro.extras.SubcommandApp()
-    for place in COMMANDS:
-        module, name = place.split(":")
-        app.command(getattr(import_module(module), name))
-    app.cli(prog="epipole", description="Photographs to space.", args=given, registry=_registry())
+    for function in functions.values():
+        app.command(_noted(function, calls))
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            app.cli(
+                prog="epipole",
+                description=f"Photographs to space. {EVERYWHERE_HELP}",
+                args=words,
+                registry=_registry(),
+            )
+    except ConfigError as error:
+        _refuse(_as_options(error, words, while_parsing=True), WRONG_USAGE)
+    except SystemExit as stopped:
+        if not stopped.code:
+            raise
+        _refuse(_in_one_sentence(words, stopped, said.getvalue()), WRONG_USAGE)
+    return calls[0]
+
+
+def _noted(function: Callable[..., None], calls: list[Callable[[], None]]) -> Callable[..., None]:
+    """The same command, which only notes that it was called: parsing is over before anything runs."""
+
+    @functools.wraps(function)
+    def note(*arguments: Any, **options: Any) -> None:
+        calls.append(functools.partial(function, *arguments, **options))
+
+    return note
+
+
+def _in_one_sentence(words: list[str], stopped: SystemExit, said: str) -> str:
+    """Why the parser stopped: a config refused its values, or the words are wrong."""
+    from epipole.cli.mistakes import explain, unboxed
+    from epipole.cli.options import signature_of
+
+    cause: BaseException | None = stopped
+    while cause is not None:
+        if isinstance(cause, ConfigError):
+            return _as_options(cause, words, while_parsing=True)
+        cause = cause.__cause__ or cause.__context__
+    signatures = {name: signature_of(name, function) for name, function in _functions().items()}
+    return explain(words, signatures) or unboxed(said)
+
+
+def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -> str:
+    """The error's message, with fields of configs written as the command's options."""
+    if not isinstance(error, ConfigError):
+        return str(error)
+    from epipole.cli.mistakes import with_option_names
+    from epipole.cli.options import signature_of
+
+    signature = signature_of(words[0], _functions()[words[0]])
+    return with_option_names(str(error), words, signature, also_plain=while_parsing)
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:

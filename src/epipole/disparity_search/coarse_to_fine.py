@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
+from epipole._declared import checked
+from epipole.errors import ShapeError
+
 TILE_PX = 384
 MARGIN_PX = 24
 """Beyond a tile on every side, in which its paths begin."""
@@ -27,6 +30,7 @@ class Tile:
     """First and last."""
 
 
+@checked
 def tiles_of(
     coarse_px: Float32[np.ndarray, "h2 w2"], shape: tuple[int, int], search: tuple[int, int]
 ) -> Iterator[Tile]:
@@ -36,8 +40,13 @@ def tiles_of(
         coarse_px: disparities of the picture of half the size, in its own pixels; NaN where unknown.
         shape: height and width of the picture.
         search: first and last disparity of the whole picture.
+
+    Raises:
+        ShapeError: a picture is empty.
     """
     height, width = shape
+    if coarse_px.size == 0 or min(shape) < 1:
+        raise ShapeError(f"pictures must not be empty, got {coarse_px.shape} and {shape}")
     rows, columns = -(-height // TILE_PX), -(-width // TILE_PX)
     scale = width / coarse_px.shape[1]
     low = np.full((rows, columns), np.inf)

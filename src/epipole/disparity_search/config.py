@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 
@@ -59,18 +60,7 @@ class DisparityConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        allowed = {
-            "search": ("full", "coarse_to_fine"),
-            "method": ("sgm", "block"),
-            "paths": (4, 8),
-            "left_right": ("accurate", "fast"),
-            "median_px": (0, 3, 5),
-        }
-        for name, values in allowed.items():
-            if getattr(self, name) not in values:
-                raise ConfigError(
-                    f"{name} must be one of {', '.join(map(str, values))}, got {getattr(self, name)}"
-                )
+        check_fields(self)
         if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
             raise ConfigError(
                 f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"
@@ -86,9 +76,14 @@ class DisparityConfig:
             raise ConfigError("brightness_cost must not be negative")
         bits = self.window[0] * self.window[1] - 1 + self.brightness_cost
         largest = self.small_penalty * (1.0 + self.edge_penalty)
-        if self.small_penalty < 1 or self.edge_penalty < 0 or not self.edge_fade > 0 or bits + largest > 254:
+        if self.small_penalty < 1 or not self.edge_penalty >= 0 or not self.edge_fade > 0:
             raise ConfigError(
-                f"the cost's {bits} bits and the largest penalty {largest:g} must be positive and at most 254 together"
+                "small_penalty must be at least 1, edge_penalty not negative and edge_fade positive, "
+                f"got {self.small_penalty}, {self.edge_penalty} and {self.edge_fade}"
+            )
+        if bits + largest > 254:
+            raise ConfigError(
+                f"the cost's {bits} bits and the largest penalty {largest:g} must be at most 254 together"
             )
         if self.search == "coarse_to_fine" and self.left_right == "fast":
             raise ConfigError(

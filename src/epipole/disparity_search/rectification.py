@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
+from epipole._checks import check_pixels
+from epipole._declared import Declared, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
@@ -18,12 +20,13 @@ _BORDER = 65  # rays along each side of a picture
 _MOST_GROWTH = 4.0  # a rectified picture has at most so many times the pixels of the larger one given
 _SWAPPED_DEG = 135.0  # a baseline that points so far to the left belongs to a swapped pair
 _VERTICAL_DEG = 45.0
+_PICTURES = (np.uint8, np.uint16, np.int16, np.float32, np.float64)
 
 Matrix3 = Float64[np.ndarray, "3 3"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rectification:
+class Rectification(Declared):
     """Tables that resample both pictures, and the rig that would have taken the results."""
 
     rig: RectifiedRig
@@ -67,14 +70,20 @@ class Rectification:
             ("right", right, self.right_map_px),
         ):
             array = np.ascontiguousarray(picture)
-            if array.ndim not in (2, 3) or array.size == 0:
-                raise ShapeError(f"{name} must be a picture, has shape {array.shape}")
+            is_picture = array.ndim in (2, 3) and array.size > 0 and array.dtype in _PICTURES
+            if not is_picture or (array.ndim == 3 and array.shape[2] > 4):
+                raise ShapeError(f"{name} must be a picture, is {array.shape} of {array.dtype}")
             pictures.append(
                 cv2.remap(array, table[..., 0], table[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
             )
         return pictures[0], pictures[1]
 
+    def __repr__(self) -> str:
+        turned = ", turned on its side" if self.is_turned else ""
+        return f"Rectification({self.size[0]} x {self.size[1]}{turned}, {self.rig!r})"
 
+
+@checked
 def rectify(rig: StereoRig) -> Rectification:
     """Rectify two calibrated cameras of any kind (Fusiello, Trucco and Verri 2000, with the axes' mean direction).
 
@@ -118,6 +127,7 @@ def rectify(rig: StereoRig) -> Rectification:
     area = (high_x - low_x) * (high_y - low_y)
     focal = min(focal, float(np.sqrt(_MOST_GROWTH * pixels / area)))
     width, height = max(1, round(focal * (high_x - low_x))), max(1, round(focal * (high_y - low_y)))
+    check_pixels(width, height)
     cx, cy = -focal * low_x - 0.5, -focal * low_y - 0.5
     pinhole = Camera(CameraModel.PINHOLE, width, height, np.array([focal, focal, cx, cy]))
     left_map, left_valid = _table(pinhole, rig.left, rectified_from_left)
@@ -131,6 +141,7 @@ def rectify(rig: StereoRig) -> Rectification:
     )
 
 
+@checked
 def is_right_of_left(rig: StereoRig) -> bool:
     """Whether left and right are swapped: the right camera's centre lies to the left of the left one's axis."""
     x, y, _ = rig.right_from_left.inverse().translation
@@ -174,10 +185,13 @@ def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> t
     return pixels.astype(np.float32).reshape(*shape, 2), inside.reshape(shape)
 
 
+@checked
 def within_both(
     disparities: DisparityMap, left_valid: Bool[np.ndarray, "h w"], right_valid: Bool[np.ndarray, "h w"]
 ) -> DisparityMap:
     """The disparities of pixels that the left camera sees and whose matches the right one sees; others are OUT_OF_VIEW."""
+    if not disparities.reason.shape == left_valid.shape == right_valid.shape:
+        raise ShapeError("disparities, left_valid and right_valid must have one size")
     height, width = disparities.reason.shape
     matched = np.rint(np.arange(width) - np.nan_to_num(disparities.disparity_px)).astype(np.int64)
     rows = np.arange(height)[:, None]

@@ -121,7 +121,10 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
     """Both pictures with one channel; a grey one may go with a coloured one."""
     greys = []
     for name, picture in (("left", left), ("right", right)):
-        array = np.asarray(picture)
+        try:
+            array = np.asarray(picture)
+        except (TypeError, ValueError) as error:
+            raise ShapeError(f"{name} must be a picture: {error}") from error
         if array.size == 0:
             raise ShapeError(f"{name} is empty: {array.shape}")
         if array.ndim == 3 and array.shape[2] == 3 and array.dtype in (np.uint8, np.uint16):
@@ -361,5 +364,5 @@ def _speckles(disparity: np.ndarray, reason: np.ndarray, least: int) -> np.ndarr
         return np.zeros(disparity.shape, bool)
     known = reason == StereoReason.OK
     sixteenths = np.where(known, np.rint(16.0 * disparity), -32768.0).astype(np.int16)
-    cv2.filterSpeckles(sixteenths, -32768, least - 1, 16.0 * _SMOOTH_PX)
+    cv2.filterSpeckles(sixteenths, -32768, min(least - 1, reason.size), 16.0 * _SMOOTH_PX)
     return known & (sixteenths == -32768)

@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 
 from epipole import _parallel
+from epipole._declared import Declared, checked
+from epipole.errors import ShapeError
 
 NUM_CUES = 6
 _ROWS = 64  # at a time: the cues take 24 bytes a pixel
@@ -70,7 +72,7 @@ LOG_SIGMAS = np.array(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchEvidence:
+class MatchEvidence(Declared):
     """What matching knows of each pixel beside its disparity."""
 
     steepness: Float32[np.ndarray, "h w"]
@@ -87,6 +89,7 @@ class MatchEvidence:
     """How far its neighbours' disparities differ from each other."""
 
 
+@checked
 def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Float32[np.ndarray, "cues h w"]:
     """Of rows start..stop: logarithms of what is seen, the small constants being where it no longer says anything."""
     rows = slice(start, stop)
@@ -104,11 +107,15 @@ def cues(evidence: MatchEvidence, start: int = 0, stop: int | None = None) -> Fl
     return out
 
 
+@checked
 def roughness(disparity_px: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
     """How far the disparities about a pixel differ from their means over 5 x 5."""
+    if disparity_px.size == 0:
+        raise ShapeError(f"disparity_px is empty: {disparity_px.shape}")
     return np.asarray(cv2.blur(np.abs(disparity_px - cv2.blur(disparity_px, (5, 5))), (5, 5)))
 
 
+@checked
 def score(of: Float32[np.ndarray, "cues h w"]) -> Float32[np.ndarray, "h w"]:
     """The cues' weighted sum with their squares; larger is worse."""
     weights = WEIGHTS.astype(np.float32)
@@ -118,6 +125,7 @@ def score(of: Float32[np.ndarray, "cues h w"]) -> Float32[np.ndarray, "h w"]:
     return out
 
 
+@checked
 def disparity_sigma(evidence: MatchEvidence) -> Float32[np.ndarray, "h w"]:
     """Standard deviation of each disparity, in pixels."""
     out = np.empty(evidence.steepness.shape, np.float32)

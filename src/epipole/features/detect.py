@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole._declared import checked
 from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.sift import detect_sift
@@ -15,6 +16,7 @@ from epipole.features.sift import detect_sift
 _opencv: Any = cv2  # its stubs lack ORB
 
 
+@checked
 def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None = None) -> Features:
     """Find and describe features of a grey picture; none in a blank or tiny one.
 

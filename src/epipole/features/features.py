@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from epipole._declared import Declared
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Features:
+class Features(Declared):
     """One row per feature, strongest scale first."""
 
     pixels: Float32[np.ndarray, "n 2"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 
+from epipole._declared import checked
 from epipole.config import MatchConfig, options_of
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.features import _byte_dot_kernels as byte_kernels
 from epipole.features import _matching_kernels as kernels
 from epipole.features.features import Features
@@ -14,10 +15,12 @@ from epipole.features.features import Features
 _BLOCK_ROWS = 256
 _STRIP_PX, _CELL_PX = 32.0, 8.0
 """Width of the strips in which features along a line are looked up, and length of their cells."""
+_MOST_CELLS = 1 << 26
 _UNIT = 512.0
 """Length of a root-SIFT descriptor."""
 
 
+@checked
 def match_descriptors(
     descriptors1: UInt8[np.ndarray, "n d"],
     descriptors2: UInt8[np.ndarray, "m e"],
@@ -105,6 +108,7 @@ def _accept(
     return _one_to_one(rows1[mutual], column[rows1[mutual]])
 
 
+@checked
 def match_along_epipolar_lines(
     features1: Features,
     features2: Features,
@@ -123,8 +127,19 @@ def match_along_epipolar_lines(
         fundamental: x2^T F x1 = 0, pixels.
         band_px: half width of the band around a line.
         config: ratio and distance bounds.
+
+    Raises:
+        ShapeError: features are not SIFT's, or have pixels that no picture has.
+        ConfigError: the band has no width.
     """
     config = options_of(MatchConfig, config)
+    if not 0 < band_px < np.inf:
+        raise ConfigError(f"band_px must be positive and finite, got {band_px}")
+    for name, features in (("features1", features1), ("features2", features2)):
+        if features.descriptors.shape[1] != 128:
+            raise ShapeError(f"{name} must be SIFT's of 128 columns, got {features.descriptors.shape[1]}")
+        if not np.isfinite(features.pixels).all():
+            raise ShapeError(f"{name} must have finite pixels")
     n, m = len(features1), len(features2)
     if min(n, m) == 0:
         return np.empty((0, 2), np.int32)
@@ -145,6 +160,8 @@ def _cells(features: Features, axis: int) -> tuple[np.ndarray, np.ndarray, np.nd
     strip = np.maximum(pixels[:, axis] // _STRIP_PX, 0).astype(np.int64)
     cell = np.maximum(pixels[:, 1 - axis] // _CELL_PX, 0).astype(np.int64)
     strips, cells = int(strip.max()) + 1, int(cell.max()) + 1
+    if strips * cells > _MOST_CELLS:
+        raise ShapeError(f"features have pixels as large as {pixels.max():.3g}: no picture is so large")
     key = strip * cells + cell
     order = np.argsort(key, kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=strips * cells))])

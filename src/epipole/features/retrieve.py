@@ -7,11 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
+from epipole._declared import checked
+from epipole.errors import ConfigError, ShapeError
 
+_BLOCK_ROWS = 2048
+"""Pictures that are compared with all others at a time: memory grows with their number, not with its square."""
+
+
+@checked
 def train_vocabulary(
     descriptors: Sequence[UInt8[np.ndarray, "_ d"]], num_words: int = 64, seed: int = 0, rounds: int = 10
 ) -> Float32[np.ndarray, "w d"]:
     """Lloyd's k-means over a sample of all pictures' descriptors (Lloyd 1982); the words' centres."""
+    if num_words < 1 or seed < 0 or rounds < 0:
+        raise ConfigError("num_words must be positive, seed and rounds not negative")
+    if len({d.shape[1] for d in descriptors}) > 1:
+        raise ShapeError("descriptors must have one width")
     random = np.random.default_rng(seed)
     per_image = max(1, 50_000 // max(len(descriptors), 1))
     picked = [d[np.sort(random.permutation(len(d))[:per_image])] for d in descriptors if len(d)]
@@ -23,14 +34,20 @@ def train_vocabulary(
         word = _nearest_word(sample, words)
         counts = np.bincount(word, minlength=num_words)
         sums = np.stack([np.bincount(word, sample[:, c], num_words) for c in range(sample.shape[1])], axis=1)
+        before = words
         words = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], words).astype(np.float32)
+        if np.array_equal(words, before):  # further rounds would change nothing
+            break
     return words
 
 
+@checked
 def describe_image(
     descriptors: UInt8[np.ndarray, "n d"], words: Float32[np.ndarray, "w d"]
 ) -> Float32[np.ndarray, " v"]:
     """VLAD with signed square roots, unit length (Jegou et al., CVPR 2010; Arandjelovic and Zisserman 2013)."""
+    if descriptors.shape[1] != words.shape[1]:
+        raise ShapeError(f"descriptors have {descriptors.shape[1]} columns, words {words.shape[1]}")
     out = np.zeros_like(words)
     if len(descriptors) and len(words):
         values = descriptors.astype(np.float32)
@@ -41,12 +58,18 @@ def describe_image(
     return (flat / max(float(np.linalg.norm(flat)), 1e-12)).ravel()
 
 
+@checked
 def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.ndarray, "n c"]:
     """For each picture the `count` others of greatest cosine, best first."""
-    similarity = vectors @ vectors.T
-    np.fill_diagonal(similarity, -np.inf)
-    order = np.argsort(-similarity, axis=1, kind="stable")
-    return order[:, : max(0, min(count, len(vectors) - 1))].astype(np.int32)
+    n = len(vectors)
+    kept = max(0, min(count, n - 1))
+    out = np.empty((n, kept), np.int32)
+    for start in range(0, n, _BLOCK_ROWS):
+        block = vectors[start : start + _BLOCK_ROWS]
+        similarity = block @ vectors.T
+        similarity[np.arange(len(block)), start + np.arange(len(block))] = -np.inf
+        out[start : start + _BLOCK_ROWS] = np.argsort(-similarity, axis=1, kind="stable")[:, :kept]
+    return out
 
 
 def _nearest_word(values: np.ndarray, words: np.ndarray) -> np.ndarray:

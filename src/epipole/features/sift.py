@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from epipole._declared import checked
 from epipole.config import FeatureConfig
 from epipole.features import _scale_space_kernels as space
 from epipole.features import _sift_kernels as kernels
@@ -113,6 +114,7 @@ def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return columns[:count], descriptors[:count]
 
 
+@checked
 def root_sift(descriptors: Float32[np.ndarray, "n 128"]) -> UInt8[np.ndarray, "n 128"]:
     """Square roots of L1-normalised SIFT, times 512, as bytes (Arandjelovic and Zisserman, CVPR 2012).
 

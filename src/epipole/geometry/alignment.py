@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_points, require_same_length
-from epipole.errors import DegenerateGeometryError
+from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.similarity3 import Similarity3
 
 
+@checked
 def align_points(source: Any, target: Any, *, with_scale: bool = True) -> Similarity3:
     """target_from_source minimising sum |target - (s R source + t)|^2 (Umeyama, PAMI 1991, eqs. 40-42).
 
@@ -28,7 +30,10 @@ def align_points(source: Any, target: Any, *, with_scale: bool = True) -> Simila
         raise DegenerateGeometryError(f"aligning needs at least 3 points, got {len(source)}")
     mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
     a, b = source - mean_source, target - mean_target
-    u, singular, vt = np.linalg.svd(b.T @ a / len(a))
+    covariance = b.T @ a / len(a)
+    if not np.isfinite(covariance).all():
+        raise ShapeError("source or target has numbers too large to be squared")
+    u, singular, vt = np.linalg.svd(covariance)
     if singular[1] <= 1e-12 * max(singular[0], 1e-300):
         raise DegenerateGeometryError(
             "the points lie on a line (or coincide): the rotation is not determined"

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array
+from epipole._checks import as_float_array, check_broadcast
+from epipole._declared import checked
 from epipole.errors import ConfigError
 
 
+@checked
 def disparity_to_depth(
     disparity_px: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
 ) -> Float64[np.ndarray, ...]:
@@ -34,6 +36,7 @@ def disparity_to_depth(
         return np.where(shifted >= 0, focal_px * baseline / np.abs(shifted), np.nan)
 
 
+@checked
 def depth_to_disparity(
     depth: Any, focal_px: float, baseline: float, principal_offset_px: float = 0.0
 ) -> Float64[np.ndarray, ...]:
@@ -48,6 +51,7 @@ def depth_to_disparity(
         return np.where(z > 0, focal_px * baseline / z - principal_offset_px, np.nan)
 
 
+@checked
 def depth_error(
     depth: Any, focal_px: float, baseline: float, disparity_error_px: Any
 ) -> Float64[np.ndarray, ...]:
@@ -63,8 +67,9 @@ def depth_error(
         ConfigError: focal length or baseline is not positive.
     """
     _check(focal_px, baseline)
-    z = as_float_array(depth, "depth")
-    return z * z / (focal_px * baseline) * np.abs(as_float_array(disparity_error_px, "disparity_error_px"))
+    z, error_px = as_float_array(depth, "depth"), as_float_array(disparity_error_px, "disparity_error_px")
+    check_broadcast(depth=z.shape, disparity_error_px=error_px.shape)
+    return z * z / (focal_px * baseline) * np.abs(error_px)
 
 
 def _check(focal_px: float, baseline: float) -> None:

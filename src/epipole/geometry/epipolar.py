@@ -10,30 +10,40 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
-from epipole.errors import ShapeError
+from epipole._checks import as_float_array, as_points, check_broadcast, require_same_length
+from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.homogeneous import normalize_lines, to_homogeneous
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import skew
 from epipole.geometry.triangulation import triangulate_two_view
 
 
+@checked
 def essential_from_cam2_from_cam1(cam2_from_cam1: Rigid3) -> Float64[np.ndarray, "*batch 3 3"]:
     """E = [t]x R (Longuet-Higgins 1981). No translation gives the zero matrix: there is no epipolar geometry."""
     return skew(cam2_from_cam1.translation) @ cam2_from_cam1.rotation
 
 
 def fundamental_from_essential(essential: Any, K1: Any, K2: Any) -> Float64[np.ndarray, "*batch 3 3"]:
-    """F = K2^-T E K1^-1 (Luong and Faugeras 1996)."""
+    """F = K2^-T E K1^-1 (Luong and Faugeras 1996).
+
+    Raises:
+        DegenerateGeometryError: a calibration matrix is singular.
+        ShapeError: the arrays do not fit.
+    """
     K1, K2 = as_float_array(K1, "K1", 3, 3), as_float_array(K2, "K2", 3, 3)
     essential = as_float_array(essential, "essential", 3, 3)
-    return np.swapaxes(np.linalg.inv(K2), -1, -2) @ essential @ np.linalg.inv(K1)
+    check_broadcast(essential=essential.shape, K1=K1.shape, K2=K2.shape)
+    return np.swapaxes(_inverse(K2, "K2"), -1, -2) @ essential @ _inverse(K1, "K1")
 
 
 def essential_from_fundamental(fundamental: Any, K1: Any, K2: Any) -> Float64[np.ndarray, "*batch 3 3"]:
     """E = K2^T F K1."""
     K1, K2 = as_float_array(K1, "K1", 3, 3), as_float_array(K2, "K2", 3, 3)
-    return np.swapaxes(K2, -1, -2) @ as_float_array(fundamental, "fundamental", 3, 3) @ K1
+    fundamental = as_float_array(fundamental, "fundamental", 3, 3)
+    check_broadcast(fundamental=fundamental.shape, K1=K1.shape, K2=K2.shape)
+    return np.swapaxes(K2, -1, -2) @ fundamental @ K1
 
 
 def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]:
@@ -44,7 +54,7 @@ def epipolar_lines(fundamental: Any, pixels1: Any) -> Float64[np.ndarray, "n 3"]
 
 def epipoles(fundamental: Any) -> tuple[Float64[np.ndarray, 3], Float64[np.ndarray, 3]]:
     """(e1, e2) with F e1 = 0 and F^T e2 = 0, as unit homogeneous vectors: images of the other camera's centre."""
-    u, _, vt = np.linalg.svd(_single_matrix(fundamental, "fundamental"))
+    u, _, vt = np.linalg.svd(_single_matrix(fundamental, "fundamental", finite=True))
     return vt[2], u[:, 2]
 
 
@@ -66,13 +76,14 @@ def decompose_essential_matrix(essential: Any) -> Rigid3:
     Returns:
         Rigid3 with batch shape (4,). The length of t cannot be known from E.
     """
-    u, _, vt = np.linalg.svd(_single_matrix(essential, "essential"))
+    u, _, vt = np.linalg.svd(_single_matrix(essential, "essential", finite=True))
     u, vt = u * np.sign(np.linalg.det(u)), vt * np.sign(np.linalg.det(vt))
     w = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     ra, rb, t = u @ w @ vt, u @ w.T @ vt, u[:, 2]
     return Rigid3(np.stack([ra, ra, rb, rb]), np.stack([t, -t, t, -t]))
 
 
+@checked
 def choose_by_cheirality(
     candidates: Rigid3, rays1: Any, rays2: Any
 ) -> tuple[int, Bool[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
@@ -86,6 +97,8 @@ def choose_by_cheirality(
     Returns:
         Index of the best candidate, mask of the points in front of both cameras, points in camera 1.
     """
+    if len(candidates.batch_shape()) != 1:
+        raise ShapeError(f"candidates must have a batch of one axis, got {candidates.batch_shape()}")
     rays1, rays2 = as_points(rays1, "rays1", 3), as_points(rays2, "rays2", 3)
     require_same_length(rays1=rays1, rays2=rays2)
     best = (-1, np.zeros(len(rays1), bool), np.full((len(rays1), 3), np.nan))
@@ -97,9 +110,16 @@ def choose_by_cheirality(
     return best
 
 
-def _single_matrix(matrix: Any, name: str) -> np.ndarray:
+def _inverse(matrix: np.ndarray, name: str) -> np.ndarray:
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometryError(f"{name} is singular") from error
+
+
+def _single_matrix(matrix: Any, name: str, *, finite: bool = False) -> np.ndarray:
     """A 3x3 matrix; a batch would be read as something else without a word."""
-    out = as_float_array(matrix, name, 3, 3)
+    out = as_float_array(matrix, name, 3, 3, finite=finite)
     if out.ndim != 2:
         raise ShapeError(f"{name} must be one (3, 3) matrix, got {out.shape}")
     return out

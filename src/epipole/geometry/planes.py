@@ -29,6 +29,9 @@ class PlaneMotions:
     def __len__(self) -> int:
         return len(self.normals_in_cam1)
 
+    def __repr__(self) -> str:
+        return f"PlaneMotions({len(self)} solutions)"
+
 
 def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None) -> PlaneMotions:
     """The motions that a homography x2 ~ H x1 allows: up to four, or two where points on the plane are known.
@@ -50,6 +53,10 @@ def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None)
     if H.ndim != 2:
         raise ShapeError(f"homography must be one (3, 3) matrix, got {H.shape}")
     K1, K2 = as_float_array(K1, "K1", 3, 3, finite=True), as_float_array(K2, "K2", 3, 3, finite=True)
+    if K1.ndim != 2 or K2.ndim != 2:
+        raise ShapeError(f"K1 and K2 must be one (3, 3) matrix each, got {K1.shape} and {K2.shape}")
+    if not max(np.linalg.cond(K1), np.linalg.cond(K2)) < 1e15:
+        raise DegenerateGeometryError("K1 or K2 is singular")
     G = np.linalg.solve(K2, H @ K1)
     singular = np.linalg.svd(G, compute_uv=False)
     if not singular[2] > 1e-12 * singular[0]:

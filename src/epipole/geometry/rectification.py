@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points, require_same_length
+from epipole._declared import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.epipolar import epipoles
 from epipole.geometry.homogeneous import from_homogeneous, to_homogeneous
@@ -16,6 +17,7 @@ from epipole.geometry.rotation3 import skew
 Matrix3 = Float64[np.ndarray, "3 3"]
 
 
+@checked
 def rectifying_homographies(
     fundamental: Any, pixels1: Any, pixels2: Any, size: tuple[int, int]
 ) -> tuple[Matrix3, Matrix3]:
@@ -67,6 +69,8 @@ def rectifying_homographies(
     moved1, moved2 = from_homogeneous(to_homogeneous(x1) @ H0.T), from_homogeneous(to_homogeneous(x2) @ H2.T)
     # The shear (a, b, c) of the rows' coordinate: a u + b v + c nearest to u2.
     system = to_homogeneous(moved1)
+    if not np.isfinite(system).all() or not np.isfinite(moved2).all():
+        raise DegenerateGeometryError("a match goes to infinity")
     shear, _, rank, _ = np.linalg.lstsq(system, moved2[:, 0], rcond=None)
     if rank < 3 or not np.isfinite(shear).all():
         raise DegenerateGeometryError("the matches lie on a line: the shear is not determined")

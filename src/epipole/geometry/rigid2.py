@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
-from epipole.geometry.batch import Batch
+from epipole._declared import checked
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3
 
@@ -21,12 +22,13 @@ class Rigid2(Batch):
     angle_rad: Float64[np.ndarray, "*batch"]
     """Counter-clockwise, kept within (-pi, pi]."""
     translation: Float64[np.ndarray, "*batch 2"]
+    _items = ((), (2,))
 
     def __post_init__(self) -> None:
         """Bring the angle into (-pi, pi]."""
-        turned = np.asarray(self.angle_rad, dtype=np.float64)
+        Batch.__post_init__(self)
         # Arithmetic on an array without axes gives a plain number: make it an array again.
-        object.__setattr__(self, "angle_rad", np.asarray(np.pi - np.mod(np.pi - turned, 2 * np.pi)))
+        object.__setattr__(self, "angle_rad", np.asarray(np.pi - np.mod(np.pi - self.angle_rad, 2 * np.pi)))
 
     @staticmethod
     def identity(*batch: int) -> Rigid2:
@@ -52,6 +54,10 @@ class Rigid2(Batch):
         x, y = self.translation[..., 0], self.translation[..., 1]
         return np.stack([along * x + half * y, along * y - half * x, self.angle_rad], axis=-1)
 
+    def _in_words(self) -> str:
+        degrees = in_words(np.rad2deg(self.angle_rad))
+        return f"{degrees} degrees, translation {in_words(self.translation)}"
+
     def adjoint(self) -> Float64[np.ndarray, "*batch 3 3"]:
         """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, (t_y, -t_x)], [0, 1]]."""
         out = np.zeros((*self.angle_rad.shape, 3, 3))
@@ -70,13 +76,17 @@ class Rigid2(Batch):
         back = np.swapaxes(self.rotation(), -1, -2)
         return Rigid2(np.asarray(-self.angle_rad), -(back @ self.translation[..., None])[..., 0])
 
+    @checked
     def __matmul__(self, other: Rigid2) -> Rigid2:
         """Composition: c_from_b @ b_from_a = c_from_a."""
+        self.check_fits(other.batch_shape(), "the other's motions")
         return Rigid2(np.asarray(self.angle_rad + other.angle_rad), self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 2"]:
         """Move points (..., 2) from source to target coordinates; the batch shapes broadcast."""
-        return (self.rotation() @ np.asarray(points, np.float64)[..., None])[..., 0] + self.translation
+        points = as_float_array(points, "points", 2)
+        self.check_fits(points.shape[:-1], "points")
+        return (self.rotation() @ points[..., None])[..., 0] + self.translation
 
     def as_rigid3(self) -> Rigid3:
         """The same motion of the plane z = 0 in space."""
@@ -87,6 +97,7 @@ class Rigid2(Batch):
         return Rigid3(Rotation3.exp(turn).matrix, shift)
 
     @staticmethod
+    @checked
     def from_rigid3(motion: Rigid3) -> Rigid2:
         """The part of a motion in space that lies in the plane z = 0."""
         angle = np.arctan2(

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole._declared import checked
 from epipole.errors import ShapeError
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rotation3 import Rotation3, skew
 
 
@@ -24,6 +25,7 @@ class Rigid3(Batch):
 
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
+    _items = ((3, 3), (3,))
 
     @staticmethod
     def identity(*batch: int) -> Rigid3:
@@ -74,8 +76,10 @@ class Rigid3(Batch):
         back = Rotation3(self.rotation).inverse()
         return Rigid3(back.matrix, -back.apply(self.translation))
 
+    @checked
     def __matmul__(self, other: Rigid3) -> Rigid3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
+        self.check_fits(other.batch_shape(), "the other's motions")
         return Rigid3(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
@@ -88,6 +92,9 @@ class Rigid3(Batch):
         out[..., :3, :3] = out[..., 3:, 3:] = self.rotation
         out[..., :3, 3:] = skew(self.translation) @ self.rotation
         return out
+
+    def _in_words(self) -> str:
+        return f"{Rotation3(self.rotation)._in_words()}, translation {in_words(self.translation)}"
 
     def centers(self) -> Float64[np.ndarray, "*batch 3"]:
         """The target's origin in source coordinates: the camera centres, for cam_from_world."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole._declared import checked
 from epipole.errors import ShapeError
-from epipole.geometry.batch import Batch
+from epipole.geometry.batch import Batch, in_words
 
 
 def skew(vectors: Any) -> Float64[np.ndarray, "*batch 3 3"]:
@@ -26,7 +27,7 @@ class Rotation3(Batch):
     """A batch of rotations, `x_in_target = matrix @ x_in_source`."""
 
     matrix: Float64[np.ndarray, "*batch 3 3"]
-    _item_axes: ClassVar[int] = 2
+    _items = ((3, 3),)
 
     @staticmethod
     def identity(*batch: int) -> Rotation3:
@@ -86,8 +87,12 @@ class Rotation3(Batch):
 
     @staticmethod
     def nearest(matrix: Any) -> Rotation3:
-        """The rotation nearest to a 3x3 matrix in the Frobenius norm (Schoenemann 1966, with det = +1)."""
-        u, _, vt = np.linalg.svd(as_float_array(matrix, "matrix", 3, 3))
+        """The rotation nearest to a 3x3 matrix in the Frobenius norm (Schoenemann 1966, with det = +1).
+
+        Raises:
+            ShapeError: it is not a finite 3x3 matrix.
+        """
+        u, _, vt = np.linalg.svd(as_float_array(matrix, "matrix", 3, 3, finite=True))
         sign = np.sign(np.linalg.det(u @ vt))
         u[..., :, 2] *= np.where(sign < 0, -1.0, 1.0)[..., None]
         return Rotation3(u @ vt)
@@ -111,17 +116,27 @@ class Rotation3(Batch):
         """source_from_target."""
         return Rotation3(np.ascontiguousarray(np.swapaxes(self.matrix, -1, -2)))
 
+    @checked
     def __matmul__(self, other: Rotation3) -> Rotation3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
+        self.check_fits(other.batch_shape(), "the other's rotations")
         return Rotation3(self.matrix @ other.matrix)
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Rotate points (..., 3); the batch shapes broadcast."""
-        return (self.matrix @ as_float_array(points, "points", 3)[..., None])[..., 0]
+        points = as_float_array(points, "points", 3)
+        self.check_fits(points.shape[:-1], "points")
+        return (self.matrix @ points[..., None])[..., 0]
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 3 3"]:
         """Ad with R exp(phi) R^-1 = exp(Ad phi): the matrix itself."""
         return self.matrix
+
+    def _in_words(self) -> str:
+        phi = self.log()
+        angle = np.linalg.norm(phi)
+        around = f" about {in_words(phi / angle)}" if angle > 0 else ""
+        return f"{in_words(np.rad2deg(angle))} degrees{around}"
 
     def angle_rad(self) -> Float64[np.ndarray, "*batch"]:
         """The rotation angle in [0, pi], accurate for small angles too."""

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
-from epipole.geometry.batch import Batch
+from epipole._declared import checked
+from epipole.geometry.batch import Batch, in_words
 from epipole.geometry.rigid3 import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
 
@@ -24,13 +25,10 @@ class Similarity3(Batch):
     Tangents are (translation, rotation, log of scale).
     """
 
-    scale: Float64[Any, "*batch"]  # an array, whatever comes in: see below
+    scale: Float64[Any, "*batch"]  # an array, where a number comes in, too
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
-
-    def __post_init__(self) -> None:
-        """Keep the scale an array, where NumPy turned a single value into a scalar or the caller gave a number."""
-        object.__setattr__(self, "scale", np.asarray(self.scale, dtype=np.float64))
+    _items = ((), (3, 3), (3,))
 
     @staticmethod
     def identity(*batch: int) -> Similarity3:
@@ -57,8 +55,10 @@ class Similarity3(Batch):
         translation = -back.apply(self.translation) / self.scale[..., None]
         return Similarity3(1.0 / self.scale, back.matrix, translation)
 
+    @checked
     def __matmul__(self, other: Similarity3) -> Similarity3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
+        self.check_fits(other.batch_shape(), "the other's similarities")
         return Similarity3(
             self.scale * other.scale, self.rotation @ other.rotation, self.apply(other.translation)
         )
@@ -77,11 +77,16 @@ class Similarity3(Batch):
         out[..., 6, 6] = 1.0
         return out
 
+    def _in_words(self) -> str:
+        return f"scale {in_words(self.scale)}, {Rigid3(self.rotation, self.translation)._in_words()}"
+
+    @checked
     def move_cam_from_source(self, cam_from_source: Rigid3) -> Rigid3:
         """cam_from_target for cameras given in source coordinates; the camera's unit of length follows.
 
         A camera sees the same pixels: x_cam' = s (R_cs x_source + t_cs) with x_target = S x_source.
         """
+        self.check_fits(cam_from_source.batch_shape(), "cam_from_source")
         rotation = cam_from_source.rotation @ np.swapaxes(self.rotation, -1, -2)
         moved = (rotation @ self.translation[..., None])[..., 0]
         return Rigid3(rotation, self.scale[..., None] * cam_from_source.translation - moved)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.geometry.rotation3 import skew
 
 _BERNOULLI = (1.0, 0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30240.0, 0.0, -1.0 / 1209600.0)
@@ -12,6 +13,7 @@ _BERNOULLI = (1.0, 0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30240.0, 0.0, 
 _NEGLIGIBLE = 1e-10
 
 
+@checked
 def inverse_right_jacobian(xi: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "n d d"]:
     """D log(exp(xi) exp(delta)) / d delta as a series in ad(xi), to the eighth power: 1e-9 below one radian.
 
@@ -32,6 +34,7 @@ def inverse_right_jacobian(xi: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray
     return _series(ad)
 
 
+@checked
 def inverse_left_jacobian(xi: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "n d d"]:
     """D log(exp(delta) exp(xi)) / d delta, as `inverse_right_jacobian`."""
     return inverse_right_jacobian(-xi)

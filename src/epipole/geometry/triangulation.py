@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
-from epipole.errors import DegenerateGeometryError
+from epipole._checks import as_directions, as_float_array, as_points, check_broadcast, require_same_length
+from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry.rigid3 import Rigid3
 
 
+@checked
 def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray, 3]:
     """The point nearest to n >= 2 rays in the DLT sense (HZ section 12.2, on unit rays).
 
@@ -27,22 +29,29 @@ def triangulate_linear(cams_from_world: Rigid3, rays: Any) -> Float64[np.ndarray
         ShapeError: the arrays do not fit.
     """
     rays = as_points(rays, "rays", 3, finite=True)
+    if len(cams_from_world.batch_shape()) != 1:
+        raise ShapeError(
+            f"cams_from_world must be one per ray, got the batch {cams_from_world.batch_shape()}"
+        )
+    if not np.isfinite(cams_from_world.as_matrix()).all():
+        raise ShapeError("cams_from_world must be finite")
     if require_same_length(cams_from_world=cams_from_world.translation, rays=rays) < 2:
         raise DegenerateGeometryError(f"triangulation needs at least 2 rays, got {len(rays)}")
-    d = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    d = as_directions(rays, "rays")
     # The component of R X + t orthogonal to d vanishes: (I - d d^T) [R t] X = 0.
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     scale = np.abs(cams_from_world.translation).max() or 1.0
     system = across @ np.concatenate(
         [cams_from_world.rotation, cams_from_world.translation[:, :, None] / scale], axis=2
     )
-    _, singular, vt = np.linalg.svd(system.reshape(-1, 4))
+    _, singular, vt = np.linalg.svd(system.reshape(-1, 4), full_matrices=False)
     rounding = 1e-14
     if singular[2] < rounding * singular[0] or abs(vt[3, 3]) < rounding:
         return np.full(3, np.nan)
     return scale * vt[3, :3] / vt[3, 3]
 
 
+@checked
 def triangulate_two_view(
     cam2_from_cam1: Rigid3, rays1: Any, rays2: Any
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
@@ -62,6 +71,8 @@ def triangulate_two_view(
     Raises:
         ShapeError: the arrays do not fit.
     """
+    if cam2_from_cam1.batch_shape() != ():
+        raise ShapeError(f"cam2_from_cam1 must be a single motion, got {cam2_from_cam1.batch_shape()}")
     rays1, rays2 = as_points(rays1, "rays1", 3), as_points(rays2, "rays2", 3)
     require_same_length(rays1=rays1, rays2=rays2)
     with np.errstate(invalid="ignore"):  # a ray of no length gives NaN too
@@ -80,8 +91,7 @@ def triangulate_two_view(
 def ray_angles_rad(points: Any, centers_a: Any, centers_b: Any) -> Float64[np.ndarray, "*batch"]:
     """Angle at each point between the rays to two camera centres: the triangulation (parallax) angle."""
     points = as_float_array(points, "points", 3)
-    a, b = (
-        as_float_array(centers_a, "centers_a", 3) - points,
-        as_float_array(centers_b, "centers_b", 3) - points,
-    )
+    a, b = as_float_array(centers_a, "centers_a", 3), as_float_array(centers_b, "centers_b", 3)
+    check_broadcast(points=points.shape, centers_a=a.shape, centers_b=b.shape)
+    a, b = a - points, b - points
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), (a * b).sum(axis=-1)))

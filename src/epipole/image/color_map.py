@@ -6,7 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from epipole._declared import checked
 
+
+@checked
 def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
     """The values of the first and the last colour: 1st and 99th percentile of the finite ones; 0, 1 of none."""
     known = values[np.isfinite(values)]
@@ -16,6 +19,7 @@ def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@checked
 def color_map(values: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
     """Turbo colours (RGB) over `color_range`, blue to red; black where a value is not finite."""
     known = np.isfinite(values)

@@ -6,11 +6,21 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole._declared import checked
+from epipole.errors import ConfigError
 
+
+@checked
 def downscaled(
     image: UInt8[np.ndarray, "h w *channels"], max_side_px: int
 ) -> UInt8[np.ndarray, "h2 w2 *channels"]:
-    """The picture by area averages, its longer side at most so long; the same array if it is already."""
+    """The picture by area averages, its longer side at most so long; the same array if it is already.
+
+    Raises:
+        ConfigError: the picture is empty, or the side not positive.
+    """
+    if image.ndim > 3 or image.size == 0 or max_side_px < 1:
+        raise ConfigError(f"a picture of {image.shape} has no form of {max_side_px} pixels")
     height, width = image.shape[:2]
     factor = max_side_px / max(height, width)
     if factor >= 1.0:

@@ -6,9 +6,12 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 
 
+@checked
 def undistorted_camera(camera: Camera) -> Camera:
     """The PINHOLE camera whose picture shows nothing beyond this camera's border.
 
@@ -39,12 +42,18 @@ def undistorted_camera(camera: Camera) -> Camera:
     return Camera(CameraModel.PINHOLE, width, height, params)
 
 
+@checked
 def undistort_image(
     rgb: UInt8[np.ndarray, "h w 3"], camera: Camera, pinhole: Camera
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Resample a picture of `camera` as `pinhole` sees it (bilinear); black where the camera saw nothing."""
+    """Resample a picture of `camera` as `pinhole` sees it (bilinear); black where the camera saw nothing.
+
+    Raises:
+        ConfigError: the new picture is too large.
+    """
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
         return rgb
+    check_pixels(pinhole.width, pinhole.height)
     u, v = np.meshgrid(
         np.arange(pinhole.width, dtype=np.float64), np.arange(pinhole.height, dtype=np.float64)
     )

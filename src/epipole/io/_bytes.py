@@ -9,34 +9,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from epipole.errors import FileFormatError
+from epipole.io.files import file_bytes as file_bytes
+from epipole.io.files import file_text as file_text
 
 _COUNT = struct.Struct("<Q")
-
-
-def file_bytes(path: Path) -> bytes:
-    """The whole file.
-
-    Raises:
-        FileFormatError: there is none, or it cannot be read.
-    """
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "there is no such file") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error.strerror or error}") from error
-
-
-def file_text(path: Path) -> str:
-    """The whole file as UTF-8 text.
-
-    Raises:
-        FileFormatError: there is none, it cannot be read, or it is not text.
-    """
-    try:
-        return file_bytes(path).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise FileFormatError(path, f"byte {error.start}: not UTF-8 text") from error
 
 
 class ByteReader:

@@ -11,8 +11,9 @@ from typing import TypeVar
 import numpy as np
 
 from epipole.io import _colmap_tables as tables
-from epipole.io._bytes import ByteReader, file_bytes
+from epipole.io._bytes import ByteReader
 from epipole.io._colmap_cameras import num_params_of, readable_models
+from epipole.io.files import file_bytes, problem_of_name
 
 Table = TypeVar("Table")
 
@@ -96,6 +97,8 @@ def _read_images(reader: ByteReader) -> list[tables.ImageRecord]:
     for _ in range(reader.count(_IMAGE.size + 1 + _COUNT.size, "images")):
         image_id, *pose, camera_id = reader.values(_IMAGE, "an image")
         name = reader.string("an image's name")
+        if (problem := problem_of_name(name)) is not None:
+            raise reader.fail(problem)
         keypoints = reader.array(_KEYPOINT, reader.count(_KEYPOINT.itemsize, "keypoints"), "keypoints")
         images.append(
             tables.ImageRecord(image_id, np.array(pose), camera_id, name, keypoints["xy"], keypoints["point"])

@@ -11,8 +11,8 @@ import numpy as np
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io import _colmap_tables as tables
-from epipole.io._bytes import file_text
 from epipole.io._colmap_cameras import model_id_named, readable_models
+from epipole.io.files import file_text, problem_of_name
 
 Record = TypeVar("Record")
 
@@ -143,6 +143,8 @@ def _images(path: Path) -> list[tables.ImageRecord]:
 def _image_head(line: str) -> tuple[int, np.ndarray, int, str]:
     # The name is the rest of the line: it may hold spaces.
     words = line.strip().split(maxsplit=9)
+    if (problem := problem_of_name(words[9])) is not None:
+        raise ConfigError(problem)
     return _id(words[0]), _floats(words[1:], 7), _id(words[8]), words[9]
 
 

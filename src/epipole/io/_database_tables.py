@@ -14,6 +14,7 @@ from numpy.typing import DTypeLike
 from epipole.errors import FileFormatError
 from epipole.io._colmap_cameras import HALF_PIXEL
 from epipole.io._colmap_tables import UNKNOWN_POSE
+from epipole.io.files import problem_of_name
 from epipole.robust.pair_kind import PairKind
 from epipole.scene import Cameras, Frames, Images, Rigs, ViewGraph
 
@@ -22,6 +23,10 @@ SCHEMA_VERSION = 4020100
 MAX_IMAGES = 2147483647
 """A pair is stored as MAX_IMAGES * smaller id + larger id."""
 WGS84 = 0
+_LEAST_ROW = 5
+"""Bytes that a row of any table takes in the file."""
+_BLOBS = frozenset(("data", "params", "sensor_from_rig", "position", "F", "E", "H", "qvec", "tvec"))
+_STEPS_PER_CALL, _MOST_STEPS, _MOST_STEPS_PER_BYTE = 10_000, 1_000_000, 10
 SIFT_DESCRIPTOR = 0
 HALF_SHIFT = np.array([[1.0, 0.0, HALF_PIXEL], [0.0, 1.0, HALF_PIXEL], [0.0, 0.0, 1.0]])
 """colmap_pixel = HALF_SHIFT @ pixel, both homogeneous."""
@@ -119,21 +124,68 @@ def blob(array: np.ndarray, dtype: DTypeLike) -> bytes | None:
 
 
 class DatabaseReader:
-    """Read-only access to the tables of any version, with the file's name in every error."""
+    """Read-only access to the tables of any version, with the file's name in every error.
 
-    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+    A schema can hold code, and a damaged tree of pages can name a page again and again: only plain tables are read, and
+    no more than a file of this size can hold.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection, num_bytes: int) -> None:
         self.path = path
         self._connection = connection
+        self._num_bytes = num_bytes
+        self._calls_left = (_MOST_STEPS + _MOST_STEPS_PER_BYTE * num_bytes) // _STEPS_PER_CALL
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(min(num_bytes, 10**9), 1 << 20))
+        for setting in ("trusted_schema = OFF", "cell_size_check = ON", "query_only = ON", "mmap_size = 0"):
+            connection.execute(f"PRAGMA {setting}")
+        connection.set_progress_handler(self._is_out_of_steps, _STEPS_PER_CALL)
+
+    def _is_out_of_steps(self) -> bool:
+        self._calls_left -= 1
+        return self._calls_left < 0
 
     def columns(self, table: str) -> set[str]:
-        """Names of a table's columns; empty where there is no such table."""
+        """Names of a table's columns, but for those that are computed; empty where there is no such table."""
+        of_name = (
+            "SELECT type = 'table' AND rootpage > 0 FROM sqlite_master WHERE name = ? AND type != 'trigger'"
+        )
+        if not all(row[0] for row in self._connection.execute(of_name, (table,))):
+            raise self.fail(f"table {table}", "is a view or made by code, no plain table")
         return {row[1] for row in self._connection.execute(f"PRAGMA table_info({table})")}
 
     def rows(self, table: str, columns: str, order: str) -> list[tuple]:
-        """All rows of a table, or none where the table is not there."""
-        if not self.columns(table):
+        """All rows of a table, or none where the table is not there.
+
+        Raises:
+            FileFormatError: a column is missing, a cell is of another type, or rows are more than fit into the file.
+        """
+        there = self.columns(table)
+        if not there:
             return []
-        return self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}").fetchall()
+        names = columns.split(", ")
+        missing = next((name for name in names if name.isidentifier() and name not in there), None)
+        if missing is not None:
+            raise self.fail(f"table {table}", f"has no column {missing}")
+        found: list[tuple] = []
+        size = 0
+        for row in self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}"):
+            size += _LEAST_ROW
+            for name, cell in zip(names, row):
+                if name in _BLOBS:
+                    size += 0 if cell is None else len(cell)
+                    is_sound = cell is None or isinstance(cell, bytes)
+                elif name == "name":
+                    size += len(cell) if isinstance(cell, str) else 0
+                    is_sound = problem_of_name(cell) is None
+                else:
+                    is_sound = isinstance(cell, int) or not name.isidentifier()
+                if not is_sound:
+                    what = problem_of_name(cell) if name == "name" else f"{name} is {str(cell)[:40]!r}"
+                    raise self.fail(f"table {table}", f"row {len(found) + 1}: {what}")
+            if size > self._num_bytes:
+                raise self.fail(f"table {table}", "has more rows than the file can hold")
+            found.append(row)
+        return found
 
     def fail(self, place: str, problem: str) -> FileFormatError:
         """The error to raise about a row."""

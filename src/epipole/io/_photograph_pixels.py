@@ -24,6 +24,7 @@ from PIL.WebPImagePlugin import WebPImageFile
 
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.io.exif import EXIF_ERRORS, orientation_of
+from epipole.io.files import file_bytes
 
 MAX_LOSSLESS_PX = 150_000_000
 """Largest picture, in pixels, that is read from a format other than JPEG."""
@@ -32,6 +33,9 @@ MAX_JPEG_PX = 2**30
 """Largest JPEG, in pixels."""
 
 _MOST_JPEG_PX_PER_BYTE = 1024
+_MOST_PX_PER_BYTE, _MANY_PX = 8256, 1 << 24
+_COMMENT, _LONGEST_PPM_HEADER = re.compile(rb"#[^\r\n]*"), 1 << 16
+_MOST_SCANS, _MOST_SCANNED_PX = 16, 1 << 30
 
 _PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm"})
 HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
@@ -61,7 +65,8 @@ _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
     "BMP": BmpImageFile,
     "PPM": PpmImageFile,
 }
-_PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
+PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
+"""What Pillow may raise on a damaged picture."""
 _JPEG_MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _REDUCED_FLAGS = {
     1: (cv2.IMREAD_GRAYSCALE, cv2.IMREAD_COLOR),
@@ -75,25 +80,6 @@ def readable_suffixes() -> frozenset[str]:
     """Suffixes of the pictures that can be read with what is installed."""
     heif = HEIF_SUFFIXES if find_spec("pillow_heif") else frozenset()
     return _PICTURE_SUFFIXES | heif | (AVIF_SUFFIXES if features.check("avif") else frozenset())
-
-
-def opened(path: Path) -> io.BufferedReader:
-    """Open a file for reading, with a clear error."""
-    try:
-        return path.open("rb")
-    except FileNotFoundError as error:
-        raise FileFormatError(path, "no such file") from error
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be opened: {error.strerror}") from error
-
-
-def read_bytes(path: Path) -> bytes:
-    """Read a whole file, with a clear error."""
-    with opened(path) as stream:
-        try:
-            return stream.read()
-        except OSError as error:
-            raise FileFormatError(path, f"cannot be read: {error.strerror}") from error
 
 
 def format_of(path: Path, head: bytes) -> str:
@@ -115,10 +101,14 @@ def format_of(path: Path, head: bytes) -> str:
 def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
     """Read a header. The reader is called by name: `Image.open` refuses every picture of 180 megapixels."""
     stream.seek(0)
+    # Pillow would look for the numbers of the header byte by byte, behind comments without end.
+    if file_format == "PPM" and len(_COMMENT.sub(b" ", stream.read(_LONGEST_PPM_HEADER)).split()) < 3:
+        raise FileFormatError(path, "the PPM header is damaged: it has no size")
+    stream.seek(0)
     reader = _PILLOW_READERS.get(file_format) or _optional_reader(path, file_format)
     try:
         return reader(stream)
-    except _PILLOW_ERRORS as error:
+    except PILLOW_ERRORS as error:
         raise FileFormatError(path, f"the {file_format} header is damaged ({error})") from error
 
 
@@ -169,28 +159,35 @@ def stored_size(image: ImageFile) -> tuple[int, int]:
     return image.size
 
 
-def refuse_huge(path: Path, image: ImageFile, num_bytes: int) -> None:
-    """Refuse a picture that is too large, before memory is used.
+def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
+    """Refuse a picture that is too large, before memory or time is used.
 
     Raises:
-        FileFormatError: more pixels than the format's limit, or than a JPEG of so many bytes can hold.
+        FileFormatError: more pixels than the format's limit, or than so many bytes can hold; a JPEG that goes over its
+            pixels again and again.
     """
-    width, height = image.size
+    (width, height), num_bytes = image.size, len(data)
     limit = MAX_JPEG_PX if isinstance(image, JpegImageFile) else MAX_LOSSLESS_PX
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
         raise FileFormatError(path, f"{sizes}, the limit for {image.format}; save it smaller or as JPEG")
+    # Deflate packs at most 1032 bytes into one, each of up to 8 pixels; no photograph comes near in any format.
+    if width * height > max(_MANY_PX, _MOST_PX_PER_BYTE * num_bytes):
+        raise FileFormatError(path, f"{num_bytes} bytes cannot hold {width} x {height} pixels")
     # Each block of 8 x 8 takes at least one bit; a decoder would invent what is missing.
     if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:
         problem = f"{num_bytes} bytes cannot hold {width} x {height} pixels"
         raise FileFormatError(path, f"the JPEG is truncated or damaged: {problem}")
+    num_scans = data.count(b"\xff\xda") if isinstance(image, JpegImageFile) else 1
+    if num_scans > _MOST_SCANS and num_scans * width * height > _MOST_SCANNED_PX:
+        raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no picture needs that")
 
 
 def decode(path: Path, grey: bool, max_size_px: int | None) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
-    data = read_bytes(path)
+    data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
-    refuse_huge(path, image, len(data))
+    refuse_huge(path, image, data)
     if isinstance(image, JpegImageFile):
         orientation = orientation_of(exif_of(image))
         full_size = image.size
@@ -271,7 +268,7 @@ def pillow_pixels(path: Path, image: ImageFile, *, stretch: bool) -> tuple[np.nd
             black.paste(rgba, mask=rgba.getchannel("A"))
             return np.array(black), orientation
         return np.array(image.convert("RGB")), orientation
-    except _PILLOW_ERRORS as error:
+    except PILLOW_ERRORS as error:
         raise FileFormatError(path, f"the {image.format} data are damaged or truncated ({error})") from error
 
 

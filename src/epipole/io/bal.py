@@ -16,11 +16,13 @@ from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes
 from epipole.optim import BundleProblem, free_params_mask
 
 _TURN = np.diag([1.0, -1.0, -1.0])
 _PER_CAMERA = 9
-_MOST_UNPACKED = 200  # bytes of text to a byte of an archive; problems have about 4
+# Bytes of text to a byte of an archive (problems have about 4): up to so many bytes, and beyond.
+_MOST_UNPACKED, _SMALL, _MOST_UNPACKED_LARGE = 200, 1 << 24, 20
 
 
 def read_bal(path: str | Path) -> BundleProblem:
@@ -32,8 +34,10 @@ def read_bal(path: str | Path) -> BundleProblem:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = file_bytes(path)
         words = (_unpacked(data) if path.suffix == ".bz2" else data).split()
+    except FileFormatError:
+        raise
     except (OSError, ValueError, EOFError) as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
     try:
@@ -82,9 +86,10 @@ def read_bal(path: str | Path) -> BundleProblem:
 def _unpacked(data: bytes) -> bytes:
     """What a bzip2 file holds; a few bytes of one may stand for gigabytes, which no numbers do."""
     unpacker = bz2.BZ2Decompressor()
-    out = unpacker.decompress(data, max_length=_MOST_UNPACKED * len(data) + 1)
-    if len(out) > _MOST_UNPACKED * len(data):
-        raise ValueError(f"it unpacks to more than {_MOST_UNPACKED} times its size")
+    most = max(min(_MOST_UNPACKED * len(data), _SMALL), _MOST_UNPACKED_LARGE * len(data))
+    out = unpacker.decompress(data, max_length=most + 1)
+    if len(out) > most:
+        raise ValueError(f"it unpacks to more than {most // len(data)} times its size")
     if not unpacker.eof:
         raise ValueError("the archive ends early")
     return out

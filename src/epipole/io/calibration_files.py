@@ -5,7 +5,6 @@ EuRoC's, KITTI's and Middlebury's are read too.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,15 +20,16 @@ from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
-from epipole.io._bytes import file_bytes
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes, json_values
 from epipole.io.json_files import json_text
 from epipole.scene import StereoRig
 
 FORMAT = "epipole calibration"
 _VERSION = 1
+_MOST_BYTES = 1 << 23
 _OPENCV_TAG = re.compile(r"!!opencv-[a-z-]+")
 _SIZES = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
 _PAIR_KEYS = (
@@ -48,6 +48,10 @@ class CalibrationFile:
     """One row per camera; the first is the identity."""
     covariance: Float64[np.ndarray, "30 30"] | None = None
     """Of a pair, as in `StereoRig`."""
+
+    def __repr__(self) -> str:
+        errors = "no covariance" if self.covariance is None else "with covariance"
+        return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
 
 
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
@@ -226,7 +230,7 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
 
 
 def _parse(path: Path) -> dict[str, Any]:
-    data = file_bytes(path)
+    data = file_bytes(path, _MOST_BYTES)
     head = data.lstrip()[:200]
     try:
         if head.startswith((b"<?xml", b"<opencv_storage")):
@@ -236,8 +240,8 @@ def _parse(path: Path) -> dict[str, Any]:
             return lines
         # OpenCV's version line and its matrices are not standard YAML.
         text = _OPENCV_TAG.sub("", text.removeprefix("%YAML:1.0"))
-        content = json.loads(text) if head.startswith(b"{") else yaml_values(text)
-    except (ValueError, RecursionError) as error:
+        content = json_values(text, allow_nan=True) if head.startswith(b"{") else yaml_values(text)
+    except ValueError as error:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).split(chr(10))[0]}") from error
     if not isinstance(content, dict):
         raise FileFormatError(path, "it holds no named values")

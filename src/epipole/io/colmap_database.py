@@ -16,6 +16,7 @@ from epipole.io._database_tables import SCHEMA, SCHEMA_VERSION, DatabaseReader
 from epipole.io._database_tables import DatabaseContents as DatabaseContents
 from epipole.io._database_writing import check_contents, insert_contents
 from epipole.io.atomic import atomic_write
+from epipole.io.files import require_file
 
 _SIDE_FILES = ("-wal", "-shm", "-journal")
 
@@ -57,13 +58,13 @@ def read_database(path: str | Path) -> DatabaseContents:
         FileFormatError: it is not a COLMAP database, a cell is cut short, or an id is missing.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileFormatError(path, "there is no such file")
-    in_use = any(path.with_name(path.name + suffix).exists() for suffix in _SIDE_FILES)
+    num_bytes = require_file(path)
+    beside = [side for s in _SIDE_FILES if (side := path.with_name(path.name + s)).exists()]
+    in_use, num_bytes = bool(beside), num_bytes + sum(require_file(side) for side in beside)
     uri = f"{path.resolve().as_uri()}?mode=ro{'' if in_use else '&immutable=1'}"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
-            return read_contents(DatabaseReader(path, connection))
+            return read_contents(DatabaseReader(path, connection, num_bytes))
     except FileFormatError:
         raise
     except sqlite3.Error as error:

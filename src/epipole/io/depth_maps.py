@@ -12,12 +12,13 @@ from jaxtyping import Float32
 
 from epipole._checks import as_float_array
 from epipole.errors import ConfigError, FileFormatError, ShapeError
-from epipole.io._bytes import file_bytes
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes
 
 PNG_SCALE = 256.0
 """KITTI's: a stored number is 256 times the value; 0 stands for unknown."""
 _MOST_PIXELS = 1 << 28
+_LONGEST_HEADER = 1 << 16
 
 
 def write_pfm(path: str | Path, values: Any) -> None:
@@ -40,7 +41,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
         FileFormatError: it is damaged or no such file.
     """
     path = Path(path)
-    parts = file_bytes(path).split(b"\n", 3)
+    parts = file_bytes(path, 4 * _MOST_PIXELS + _LONGEST_HEADER).split(b"\n", 3)
     try:
         kind, (width, height), scale = parts[0].strip(), map(int, parts[1].split()), float(parts[2])
         data = parts[3]
@@ -86,7 +87,7 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
         FileFormatError: it is damaged, no 16-bit picture of one channel, or no such file.
     """
     path = Path(path)
-    data = file_bytes(path)
+    data = file_bytes(path, 4 * _MOST_PIXELS)
     # OpenCV would also read other formats, PFM among them.
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
     if array is None or array.ndim != 2 or array.dtype != np.uint16:

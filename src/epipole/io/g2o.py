@@ -8,19 +8,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Int64
 
-from epipole.errors import FileFormatError
+from epipole._declared import checked
+from epipole._declared.arrays import as_array
+from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.io.atomic import atomic_write
 from epipole.optim import PoseGraph
+from epipole.optim.pose_graph import not_definite
 
 _KINDS = {"SE2": (3, 3), "SE3:QUAT": (7, 6), "SIM3:QUAT": (8, 7)}
 """Numbers of a motion, and size of its tangent."""
 _IGNORED = ("PARAMS_", "#", "FIX")
+_FEW = 5
+_LEAST_SHARE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,14 +35,26 @@ class G2oFile:
     graph: PoseGraph
     ids: Int64[np.ndarray, " n"]
     """Ascending."""
+    mended_edges: Int64[np.ndarray, " e"]
+    """Edges of the graph whose information matrices were not positive definite, and were replaced."""
+
+    def __repr__(self) -> str:
+        return f"G2oFile({self.graph!r})"
 
 
-def read_g2o(path: str | Path) -> G2oFile:
+@checked
+def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "refuse") -> G2oFile:
     """Read vertices and edges of one kind; parameters and comments are passed over.
 
+    Args:
+        path: the file.
+        indefinite: what becomes of edges whose information matrices are not positive definite. "refuse": the message
+            names them. "nearest": the nearest matrix takes the place, with the eigenvalues below a billionth of the
+            largest raised to that (Higham, Linear Algebra Appl. 1988); `mended_edges` names them.
+
     Raises:
-        FileFormatError: the file cannot be read, mixes kinds, names a vertex that is not there, or has a broken line; the
-            message names the line.
+        FileFormatError: the file cannot be read, mixes kinds, names a vertex that is not there, has a broken line, or an
+            information matrix that no measurement has; the message names the line, or the edges.
     """
     path = Path(path)
     try:
@@ -82,17 +99,21 @@ def read_g2o(path: str | Path) -> G2oFile:
             values.append(numbers)
     if kind is None or not vertices:
         raise FileFormatError(path, "no vertices: this is no pose graph")
-    return _assemble(path, kind, vertices, edges, values)
+    return _assemble(path, kind, vertices, edges, values, indefinite)
 
 
+@checked
 def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
     """Write a pose graph; places are numbered from zero unless `ids` names them.
 
     Raises:
+        ShapeError: the names are not one whole number per place.
         WorkspaceError: the file cannot be written.
     """
     name = {Rigid2: "SE2", Rigid3: "SE3:QUAT", Similarity3: "SIM3:QUAT"}[type(graph.world_from_body)]
-    names = np.arange(len(graph)) if ids is None else np.asarray(ids)
+    names = np.arange(len(graph)) if ids is None else as_array(ids, "ids", np.dtype(np.int64))
+    if names.shape != (len(graph),):
+        raise ShapeError(f"ids must be ({len(graph)},), got {names.shape}")
     upper = np.triu_indices(graph.dimension)
     places, measured = _numbers(graph.world_from_body), _numbers(graph.first_from_second)
     lines = [f"VERTEX_{name} {i} {_text(row)}" for i, row in zip(names, places)]
@@ -109,6 +130,7 @@ def _assemble(
     vertices: dict[int, list[float]],
     edges: list[tuple[int, int]],
     values: list[list[float]],
+    indefinite: str,
 ) -> G2oFile:
     size, tangent = _KINDS[kind]
     ids = np.array(sorted(vertices), np.int64)
@@ -122,6 +144,10 @@ def _assemble(
     upper = np.triu_indices(tangent)
     information[:, upper[0], upper[1]] = numbers[:, size:]
     information[:, upper[1], upper[0]] = numbers[:, size:]
+    mended = not_definite(information)
+    if len(mended) and indefinite == "refuse":
+        raise FileFormatError(path, _refusal(mended, edges))
+    information[mended] = _nearest_definite(path, information[mended])
     index = np.array([[row[i], row[j]] for i, j in edges], np.int64).reshape(-1, 2)
     graph = PoseGraph(
         _motions(kind, places),
@@ -130,7 +156,28 @@ def _assemble(
         _motions(kind, numbers[:, :size]),
         information,
     )
-    return G2oFile(graph, ids)
+    return G2oFile(graph, ids, mended)
+
+
+def _refusal(mended: np.ndarray, edges: list[tuple[int, int]]) -> str:
+    few = ", ".join("{} {}".format(*edges[k]) for k in mended[:_FEW])
+    more = f" and {len(mended) - _FEW} more" if len(mended) > _FEW else ""
+    return (
+        f"the information matrices of {len(mended)} of {len(edges)} edges are not positive definite: {few}{more}; "
+        'read_g2o(..., indefinite="nearest") takes the nearest that are'
+    )
+
+
+def _nearest_definite(path: Path, information: np.ndarray) -> np.ndarray:
+    """The symmetric matrices (n, d, d) with eigenvalues of at least a billionth of the largest."""
+    values, vectors = np.linalg.eigh(information)
+    if not (values[:, -1:] > 0).all():
+        raise FileFormatError(
+            path, "an edge's information matrix has no positive eigenvalue: it measures nothing"
+        )
+    raised = np.maximum(values, _LEAST_SHARE * values[:, -1:])
+    out = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return 0.5 * (out + np.swapaxes(out, 1, 2))
 
 
 def _is_motion(numbers: list[float]) -> bool:

@@ -39,9 +39,7 @@ from epipole.io._photograph_pixels import (
     exif_of,
     format_of,
     open_with_pillow,
-    opened,
     pillow_pixels,
-    read_bytes,
     readable_suffixes,
     refuse_huge,
     stored_size,
@@ -59,6 +57,7 @@ from epipole.io.exif import (
     orientation_of,
     upright_exif,
 )
+from epipole.io.files import file_bytes, open_file
 from epipole.io.picture_names import name_problem, printable
 
 _OUTPUT_MARKERS = ("config.json", "database.db")
@@ -161,7 +160,7 @@ def read_header(path: Path | str) -> PhotographHeader:
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
     path = Path(path)
-    with opened(path) as stream:
+    with open_file(path) as stream:
         file_format = format_of(path, stream.read(64))
         image = open_with_pillow(path, stream, file_format)
         exif = exif_of(image)
@@ -248,9 +247,9 @@ def read_mask(
     path = mask_of(mask_folder, name)
     if path is None:
         return None
-    data = read_bytes(path)
+    data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
-    refuse_huge(path, image, len(data))
+    refuse_huge(path, image, data)
     pixels, orientation = pillow_pixels(path, image, stretch=False)
     keep = np.ascontiguousarray((pixels != 0).any(axis=2) if pixels.ndim == 3 else pixels != 0)
     keep = turn(keep.view(np.uint8), orientation).view(bool)
@@ -271,7 +270,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         FileFormatError: the source cannot be read, or the suffix of `target` cannot be written.
     """
     source, target = Path(source), Path(target)
-    with opened(source) as stream:
+    with open_file(source) as stream:
         file_format = format_of(source, stream.read(64))
         exif = exif_of(open_with_pillow(source, stream, file_format))
     target_format = _FORMAT_OF_SUFFIX.get(target.suffix.lower())

@@ -11,8 +11,9 @@ from jaxtyping import Float64, UInt8
 
 from epipole._checks import as_points, require_same_length
 from epipole.errors import FileFormatError, ShapeError
-from epipole.io._bytes import ByteReader, file_bytes
+from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
@@ -47,6 +48,9 @@ class PlyPoints:
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+    def __repr__(self) -> str:
+        return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
 
 
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:

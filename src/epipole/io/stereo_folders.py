@@ -27,9 +27,9 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
         FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
             together.
     """
+    names = [list_photographs(folder, ignore=list(ignore)).names for folder in (left, right)]
     if left.resolve() == right.resolve():
         raise FileFormatError(left, "the left and the right folder are the same")
-    names = [list_photographs(folder, ignore=list(ignore)).names for folder in (left, right)]
     for folder, own in ((left, names[0]), (right, names[1])):
         if not own:
             raise FileFormatError(folder, "there is no picture in it")

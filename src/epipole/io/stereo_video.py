@@ -9,6 +9,8 @@ import numpy as np
 
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write
+from epipole.io.files import require_file
+from epipole.io.video import opened_video
 
 
 def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> list[tuple[Path, Path]]:
@@ -27,8 +29,10 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
     """
     if max_frames < 1:
         raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
+    for video in (left, right):
+        require_file(video)
     is_side_by_side = left.resolve() == right.resolve()
-    captures = [_opened(left)] if is_side_by_side else [_opened(left), _opened(right)]
+    captures = [opened_video(video) for video in ([left] if is_side_by_side else [left, right])]
     count = min(int(c.get(cv2.CAP_PROP_FRAME_COUNT)) for c in captures)
     wanted = set(
         np.unique(np.linspace(0, max(count - 1, 0), min(max_frames, max(count, 1))).astype(int)).tolist()
@@ -55,15 +59,6 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
     if not pairs:
         raise FileFormatError(left, "it has no frame that can be read")
     return pairs
-
-
-def _opened(video: Path) -> cv2.VideoCapture:
-    if not video.is_file():
-        raise FileFormatError(video, "no such file")
-    capture = cv2.VideoCapture(str(video))
-    if not capture.isOpened():
-        raise FileFormatError(video, "it is no video that can be read")
-    return capture
 
 
 def _write(path: Path, picture: np.ndarray) -> None:

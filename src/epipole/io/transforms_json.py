@@ -6,7 +6,6 @@ point counts from the corner of the picture, half a pixel before the centre of i
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,9 +16,10 @@ from PIL import Image
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io._bytes import file_text
 from epipole.io._colmap_cameras import HALF_PIXEL
+from epipole.io._photograph_pixels import PILLOW_ERRORS
 from epipole.io.atomic import atomic_write
+from epipole.io.files import open_file, problem_of_name, read_json, require_file
 from epipole.io.json_files import json_text
 from epipole.io.names import path_inside
 from epipole.io.ply import read_points_ply, write_points_ply
@@ -130,12 +130,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
 
 
 def _object_in(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file_text(path))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, FileFormatError):
-            raise
-        raise FileFormatError(path, f"not JSON: {error}") from error
+    content = read_json(path)
     if not isinstance(content, dict):
         raise FileFormatError(path, "not a transforms file (no JSON object)")
     return content
@@ -143,6 +138,8 @@ def _object_in(path: Path) -> dict[str, Any]:
 
 def _image_name(path: Path, frame: dict[str, Any]) -> str:
     """The image's path as in the file; NeRF-synthetic leaves out '.png'."""
+    if (problem := problem_of_name(frame["file_path"])) is not None:
+        raise ConfigError(problem)
     name = str(frame["file_path"]).replace("\\", "/").removeprefix("./")
     if not Path(name).suffix and (path.parent / f"{name}.png").is_file():
         return f"{name}.png"
@@ -158,7 +155,10 @@ def _camera(path: Path, values: dict[str, Any], name: str) -> Camera:
     if "fl_x" in values:
         fx = float(values["fl_x"])
     else:
-        fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
+        angle_rad = float(values["camera_angle_x"])
+        if not 0.0 < angle_rad < math.pi:
+            raise ConfigError(f"camera_angle_x is {angle_rad:g}, no angle of view")
+        fx = 0.5 * width / math.tan(0.5 * angle_rad)
     fy = float(values.get("fl_y", fx))
     cx, cy = float(values.get("cx", 0.5 * width)), float(values.get("cy", 0.5 * height))
     is_fisheye = values.get("camera_model") in _FISHEYE_NAMES or bool(values.get("is_fisheye", False))
@@ -180,9 +180,9 @@ def _camera(path: Path, values: dict[str, Any], name: str) -> Camera:
 
 def _picture_size(file: Path) -> tuple[int, int]:
     try:
-        with Image.open(file) as picture:
+        with open_file(file) as stream, Image.open(stream) as picture:
             return picture.size
-    except (OSError, Image.DecompressionBombError) as error:
+    except (*PILLOW_ERRORS, FileFormatError) as error:
         raise ConfigError(f"w and h are not given, and the picture {file} cannot be read") from error
 
 
@@ -201,11 +201,17 @@ def _world_from_cam(frame: dict[str, Any]) -> np.ndarray:
 
 def _points(path: Path, content: dict[str, Any]) -> Points:
     name = content.get("ply_file_path")
+    if isinstance(name, str) and (problem := problem_of_name(name)) is not None:
+        raise FileFormatError(path, f"ply_file_path: {problem}")
     try:
         file = path_inside(path.parent, name) if isinstance(name, str) and name else None
-        is_there = file is not None and file.is_file()
+        is_there = file is not None and file.exists()
+        if file is not None and is_there:
+            require_file(file)
     except OSError as error:
         raise FileFormatError(path, f"ply_file_path: {error.strerror}") from error
+    except FileFormatError as error:
+        raise FileFormatError(path, f"ply_file_path: {error}") from error
     if file is None or not is_there:
         return Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
     cloud = read_points_ply(file)

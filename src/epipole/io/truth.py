@@ -9,8 +9,8 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io._bytes import file_text
 from epipole.io.colmap import read_colmap_model
+from epipole.io.files import file_text
 from epipole.io.transforms_json import read_transforms
 from epipole.scene import Reconstruction
 
@@ -31,6 +31,9 @@ class TruthCameras:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"TruthCameras({len(self)} cameras)"
 
 
 def read_truth(path: str | Path) -> TruthCameras:

@@ -20,6 +20,7 @@ from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
+from epipole.io.files import open_file, read_json, require_file
 
 VIDEO_SUFFIXES = frozenset(
     {
@@ -44,6 +45,8 @@ _FRAME = re.compile(r"frame_[0-9]{6,12}\.jpg")
 _MAX_WINDOW = 7
 _SHARPNESS_SIZE_PX = 640
 _JPEG_QUALITY = 95
+_HEAD = 256
+_MOST_FRAME_PX = 1 << 26
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,8 +73,12 @@ def is_video(path: Path | str) -> bool:
 
 
 def frame_size(path: Path | str) -> tuple[int, int] | None:
-    """Width and height of a video's frames; None where the file does not tell."""
-    capture = cv2.VideoCapture(str(path))
+    """Width and height of a video's frames; None where the file does not tell.
+
+    Raises:
+        FileFormatError: it is no video that can be read.
+    """
+    capture = opened_video(Path(path))
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
     return size if min(size) > 0 else None
 
@@ -105,12 +112,12 @@ def extract_frames(
         raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
     if every_s is not None and not every_s > 0.0:
         raise ConfigError(f"every_s must be positive, got {every_s}")
-    if not video.is_file():
-        raise FileFormatError(video, "no such file")
-    state = video.stat()
     request = {
-        **{"video": video.name, "bytes": state.st_size, "modified_ns": state.st_mtime_ns},
-        **{"max_frames": max_frames, "every_s": every_s},
+        "video": video.name,
+        "bytes": require_file(video),
+        "modified_ns": video.stat().st_mtime_ns,
+        "max_frames": max_frames,
+        "every_s": every_s,
     }
     folder.mkdir(parents=True, exist_ok=True)
     earlier = _read_manifest(folder)
@@ -170,7 +177,17 @@ def _extract(
     return VideoFrames(tuple(names), np.array(indices, np.int64), np.array(times, np.float64))
 
 
-def _opened(video: Path) -> cv2.VideoCapture:
+def opened_video(video: Path) -> cv2.VideoCapture:
+    """A video whose frames can be read one after the other.
+
+    Raises:
+        FileFormatError: it is no file, or not a video that can be read.
+    """
+    with open_file(video) as stream:
+        head = stream.read(_HEAD)
+    # FFmpeg would follow a list of addresses; OpenCV would read pictures with numbers in their names.
+    if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
+        raise FileFormatError(video, "is not a video: it is text" if head else "is empty")
     try:
         capture = cv2.VideoCapture(str(video))
     except cv2.error as error:
@@ -179,12 +196,15 @@ def _opened(video: Path) -> cv2.VideoCapture:
         raise FileFormatError(
             video, "is not a video that can be read: damaged, cut off or of an unknown kind"
         )
+    width, height = (capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    if width * height > _MOST_FRAME_PX:
+        raise FileFormatError(video, f"frames of {width:g} x {height:g} pixels are not read")
     return capture
 
 
 def _length(video: Path) -> tuple[int, float | None]:
     """Frames that the video announces (counted where it does not) and frames per second (None if unknown)."""
-    capture = _opened(video)
+    capture = opened_video(video)
     try:
         announced, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
         num_frames = int(announced) if 0 < announced < 1e9 else 0
@@ -206,7 +226,7 @@ def _sharpest(
     Raises:
         FileFormatError: the video ends before half of its frames, or has none.
     """
-    capture = _opened(video)
+    capture = opened_video(video)
     num_read = 0
     try:
         for first, last in windows:
@@ -241,9 +261,11 @@ def _time_s(capture: cv2.VideoCapture, index: int, fps: float | None) -> float:
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
     """Request and frames of an earlier call; None when there is none that can be read."""
     try:
-        content = json.loads((folder / _MANIFEST).read_text(encoding="utf-8"))
+        content = read_json(folder / _MANIFEST)
         rows = content["frames"]
-        if not all(_FRAME.fullmatch(row["name"]) for row in rows):  # these are read, and removed when stale
+        if not rows or not all(
+            _FRAME.fullmatch(row["name"]) for row in rows
+        ):  # these are read, and removed when stale
             return None
         frames = VideoFrames(
             tuple(row["name"] for row in rows),
@@ -251,7 +273,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
             np.array([np.nan if row["time_s"] is None else row["time_s"] for row in rows], np.float64),
         )
         return content["request"], frames
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError):
         return None
 
 

@@ -5,10 +5,10 @@ from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
-from epipole.mapping.model_builder import MatchComponents as MatchComponents
+from epipole.mapping.match_components import MatchComponents as MatchComponents
+from epipole.mapping.match_components import connect_matches as connect_matches
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
-from epipole.mapping.model_builder import connect_matches as connect_matches
 from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconstruction
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection

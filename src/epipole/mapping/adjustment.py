@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from epipole._checks import check_index
+from epipole._declared import Declared, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
@@ -27,15 +29,15 @@ DISTORTION_SIGMA = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PositionPriors:
+class PositionPriors(Declared):
     """Prior positions of images (GPS), in the model's world coordinates; NaN rows for none."""
 
-    positions_in_world: np.ndarray  # (n, 3)
+    positions_in_world: Float64[np.ndarray, "n 3"]
     sigma: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Freedom:
+class Freedom(Declared):
     """Which intrinsics an adjustment may change, for cameras that are not constant."""
 
     focal: bool = True
@@ -43,6 +45,7 @@ class Freedom:
     distortion: bool = True
 
 
+@checked
 def free_params_of(cameras: Cameras, freedom: Freedom) -> Float64[np.ndarray, "c 12"]:
     """1 where a camera's parameter may change, else 0."""
     params_free = free_params_mask(
@@ -55,6 +58,7 @@ def free_params_of(cameras: Cameras, freedom: Freedom) -> Float64[np.ndarray, "c
     return params_free
 
 
+@checked
 def adjust_all(
     model: ModelBuilder, config: BundleConfig, freedom: Freedom, priors: PositionPriors | None = None
 ) -> BundleResult:
@@ -64,6 +68,7 @@ def adjust_all(
     return _adjust(model, order, images, np.arange(model.num_points), config, freedom, priors)
 
 
+@checked
 def adjust_around(
     model: ModelBuilder, image: int, num_images: int, config: BundleConfig, freedom: Freedom
 ) -> BundleResult:
@@ -72,6 +77,7 @@ def adjust_around(
     Other images' observations of these points take part, with fixed poses. Intrinsics of cameras that also
     took images outside the neighbourhood are fixed, too.
     """
+    check_index(image, "image", len(model.rows_of_image))
     order, offsets = model.rows_by_point()
     own = model.row_point[model.rows_of_image[image]]
     own = np.unique(own[own >= 0])
@@ -137,6 +143,7 @@ def _adjust(
     return result
 
 
+@checked
 def expected_params(model: ModelBuilder) -> tuple[np.ndarray, np.ndarray]:
     """Prior of the intrinsics: focal length near the initial guess, little distortion; with sigmas.
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from epipole._declared import checked
+from epipole.mapping.match_components import check_matches
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import ViewGraph
 
@@ -17,7 +19,9 @@ class MatchConsistency:
     or two sides of a symmetric object folded onto each other leave pairs with hardly any.
     """
 
+    @checked
     def __init__(self, model: ModelBuilder, view_graph: ViewGraph) -> None:
+        check_matches(view_graph, np.array([len(k) for k in model.keypoints], np.int64))
         starts = np.concatenate([[0], np.cumsum([len(k) for k in model.keypoints])]).astype(np.int64)
         row_of_keypoint = np.full(starts[-1], -1, np.int64)
         components = model.components
@@ -27,6 +31,7 @@ class MatchConsistency:
         self._row2 = row_of_keypoint[starts[view_graph.image2[self._pair]] + view_graph.keypoint2]
         self._view_graph = view_graph
 
+    @checked
     def shares(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
         """Per pair the share of its matches that became one point, NaN unless both are registered; and how many tell."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
@@ -42,11 +47,13 @@ class MatchConsistency:
         known = np.isfinite(shares)
         return float((shares[known] * count[known]).sum() / max(count[known].sum(), 1))
 
+    @checked
     def num_explained(self, model: ModelBuilder) -> int:
         """Number of matches that both images see as one point."""
         point1, point2 = model.row_point[self._row1], model.row_point[self._row2]
         return int(((point1 == point2) & (point1 >= 0)).sum())
 
+    @checked
     def of_image(self, model: ModelBuilder, image: int) -> float:
         """The share over the matches of one image with the other registered ones; 1 where there are none."""
         shares, count = self.shares(model)

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
+from epipole._checks import check_index, check_indices, check_squarable
+from epipole._declared import checked
 from epipole.cameras import Camera
+from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
+from epipole.mapping.match_components import MatchComponents, check_components
 from epipole.scene import (
     Cameras,
     Frames,
@@ -22,7 +26,6 @@ from epipole.scene import (
     Reconstruction,
     Rigs,
     Tracks,
-    ViewGraph,
     unregistered,
 )
 
@@ -47,42 +50,6 @@ class _Cams(NamedTuple):
     params: np.ndarray  # (c, 12)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MatchComponents:
-    """Keypoints connected by verified matches: rows offsets[t] to offsets[t + 1] are component t."""
-
-    offsets: Int64[np.ndarray, " t1"]
-    image: Int32[np.ndarray, " r"]
-    keypoint: Int32[np.ndarray, " r"]
-
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-
-def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
-    """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
-    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
-    strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
-    row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
-    row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
-    parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
-    kernels.connect_without_conflict(
-        *(row1[strongest_first].astype(np.int64), row2[strongest_first].astype(np.int64), image_of_row),
-        *(parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64)),
-    )
-    sizes = np.bincount(parent, minlength=len(parent))
-    rows = np.flatnonzero(sizes[parent] >= 2)
-    rows = rows[np.argsort(parent[rows], kind="stable")]
-    _, counts = np.unique(parent[rows], return_counts=True)
-    image = np.searchsorted(keypoint_offsets, rows, side="right") - 1
-    return MatchComponents(
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        image.astype(np.int32),
-        (rows - keypoint_offsets[image]).astype(np.int32),
-    )
-
-
 class Snapshot(NamedTuple):
     """A saved state of a model."""
 
@@ -96,13 +63,18 @@ class Snapshot(NamedTuple):
 class ModelBuilder:
     """Images, points and rows under construction. One image is one frame of its own rig."""
 
+    @checked
     def __init__(
         self,
         cameras: Cameras,
         camera_of_image: Int32[np.ndarray, " n"],
-        keypoints: Sequence[np.ndarray],
+        keypoints: Sequence[Float64[np.ndarray, "_ 2"]],
         components: MatchComponents,
     ) -> None:
+        check_components(components, [len(k) for k in keypoints])
+        check_indices(camera_of_image, "camera_of_image", len(cameras))
+        if len(camera_of_image) != len(keypoints):
+            raise ShapeError(f"camera_of_image must have {len(keypoints)} rows, got {len(camera_of_image)}")
         self.cameras = cameras
         self.camera_of_image = camera_of_image.astype(np.int32)
         self.params = cameras.params.copy()
@@ -163,6 +135,7 @@ class ModelBuilder:
         """Points in world coordinates; those without observations are not used."""
         return self._points[: self.num_points]
 
+    @checked
     def update_rays(self, camera: int) -> None:
         """Unproject the rows of one camera again, after its parameters changed."""
         model = self.camera(camera)
@@ -171,16 +144,22 @@ class ModelBuilder:
             rows = np.concatenate([self.rows_of_image[i] for i in images])
             self.row_ray[rows] = np.nan_to_num(model.unproject(self.row_pixel[rows]))
 
+    @checked
     def camera(self, index: int) -> Camera:
         """The camera of this row with its present parameters."""
+        check_index(index, "index", len(self.cameras))
         return replace(self.cameras, params=self.params)[index]
 
+    @checked
     def cam_from_world(self, image: int) -> Rigid3:
         """Pose of one image."""
+        check_index(image, "image", len(self.motion))
         return Rigid3(self.motion[image, :9].reshape(3, 3).copy(), self.motion[image, 9:].copy())
 
+    @checked
     def register(self, image: int, cam_from_world: Rigid3) -> None:
         """Register an image with this pose."""
+        check_index(image, "image", len(self.motion))
         self.set_places(
             np.array([image]), Rigid3(cam_from_world.rotation[None], cam_from_world.translation[None])
         )
@@ -192,8 +171,10 @@ class ModelBuilder:
         self.motion[images, 9:] = cams_from_world.translation
         self.center[images] = cams_from_world.centers()
 
+    @checked
     def deregister(self, image: int) -> None:
         """Unregister an image and remove its observations."""
+        check_index(image, "image", len(self.motion))
         self.registered[image] = False
         self.motion[image] = self.center[image] = np.nan
         self.row_point[self.rows_of_image[image]] = -1
@@ -225,8 +206,13 @@ class ModelBuilder:
             self.motion, self.center, self.registered, self.camera_of_image, self.cameras.model, self.params
         )
 
-    def triangulate(self, components: np.ndarray, max_error_px: float, min_angle_rad: float) -> int:
+    @checked
+    def triangulate(
+        self, components: Int64[np.ndarray, " k"], max_error_px: float, min_angle_rad: float
+    ) -> int:
         """Make new points from rows without one; returns the number of new observations."""
+        check_indices(components, "components", len(self.components))
+        check_squarable(max_error_px, "max_error_px")
         limit = np.cos(min_angle_rad)
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -253,8 +239,11 @@ class ModelBuilder:
             added += len(rows)
         return added
 
-    def extend(self, components: np.ndarray, max_error_px: float) -> int:
+    @checked
+    def extend(self, components: Int64[np.ndarray, " k"], max_error_px: float) -> int:
         """Give rows without a point to points of their component; returns the number of new observations."""
+        check_indices(components, "components", len(self.components))
+        check_squarable(max_error_px, "max_error_px")
         given = np.full(len(self.row_image), -1, np.int32)
         counts = _parallel.map_chunks(
             lambda a, b, _: kernels.extend_components(
@@ -267,8 +256,10 @@ class ModelBuilder:
         self.row_point[rows] = given[rows]
         return int(sum(counts))
 
+    @checked
     def filter(self, max_error_px: float, min_angle_rad: float) -> int:
         """Drop rows with large errors and points seen under a narrow angle; returns the number of dropped rows."""
+        check_squarable(max_error_px, "max_error_px")
         order, offsets = self.rows_by_point()
         keep, errors = np.zeros(len(self.row_image), bool), np.empty(self.num_points)
         limit = np.cos(min_angle_rad)
@@ -296,8 +287,10 @@ class ModelBuilder:
         out[self.row_component[self.row_point >= 0]] = True
         return out
 
+    @checked
     def points_in_sight(self, image: int) -> tuple[Int64[np.ndarray, " k"], Int32[np.ndarray, " k"]]:
         """(rows, points) that an image sees if its matches are right: points of its rows' components."""
+        check_index(image, "image", len(self.rows_of_image))
         rows = self.rows_of_image[image]
         component = self.row_component[rows]
         near = _rows_of(self.components.offsets, component)
@@ -314,11 +307,12 @@ class ModelBuilder:
             bigger[: self.num_points] = self.points
             self._points = bigger
 
+    @checked
     def freeze(
         self,
         names: Sequence[str],
-        colors: Sequence[np.ndarray] | None = None,
-        timestamps_s: np.ndarray | None = None,
+        colors: Sequence[UInt8[np.ndarray, "_ 3"]] | None = None,
+        timestamps_s: Float64[np.ndarray, " n"] | None = None,
     ) -> Reconstruction:
         """The model as frozen columns: living points only, in order of their index.
 
@@ -326,7 +320,15 @@ class ModelBuilder:
             names: of all images.
             colors: RGB of every keypoint of every image, (k, 3) uint8; grey 128 where absent.
             timestamps_s: one per image.
+
+        Raises:
+            ShapeError: there are not as many as images, or keypoints.
         """
+        for name, given in (("names", names), ("timestamps_s", timestamps_s)):
+            if given is not None and len(given) != len(self.keypoints):
+                raise ShapeError(f"{name} must have {len(self.keypoints)} rows, got {len(given)}")
+        if colors is not None and [len(c) for c in colors] != [len(k) for k in self.keypoints]:
+            raise ShapeError("colors must have a row for each keypoint")
         order, offsets = self.rows_by_point()
         alive = np.diff(offsets) >= 2
         order = order[alive[self.row_point[order]]]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.geometry import Rigid3
 from epipole.mapping.adjustment import Freedom, free_params_of
 from epipole.optim import (
@@ -20,6 +21,7 @@ from epipole.optim import (
 from epipole.scene import Reconstruction
 
 
+@checked
 def bundle_problem_of(
     model: Reconstruction, freedom: Freedom | None = None, priors: BundlePriors | None = None
 ) -> BundleProblem:
@@ -50,6 +52,7 @@ def bundle_problem_of(
     )
 
 
+@checked
 def adjust_reconstruction(
     model: Reconstruction,
     config: BundleConfig | None = None,

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.mapping.model_builder import ModelBuilder
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, free_params_mask
@@ -17,6 +20,7 @@ MIN_FOCAL_FACTOR, MAX_FOCAL_FACTOR = 0.3, 3.3
 """Of the guess for a camera of unknown focal length: beyond, what was found is no lens."""
 
 
+@checked
 def resect_image(
     model: ModelBuilder, image: int, config: RansacConfig, *, search_focal: bool
 ) -> tuple[Estimate, Camera, np.ndarray]:
@@ -51,10 +55,25 @@ def resect_image(
     return estimate, camera, rows
 
 
+@checked
 def refine_resection(
-    points_in_world: np.ndarray, pixels: np.ndarray, estimate: Estimate, camera: Camera, *, focal: bool
+    points_in_world: Float64[np.ndarray, "n 3"],
+    pixels: Float64[np.ndarray, "n 2"],
+    estimate: Estimate,
+    camera: Camera,
+    *,
+    focal: bool,
 ) -> tuple[Rigid3, Camera] | None:
-    """Refine a resection (and its focal length) over its inliers with a Cauchy loss; None if it diverges."""
+    """Refine a resection (and its focal length) over its inliers with a Cauchy loss; None if it diverges.
+
+    Raises:
+        ShapeError: the arrays are not of the same points.
+        ConfigError: it is no estimate of a pose.
+    """
+    if not (len(pixels),) == (len(points_in_world),) == np.shape(estimate.inlier_mask):
+        raise ShapeError("points_in_world, pixels and estimate must be of the same points")
+    if not isinstance(estimate.model, Rigid3):
+        raise ConfigError(f"estimate must be that of a pose, not of a {type(estimate.model).__name__}")
     inliers = np.flatnonzero(estimate.inlier_mask)
     n = len(inliers)
     start = Rigid3(estimate.model.rotation[None], estimate.model.translation[None])

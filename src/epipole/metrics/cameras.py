@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from epipole._declared import Declared, checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
 
@@ -16,7 +17,7 @@ LINE_SPREAD = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraAlignment:
+class CameraAlignment(Declared):
     """The similarity that brings estimated cameras into the truth's coordinates."""
 
     truth_from_estimated: Similarity3
@@ -77,6 +78,7 @@ class CameraErrors:
         )
 
 
+@checked
 def align_cameras(estimated: Rigid3, truth: Rigid3) -> CameraAlignment:
     """truth_from_estimated that minimises the squared distances of the camera centres (Umeyama, PAMI 1991).
 
@@ -105,6 +107,7 @@ def align_cameras(estimated: Rigid3, truth: Rigid3) -> CameraAlignment:
     return CameraAlignment(similarity, used, is_on_line)
 
 
+@checked
 def camera_errors(estimated: Rigid3, truth: Rigid3, alignment: CameraAlignment | None = None) -> CameraErrors:
     """Position and rotation errors of each camera, after `align_cameras` or a given alignment.
 

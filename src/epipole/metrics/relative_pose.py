@@ -9,10 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._checks import as_float_array
+from epipole._declared import checked
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 
 
+@checked
 def relative_pose_auc(
     estimated: Rigid3,
     truth: Rigid3,
@@ -37,6 +39,7 @@ def relative_pose_auc(
     return area_under_recall(relative_pose_errors_deg(estimated, truth, registered_mask), thresholds_deg)
 
 
+@checked
 def relative_pose_errors_deg(
     estimated: Rigid3, truth: Rigid3, registered_mask: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " p"]:
@@ -65,6 +68,7 @@ def relative_pose_errors_deg(
     return errors_deg
 
 
+@checked
 def area_under_recall(errors: Any, thresholds: Sequence[float]) -> Float64[np.ndarray, " t"]:
     """Area under recall(error) from 0 to each threshold, divided by the threshold, by the trapezoid rule.
 
@@ -76,14 +80,14 @@ def area_under_recall(errors: Any, thresholds: Sequence[float]) -> Float64[np.nd
         thresholds: positive, in the errors' unit.
 
     Raises:
-        ConfigError: a threshold is not positive.
+        ConfigError: a threshold is not positive, or infinite.
         ShapeError: there is no error, or one is NaN.
     """
     errors = np.sort(as_float_array(errors, "errors").ravel())
     if len(errors) == 0 or np.isnan(errors).any():
         raise ShapeError("errors must be a non-empty array without NaN")
-    if min(thresholds) <= 0:
-        raise ConfigError(f"thresholds must be positive, got {min(thresholds):g}")
+    if not all(0 < threshold < np.inf for threshold in thresholds):
+        raise ConfigError(f"thresholds must be positive and finite, got {thresholds}")
     recall = np.arange(len(errors) + 1) / len(errors)
     areas = []
     for threshold in thresholds:

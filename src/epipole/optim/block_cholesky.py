@@ -14,11 +14,13 @@ from scipy.linalg import solve_triangular
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
+from epipole._declared import check_fields, checked
 from epipole.errors import ShapeError
 from epipole.optim import _cholesky_kernels as kernels
 
 _MIN_PARALLEL_FLOPS = 5e6
 _TASKS = 8
+_MOST_SCALARS = 1 << 20
 _DENSE_SHARE = 0.6
 """With a larger share of nonzero blocks no ordering helps."""
 
@@ -38,10 +40,15 @@ class BlockPattern:
         Raises:
             ShapeError: a block is above the diagonal or names no node.
         """
+        check_fields(self)
         if len(self.row) != len(self.column) or (self.row < self.column).any():
             raise ShapeError("blocks must be on or below the diagonal")
+        if not ((self.size > 0) & (self.size <= _MOST_SCALARS)).all():
+            raise ShapeError(f"the size of a node must be within 1 and {_MOST_SCALARS}")
         if len(self.row) and (self.column.min() < 0 or self.row.max() >= len(self.size)):
             raise ShapeError(f"a block names a node that is not there (there are {len(self.size)})")
+        if np.count_nonzero(self.row == self.column) != len(self.size):
+            raise ShapeError("every node must have one diagonal block")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,11 +65,18 @@ class CholeskyPlan:
     update_size: int
     flops: float
 
+    @checked
     def factorize(self, blocks: Float64[np.ndarray, "b w w"]) -> BlockFactor | None:
         """The factor of the matrix with these blocks (padded to one size); None where it is not definite.
 
         Callers hold BLAS to one thread (`_parallel.single_threaded_blas`): subtrees are factored side by side.
+
+        Raises:
+            ShapeError: they are not those of the pattern.
         """
+        wanted = (len(self.pattern.row), int(self.pattern.size.max(initial=0)))
+        if blocks.shape[0] != wanted[0] or blocks.shape[1] < wanted[1]:
+            raise ShapeError(f"blocks must be {(*wanted, wanted[1])} or wider, got {blocks.shape}")
         nodes = self.supernodes
         panels, updates = np.empty(self.panel_size), np.empty(self.update_size)
 
@@ -82,9 +96,12 @@ class BlockFactor:
     plan: CholeskyPlan
     panels: Float64[np.ndarray, " e"]
 
+    @checked
     def solve(self, rhs: Float64[np.ndarray, " s"]) -> Float64[np.ndarray, " s"]:
         """A^-1 rhs, scalars in the order of the nodes."""
         scalars = _scalars(self.plan.pattern.size, self.plan.order)
+        if len(rhs) != len(scalars):
+            raise ShapeError(f"rhs must have {len(scalars)} rows, got {len(rhs)}")
         x = rhs[scalars]
         work = np.empty(int(self.plan.supernodes.num_rows.max(initial=1)))
         kernels.solve_supernodes(self.plan.supernodes, self.panels, x, np.zeros(4, np.int32), work)
@@ -140,6 +157,7 @@ class BlockFactor:
         return _ranges(nodes.row_in_parent[own], sizes)
 
 
+@checked
 def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | None = None) -> CholeskyPlan:
     """Choose an order of elimination that keeps the factor sparse, and lay the factor out.
 
@@ -148,6 +166,8 @@ def plan_cholesky(pattern: BlockPattern, last_mask: Bool[np.ndarray, " n"] | Non
         last_mask: nodes that meet most others and are eliminated last.
     """
     n = len(pattern.size)
+    if last_mask is not None and len(last_mask) != n:
+        raise ShapeError(f"last_mask must have {n} rows, got {len(last_mask)}")
     last = np.zeros(n, bool) if last_mask is None else last_mask
     order = _fill_reducing_order(pattern, last)
     parent, order = _tree_in_postorder(pattern, order)

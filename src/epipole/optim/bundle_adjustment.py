@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
+from epipole._declared import check_fields, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -46,10 +48,11 @@ class BundleConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if self.max_iterations < 0 or not self.function_tolerance >= 0:
             raise ConfigError("max_iterations and function_tolerance must not be negative")
-        if not (self.loss_scale_px > 0 and self.initial_damping > 0):
-            raise ConfigError("loss_scale_px and initial_damping must be positive")
+        if not (0 < self.loss_scale_px < 1e150 and 0 < self.initial_damping < math.inf):
+            raise ConfigError("loss_scale_px and initial_damping must be positive, and below 1e150")
 
 
 class StopReason(StrEnum):
@@ -133,6 +136,7 @@ class BundleResult:
         return "\n".join(lines)
 
 
+@checked
 def adjust_bundle(
     problem: BundleProblem,
     config: BundleConfig | None = None,
@@ -217,6 +221,7 @@ def _adjust(
     )
 
 
+@checked
 def with_result(problem: BundleProblem, result: BundleResult) -> BundleProblem:
     """The problem with the adjusted quantities, to continue from with `initial_damping=result.damping`."""
     return replace(

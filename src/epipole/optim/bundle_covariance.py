@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole import _parallel
+from epipole._declared import checked
 from epipole.config import options_of
-from epipole.errors import DegenerateGeometryError
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.optim import _bundle_arrays as arrays
 from epipole.optim import _bundle_reduced_kernels as reduced_kernels
 from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
@@ -38,7 +39,14 @@ class BundleCovariance:
     noise_px: float
     """Standard deviation of a pixel coordinate for which they hold."""
 
+    def __repr__(self) -> str:
+        return (
+            f"BundleCovariance({len(self.rig_from_world)} frames, {len(self.camera_params)} cameras, "
+            f"{len(self.points_in_world)} points, noise {self.noise_px:.3g} px)"
+        )
 
+
+@checked
 def bundle_covariance(
     problem: BundleProblem,
     result: BundleResult,
@@ -59,9 +67,15 @@ def bundle_covariance(
 
     Raises:
         DegenerateGeometryError: there are no more residuals than unknowns, and no noise is given.
+        ShapeError: the result is that of another problem.
+        ConfigError: the noise is negative.
     """
     config = options_of(BundleConfig, config)
     found = with_result(problem, result)
+    if noise_px is not None and not 0 <= noise_px < 1e150:
+        raise ConfigError(f"noise_px must be within 0 and 1e150, got {noise_px}")
+    if np.shape(result.used_mask) != (len(problem.pixels),):
+        raise ShapeError("the result is not one of this problem")
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )

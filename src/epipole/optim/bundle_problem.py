@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
+from epipole._declared import Declared, check_fields, checked
 from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -15,7 +16,7 @@ NUM_PARAMS = MAX_PARAMS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointDistances:
+class PointDistances(Declared):
     """Known distances between points: a scale bar, a calibration object."""
 
     first: Int64[np.ndarray, " d"]
@@ -26,7 +27,7 @@ class PointDistances:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class BundlePriors:
+class BundlePriors(Declared):
     """What is known besides the pictures; each part may be missing. Each adds half its squared, weighed error.
 
     Standard deviations are relative to pixels with a standard deviation of one.
@@ -50,6 +51,7 @@ class BundlePriors:
     """Standard deviations of the camera parameters about these; infinite for no expectation."""
     distances: PointDistances | None = None
 
+    @checked
     def check(self, num_frames: int, num_cameras: int, num_points: int) -> None:
         """Check that all fits a problem of this size.
 
@@ -66,7 +68,7 @@ class BundlePriors:
                 raise ShapeError(f"{name} must be {shape}, got {array.shape}")
         if np.shape(self.position_sigma) not in ((), frames):
             raise ShapeError(f"position_sigma must be one number or {frames}")
-        if self.rig_from_world is not None and len(self.rig_from_world.translation) != num_frames:
+        if self.rig_from_world is not None and self.rig_from_world.batch_shape() != (num_frames,):
             raise ShapeError(f"rig_from_world must have {num_frames} rows")
         sigmas = {"position_sigma": self.position_sigma, "down_sigma_rad": self.down_sigma_rad}
         sigmas["params_sigma"] = 1.0 if self.params_sigma is None else self.params_sigma
@@ -77,6 +79,8 @@ class BundlePriors:
                 raise ShapeError(f"a distance names a point that is not there (there are {num_points})")
             if (self.distances.first == self.distances.second).any():
                 raise ShapeError("a distance joins a point to itself")
+        if not (np.isfinite(self.down_in_world).all() and np.any(self.down_in_world)):
+            raise ConfigError(f"down_in_world must be a direction, got {self.down_in_world}")
         for name, sigma in sigmas.items():
             if not (np.asarray(sigma) > 0).all():
                 raise ConfigError(f"{name} must be positive")
@@ -132,6 +136,12 @@ class BundleProblem:
             ShapeError: it does not; the message says what.
             ConfigError: a prior's deviation makes no sense.
         """
+        check_fields(self)
+        for name in ("rig_from_world", "cam_from_rig"):
+            if len(getattr(self, name).batch_shape()) != 1:
+                raise ShapeError(
+                    f"{name} must have a batch of one axis, got {getattr(self, name).batch_shape()}"
+                )
         num_frames, num_sensors = len(self.rig_from_world.translation), len(self.cam_from_rig.translation)
         num_points, num_seen, num_cameras = (
             len(self.points_in_world),
@@ -156,10 +166,34 @@ class BundleProblem:
             index = getattr(self, name)
             if len(index) and not (index.min() >= 0 and index.max() < size):
                 raise ShapeError(f"an observation names a {name} that is not there (there are {size})")
+        for name in ("frame_free", "params_free", "point_free", "sensor_free"):
+            free = getattr(self, name)
+            if free is not None and not ((free == 0) | (free == 1)).all():
+                raise ShapeError(f"{name} must be 0 or 1")
+        check_models(self.camera_model)
         if self.priors is not None:
             self.priors.check(num_frames, num_cameras, num_points)
 
+    def __repr__(self) -> str:
+        return (
+            f"BundleProblem({len(self.rig_from_world)} frames, {len(self.camera_params)} cameras, "
+            f"{len(self.points_in_world)} points, {len(self.pixels)} observations)"
+        )
 
+
+def check_models(models: Int32[np.ndarray, " c"]) -> None:
+    """Check that all are camera models.
+
+    Raises:
+        ConfigError: a number is that of none.
+    """
+    known = [int(model) for model in CameraModel]
+    if not np.isin(models, known).all():
+        wrong = int(models[~np.isin(models, known)][0])
+        raise ConfigError(f"there is no camera model {wrong}; they are {known[0]} to {known[-1]}")
+
+
+@checked
 def free_params_mask(
     models: Int32[np.ndarray, " c"],
     *,
@@ -167,7 +201,12 @@ def free_params_mask(
     principal_point: bool = False,
     distortion: bool = True,
 ) -> Float64[np.ndarray, "c 12"]:
-    """Mask of free intrinsics, by kind of parameter."""
+    """Mask of free intrinsics, by kind of parameter.
+
+    Raises:
+        ConfigError: there is no such camera model.
+    """
+    check_models(models)
     mask = np.zeros((len(models), NUM_PARAMS))
     for row, model in enumerate(models):
         kind = CameraModel(int(model))
@@ -177,6 +216,7 @@ def free_params_mask(
     return mask
 
 
+@checked
 def with_fixed_gauge(problem: BundleProblem) -> BundleProblem:
     """Hold the seven degrees of freedom that pictures leave open: one frame, and one coordinate of a second.
 

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._checks import as_float_array
+from epipole._declared import checked
+from epipole.errors import ConfigError
 
 
 class Loss(IntEnum):
@@ -23,8 +25,15 @@ class Loss(IntEnum):
     TUKEY = 5
 
 
+@checked
 def evaluate_loss(loss: Loss, squared: Any, scale: float) -> Float64[np.ndarray, "*batch"]:
-    """rho(s) for residuals of squared size s; beyond `scale` the loss flattens (Triggs et al. 2000, section 3)."""
+    """rho(s) for residuals of squared size s; beyond `scale` the loss flattens (Triggs et al. 2000, section 3).
+
+    Raises:
+        ConfigError: the loss is none, or the scale not positive.
+    """
+    if not 0 < scale < np.inf:
+        raise ConfigError(f"scale must be positive and finite, got {scale}")
     s, c = as_float_array(squared, "squared"), scale * scale
     if loss is Loss.HUBER:
         return np.where(s <= c, s, 2.0 * np.sqrt(np.maximum(s, c) * c) - c)

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
+from epipole._declared import check_fields, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
@@ -44,6 +45,8 @@ class PoseGraph:
         Raises:
             ShapeError: an index has no place, or shapes differ.
         """
+        check_fields(self)
+        self._check_numbers()
         n, m, d = len(self.world_from_body.translation), len(self.first), self.dimension
         if type(self.world_from_body) is not type(self.first_from_second):
             raise ShapeError("places and measured motions must be of one kind")
@@ -56,6 +59,20 @@ class PoseGraph:
         ):
             raise ShapeError(f"an edge names a place that is not there (there are {n})")
 
+    def _check_numbers(self) -> None:
+        """Check that all numbers can be calculated with: what is not finite would spread over the whole graph."""
+        for owner in ("world_from_body", "first_from_second"):
+            motions = getattr(self, owner)
+            if len(motions.batch_shape()) != 1:
+                raise ShapeError(f"{owner} must have a batch of one axis, got {motions.batch_shape()}")
+            for name in motions.__slots__:
+                if not np.isfinite(getattr(motions, name)).all():
+                    raise ShapeError(f"{owner}.{name} must be finite")
+            if isinstance(motions, Similarity3) and not (motions.scale > 0).all():
+                raise ShapeError(f"{owner}.scale must be positive")
+        if not np.isfinite(self.information).all():
+            raise ShapeError("information must be finite")
+
     @property
     def dimension(self) -> int:
         """Numbers in a step: 3, 6 or 7."""
@@ -63,6 +80,9 @@ class PoseGraph:
 
     def __len__(self) -> int:
         return len(self.world_from_body.translation)
+
+    def __repr__(self) -> str:
+        return f"PoseGraph({len(self.world_from_body)} bodies, {len(self.first)} motions between them)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +102,7 @@ class PoseGraphConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if self.max_iterations < 1 or not self.relative_tolerance >= 0:
             raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
         if not 0 < self.confidence < 1:
@@ -108,11 +129,13 @@ class PoseGraphResult:
         return f"PoseGraphResult(cost {self.initial_cost:.6g} -> {self.final_cost:.6g}, {kept})"
 
 
+@checked
 def pose_graph_cost(graph: PoseGraph) -> float:
     """Half the sum of r^T Omega r."""
     return 0.5 * float(_squared(graph, _residuals(graph, graph.world_from_body)[1]).sum())
 
 
+@checked
 def optimize_pose_graph(
     graph: PoseGraph,
     config: PoseGraphConfig | None = None,
@@ -135,6 +158,7 @@ def optimize_pose_graph(
         )
 
 
+@checked
 def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
     """Initial poses from the edges alone: chordal relaxation of the rotations, then linear translations.
 
@@ -188,7 +212,11 @@ def optimize_weighted(
     try:
         root = np.swapaxes(np.linalg.cholesky(graph.information), 1, 2) * np.sqrt(weights)[:, None, None]
     except np.linalg.LinAlgError as error:
-        raise DegenerateGeometryError("an edge's information matrix is not positive definite") from error
+        wrong = not_definite(graph.information)
+        few = ", ".join(map(str, wrong[:5])) + (", ..." if len(wrong) > 5 else "")
+        raise DegenerateGeometryError(
+            f"the information matrices of {len(wrong)} of {len(weights)} edges are not positive definite: {few}"
+        ) from error
     n, d = len(graph), graph.dimension
     equations = _NormalEquations(n, d, graph.first, graph.second)
     places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
@@ -223,6 +251,23 @@ def optimize_weighted(
             converged = True
             break
     return PoseGraphResult(places, initial, cost, iteration, converged, weights > 0, squared)
+
+
+def not_definite(information: Float64[np.ndarray, "m d d"]) -> Int64[np.ndarray, " e"]:
+    """The edges whose matrices have no Cholesky factor."""
+    try:
+        np.linalg.cholesky(information)
+    except np.linalg.LinAlgError:
+        return np.flatnonzero([not _has_factor(matrix) for matrix in information]).astype(np.int64)
+    return np.empty(0, np.int64)
+
+
+def _has_factor(matrix: np.ndarray) -> bool:
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _residuals(graph: PoseGraph, places: Motion) -> tuple[Any, np.ndarray]:

@@ -9,7 +9,9 @@ from jaxtyping import Bool
 from scipy.special import chdtri
 
 from epipole import _parallel
+from epipole._declared import checked
 from epipole.config import options_of
+from epipole.errors import ShapeError
 from epipole.optim.pose_graph import (
     Motion,
     PoseGraph,
@@ -20,6 +22,7 @@ from epipole.optim.pose_graph import (
 )
 
 
+@checked
 def optimize_pose_graph_robustly(
     graph: PoseGraph,
     may_be_wrong_mask: Bool[np.ndarray, " m"] | None = None,
@@ -36,7 +39,10 @@ def optimize_pose_graph_robustly(
 
     Raises:
         DegenerateGeometryError: an information matrix is not positive definite.
+        ShapeError: the mask has not one row per edge.
     """
+    if may_be_wrong_mask is not None and len(may_be_wrong_mask) != len(graph.first):
+        raise ShapeError(f"may_be_wrong_mask must have {len(graph.first)} rows, got {len(may_be_wrong_mask)}")
     with _parallel.single_threaded_blas():
         return _optimize_robustly(graph, may_be_wrong_mask, options_of(PoseGraphConfig, config))
 

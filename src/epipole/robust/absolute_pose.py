@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
+from epipole._checks import as_float_array, as_points, check_indices, require_same_length
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError
@@ -20,6 +21,7 @@ from epipole.robust._rig_pose_kernels import RigPoseProblem, UprightPoseProblem
 from epipole.robust.estimate import Estimate, Found, checked_quality, random_order, run_loop, usable_rows
 
 
+@checked
 def estimate_absolute_pose(
     points_in_world: Any,
     pixels: Any,
@@ -54,6 +56,7 @@ def estimate_absolute_pose(
     return found.estimate(_motion(found))
 
 
+@checked
 def estimate_rig_pose(
     points_in_world: Any,
     pixels: Any,
@@ -80,17 +83,21 @@ def estimate_rig_pose(
     """
     config = options_of(RansacConfig, config)
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
+    if len(cams_from_rig.batch_shape()) != 1:
+        raise ShapeError(f"cams_from_rig must have a batch of one axis, got {cams_from_rig.batch_shape()}")
     index = np.asarray(camera_index)
+    if index.dtype.kind not in "iu" or index.ndim != 1:
+        raise ShapeError(f"camera_index must be (n,) whole numbers below {len(cameras)}")
     n = require_same_length(points_in_world=points, pixels=pixels, camera_index=index)
     if len(cameras) != len(cams_from_rig):
         raise ShapeError(f"{len(cameras)} cameras need as many cams_from_rig, got {len(cams_from_rig)}")
-    if index.dtype.kind not in "iu" or index.ndim != 1 or ((index < 0) | (index >= len(cameras))).any():
-        raise ShapeError(f"camera_index must be (n,) whole numbers below {len(cameras)}")
+    check_indices(index, "camera_index", len(cameras))
     order, items = _pack(cameras, cams_from_rig, index, points, pixels, config)
     found = run_loop(RigPoseProblem(items), order, n, 1.0, config, None)
     return found.estimate(_motion(found))
 
 
+@checked
 def estimate_upright_pose(
     points_in_world: Any,
     pixels: Any,

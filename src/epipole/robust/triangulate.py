@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from epipole import _parallel
-from epipole._checks import as_float_array
+from epipole._checks import as_float_array, as_points, check_squarable
+from epipole._declared import checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
@@ -63,6 +64,7 @@ class Triangulation:
         return f"Triangulation({int(self.success_mask.sum())} of {len(self.reason)} points)"
 
 
+@checked
 def triangulate_points(
     cams_from_world: Rigid3,
     cameras: Camera | Sequence[Camera],
@@ -91,11 +93,10 @@ def triangulate_points(
     num_views = len(cams_from_world)
     if pixels.ndim != 3 or pixels.shape[0] != num_views or pixels.shape[2] != 2:
         raise ShapeError(f"pixels must be ({num_views}, n, 2), a row of pixels per view, got {pixels.shape}")
-    each = [cameras] * num_views if isinstance(cameras, Camera) else list(cameras)
-    if len(each) != num_views:
-        raise ShapeError(f"{num_views} views need as many cameras, got {len(each)}")
+    each = _camera_of_each(cams_from_world, cameras)
     if max_error_px is not None and not max_error_px > 0:
         raise ConfigError(f"max_error_px must be positive, got {max_error_px}")
+    check_squarable(max_error_px or 0.0, "max_error_px")
     if not 0 <= min_angle_rad < np.pi:
         raise ConfigError(f"min_angle_rad must lie in [0, pi), got {min_angle_rad}")
     max_cosine = float(np.cos(min_angle_rad)) if min_angle_rad > 0 else 1.0
@@ -104,6 +105,7 @@ def triangulate_points(
     return _many_views(cams_from_world, each, pixels, max_error_px, max_cosine)
 
 
+@checked
 def point_covariances(
     cams_from_world: Rigid3,
     cameras: Camera | Sequence[Camera],
@@ -122,9 +124,18 @@ def point_covariances(
 
     Returns:
         Infinite where the views leave the point undetermined.
+
+    Raises:
+        ShapeError: the arrays do not fit.
+        ConfigError: the noise is negative.
     """
-    points = as_float_array(points_in_world, "points_in_world", 3)
-    each = [cameras] * len(cams_from_world) if isinstance(cameras, Camera) else list(cameras)
+    points = as_points(points_in_world, "points_in_world", 3)
+    each = _camera_of_each(cams_from_world, cameras)
+    if seen_mask.shape != (len(each), len(points)):
+        raise ShapeError(f"seen_mask must be {(len(each), len(points))}, got {seen_mask.shape}")
+    if not 0 <= noise_px < np.inf:
+        raise ConfigError(f"noise_px must be finite and not negative, got {noise_px}")
+    check_squarable(noise_px, "noise_px")
     information = np.zeros((len(points), 3, 3))
     for view, camera in enumerate(each):
         _, jacobian, _ = camera.project_with_jacobian(cams_from_world[view].apply(points))
@@ -137,6 +148,18 @@ def point_covariances(
     usable = usable[values[:, 0] > 1e-14 * values[:, 2]]
     out[usable] = noise_px**2 * np.linalg.inv(information[usable])
     return out
+
+
+def _camera_of_each(cams_from_world: Rigid3, cameras: Camera | Sequence[Camera]) -> list[Camera]:
+    if len(cams_from_world.batch_shape()) != 1:
+        raise ShapeError(
+            f"cams_from_world must have a batch of one axis, got {cams_from_world.batch_shape()}"
+        )
+    num_views = len(cams_from_world)
+    each = [cameras] * num_views if isinstance(cameras, Camera) else list(cameras)
+    if len(each) != num_views:
+        raise ShapeError(f"{num_views} views need as many cameras, got {len(each)}")
+    return each
 
 
 def _two_views(

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from scipy.special import bdtrc
 
 from epipole._checks import require_same_length
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3, essential_from_cam2_from_cam1
@@ -46,6 +47,7 @@ from epipole.robust.rays import rays_on_plane
 Matrix3 = Float64[np.ndarray, "3 3"]
 
 
+@checked
 def estimate_relative_pose(
     pixels1: Any,
     pixels2: Any,
@@ -83,6 +85,7 @@ def estimate_relative_pose(
     return found.estimate(motion, _twist_covariance(found))
 
 
+@checked
 def estimate_upright_motion(
     pixels1: Any,
     pixels2: Any,
@@ -117,6 +120,7 @@ def estimate_upright_motion(
     return found.estimate(motion, _twist_covariance(found))
 
 
+@checked
 def estimate_essential_matrix(
     pixels1: Any,
     pixels2: Any,

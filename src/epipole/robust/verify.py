@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
+from epipole._declared import Declared, checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.geometry import Rigid3
@@ -43,7 +44,7 @@ _WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairMatches:
+class PairMatches(Declared):
     """Matched pixels of two images and their cameras."""
 
     pixels1: Float64[np.ndarray, "n 2"]
@@ -54,6 +55,9 @@ class PairMatches:
     """Both focal lengths can be trusted; else they are guesses, and a fundamental matrix is fitted."""
     seed: int = 0
     """Added to the configuration's: a pair keeps its answer in whatever list it stands."""
+
+    def __repr__(self) -> str:
+        return f"PairMatches({len(self.pixels1)} matches, {self.camera1!r}, {self.camera2!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +95,11 @@ class PairGeometry:
             return f"{words}; rays meet at {np.degrees(self.median_angle_rad):.1f} degrees"
         return f"{words}; there is no depth in it"
 
+    def __repr__(self) -> str:
+        return f"PairGeometry({self.kind.name}: {self.explanation})"
 
+
+@checked
 def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = None) -> list[PairGeometry]:
     """Name what each pair is: general, planar, rotation only, no motion, or degenerate.
 
@@ -111,6 +119,7 @@ def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = Non
     return [geometry for part in parts for geometry in part]
 
 
+@checked
 def verify_pair(
     pixels1: Any,
     pixels2: Any,
@@ -124,6 +133,7 @@ def verify_pair(
     return verify_pairs([PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)], config)[0]
 
 
+@checked
 def fundamental_for_guided_matching(
     pixels1: Any,
     pixels2: Any,

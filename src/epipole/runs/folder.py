@@ -7,7 +7,6 @@ no earlier run has written.
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import stat
@@ -19,15 +18,14 @@ from typing import Any
 from epipole._version import __version__
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts, reporting
+from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
-from epipole.runs.lock import LOCK
+from epipole.runs.lock import LOCK, remove_free_locks
 from epipole.runs.source import content_digest, source_name
 
 MARK = "epipole.json"
 FORMAT = 2
-_LARGEST_MARK = 1 << 28
-"""Bytes: a million names of results."""
 
 
 class OutputFolder:
@@ -72,6 +70,8 @@ class OutputFolder:
                         target = self.root / name
                         target.parent.mkdir(parents=True, exist_ok=True)
                         (aside / name).replace(target)
+            except WorkspaceError as error:
+                raise WorkspaceError(str(error).replace(str(aside), str(self.root))) from error
             finally:
                 shutil.rmtree(aside, ignore_errors=True)
 
@@ -217,6 +217,7 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
         else:
             raise WorkspaceError(_whose(held))
         remove_abandoned_parts(root)
+        remove_free_locks(root)
         folder.save()
         return folder
 
@@ -253,9 +254,7 @@ def read_mark(root: Path) -> OutputFolder | None:
     if not mark.is_file():
         return None
     try:
-        if mark.stat().st_size > _LARGEST_MARK:
-            raise ValueError
-        content = json.loads(mark.read_text(encoding="utf-8"))
+        content = read_json(mark)
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
             folder = OutputFolder(
@@ -266,7 +265,7 @@ def read_mark(root: Path) -> OutputFolder | None:
             folder.has_failed = content.get("has_failed", False) is True
             folder.timings_s = {str(stage): float(seconds or 0.0) for stage, seconds in timings.items()}
             return folder
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")
 

@@ -53,6 +53,14 @@ def alone_in(root: Path) -> Iterator[None]:
                 root.rmdir()
 
 
+def remove_free_locks(root: Path) -> None:
+    """Remove what killed runs have left in folders below this one."""
+    for path in root.rglob(LOCK):
+        if path.parent != root and path.is_file() and not path.is_symlink():
+            with suppress(WorkspaceError, OSError), alone_in(path.parent):
+                pass
+
+
 def _locked(root: Path) -> int:
     """An open lock file that this process alone has."""
     while True:

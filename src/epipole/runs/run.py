@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from epipole._version import __version__
+from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice
 from epipole.runs.folder import MARK, OutputFolder, check_place, claim, read_mark
 from epipole.runs.lock import alone_in
@@ -112,10 +113,11 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
         try:
             yield run
         except BaseException as error:
-            run.folder.give_up(has_failed=isinstance(error, Exception))
+            with suppress(WorkspaceError, OSError):  # of the two the first error tells more
+                run.folder.give_up(has_failed=isinstance(error, Exception))
+                run.close()
             raise
-        finally:
-            run.close()
+        run.close()
 
 
 def is_finished(out: Path, settings: Mapping[str, Any]) -> bool:

@@ -10,24 +10,33 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from epipole import _parallel
 from epipole.errors import WorkspaceError
 from epipole.io.atomic import atomic_write
+from epipole.io.files import require_file
 from epipole.runs.executors import ExecutorChoice, opened
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
 Arrays = dict[str, np.ndarray]
 _SEAL_BYTES = 16
+_DAMAGE = (
+    *(OSError, ValueError, LookupError, EOFError, TypeError, OverflowError, MemoryError, RuntimeError),
+    *(SyntaxError, BadZipFile, TokenError, zlib.error),
+)
+"""What zipfile and NumPy may raise on a damaged file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +135,19 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
             file.write(seal)
 
 
+def _open_arrays(path: Path) -> NpzFile:
+    """A file of arrays that are stored as they are: one that is packed may stand for gigabytes."""
+    num_bytes = require_file(path)
+    file = np.load(path, allow_pickle=False)
+    if not isinstance(file, NpzFile):
+        raise ValueError("it holds one array alone")
+    members = file.zip.infolist() if file.zip is not None else []
+    if sum(member.file_size for member in members) > num_bytes:
+        file.close()
+        raise ValueError("its arrays are larger than the file")
+    return file
+
+
 def load(path: Path, *names: str) -> Arrays:
     """Read the arrays of these names from a unit's file; all of them if none is named.
 
@@ -133,9 +155,9 @@ def load(path: Path, *names: str) -> Arrays:
         WorkspaceError: the file is missing or damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with _open_arrays(path) as file:
             return {name: file[name] for name in names or file.files if name != "key"}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+    except _DAMAGE as error:
         raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
 
@@ -147,11 +169,9 @@ def is_done(path: Path, key: str) -> bool:
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
-        if not path.is_file():
-            return ""
-        with np.load(path, allow_pickle=False) as file:
+        with _open_arrays(path) as file:
             return str(file["key"])
-    except (OSError, ValueError, KeyError, EOFError, RuntimeError, BadZipFile):
+    except _DAMAGE:
         return ""
 
 

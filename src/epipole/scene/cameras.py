@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
+from epipole._declared import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera, CameraModel
+from epipole.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cameras:
-    """One row per camera; the row is its id inside epipole."""
+    """One row per camera; the row is its id inside epipole. `Cameras.from_list` makes them of single cameras."""
 
     model: Int32[np.ndarray, " n"]
     width: Int32[np.ndarray, " n"]
@@ -25,14 +27,34 @@ class Cameras:
     is_constant: Bool[np.ndarray, " n"]
     """The intrinsics are known and stay as they are."""
 
+    def __post_init__(self) -> None:
+        """Check the columns.
+
+        Raises:
+            ShapeError: an array is of another kind or shape.
+            ConfigError: there is no such camera model.
+        """
+        check_fields(self)
+        known = [int(model) for model in CameraModel]
+        if not np.isin(self.model, known).all():
+            raise ConfigError(f"model must be within {known[0]} and {known[-1]}, got {self.model}")
+
     @staticmethod
+    @checked
     def from_list(
         cameras: Iterable[Camera],
         is_focal_trusted: Iterable[bool] | None = None,
         is_constant: Iterable[bool] | None = None,
     ) -> Cameras:
-        """Collect single cameras into columns (flags default to True and False)."""
+        """Collect single cameras into columns (flags default to True and False).
+
+        Raises:
+            ConfigError: one is no camera.
+        """
         rows = list(cameras)
+        wrong = next((row for row in rows if not isinstance(row, Camera)), None)
+        if wrong is not None:
+            raise ConfigError(f"cameras must be Camera objects, got {type(wrong).__name__}")
         n = len(rows)
         return Cameras(
             np.array([int(c.model) for c in rows], np.int32),

@@ -8,6 +8,8 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from epipole._declared import Declared
+
 
 class StereoReason(IntEnum):
     """Why a pixel has no disparity, or that it has one."""
@@ -28,7 +30,7 @@ class StereoReason(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DisparityMap:
+class DisparityMap(Declared):
     """Disparities of the left picture: x_right = x_left - disparity."""
 
     disparity_px: Float32[np.ndarray, "h w"]
@@ -49,7 +51,7 @@ class DisparityMap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DepthMap:
+class DepthMap(Declared):
     """Depth of the left picture's pixels, in the unit of the baseline."""
 
     depth: Float64[np.ndarray, "h w"]

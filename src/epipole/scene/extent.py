@@ -7,12 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from epipole._declared import Declared, checked
+from epipole.errors import ConfigError
+
 WIDEST_HALF_ANGLE_RAD = float(np.deg2rad(65.0))
 """A drawn frustum reaches no farther than this from the optical axis to each side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Extent:
+class Extent(Declared):
     """The part of the world that holds all cameras and nearly all points."""
 
     low: Float64[np.ndarray, " 3"]
@@ -22,11 +25,17 @@ class Extent:
     radius: float
     """Of a ball around the focus that holds most of the points and most of the cameras."""
 
+    @checked
     def contains(self, points_in_world: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Mask of points inside the box; false for non-finite ones."""
         return np.asarray(((points_in_world >= self.low) & (points_in_world <= self.high)).all(axis=1))
 
+    def __repr__(self) -> str:
+        low, high, focus = (np.array2string(v, precision=4) for v in (self.low, self.high, self.focus))
+        return f"Extent(from {low} to {high}, focus {focus}, radius {self.radius:.4g})"
 
+
+@checked
 def extent_of(
     points_in_world: Float64[np.ndarray, "n 3"], centers_in_world: Float64[np.ndarray, "m 3"], percent: float
 ) -> Extent:
@@ -36,7 +45,12 @@ def extent_of(
         points_in_world: rows that are not finite do not count.
         centers_in_world: of cameras; rows that are not finite do not count.
         percent: of the points, and of the cameras, that the radius reaches.
+
+    Raises:
+        ConfigError: it is no percentage.
     """
+    if not 0 <= percent <= 100:
+        raise ConfigError(f"percent must be within 0 and 100, got {percent}")
     points, centers = _finite_rows(points_in_world), _finite_rows(centers_in_world)
     if not len(centers) and not len(points):
         return Extent(-np.ones(3), np.ones(3), np.zeros(3), 1.0)
@@ -57,6 +71,7 @@ def _finite_rows(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3
     return points[np.isfinite(points).all(axis=1)]
 
 
+@checked
 def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, most: float) -> float:
     """How large to draw frusta: half the usual gap between neighbours, within bounds; `most` for fewer than two."""
     if len(centers_in_world) < 2:
@@ -67,6 +82,7 @@ def frustum_size(centers_in_world: Float64[np.ndarray, "n 3"], least: float, mos
     return float(np.clip(0.5 * np.median(gaps.min(axis=1)), least, most))
 
 
+@checked
 def frustum_corners_in_cam(
     K: Float64[np.ndarray, "3 3"], width: int, height: int
 ) -> Float64[np.ndarray, "4 3"]:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
+from epipole._checks import check_count
+from epipole._declared import Declared, checked
 from epipole.geometry import Rigid3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rigs:
+class Rigs(Declared):
     """Rigs in compressed rows: rig r has the sensors sensor_offsets[r] to sensor_offsets[r + 1].
 
     The first sensor of a rig is its reference (identity). A single camera is a rig of one sensor.
@@ -22,8 +24,10 @@ class Rigs:
     cam_from_rig: Rigid3
 
     @staticmethod
+    @checked
     def of_single_cameras(num_cameras: int) -> Rigs:
         """One rig for each camera, which is its only sensor."""
+        check_count(num_cameras, "num_cameras")
         ids = np.arange(num_cameras + 1, dtype=np.int32)
         return Rigs(ids, ids[:-1].copy(), Rigid3.identity(num_cameras))
 
@@ -39,7 +43,7 @@ class Rigs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frames:
+class Frames(Declared):
     """One row per instant of one rig."""
 
     rig: Int32[np.ndarray, " n"]
@@ -59,6 +63,8 @@ class Frames:
         return f"Frames({len(self)}, {int(self.is_registered().sum())} registered)"
 
 
+@checked
 def unregistered(count: int) -> Rigid3:
     """Rigid3 rows of NaN: places not known."""
+    check_count(count, "count")
     return Rigid3(np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan))

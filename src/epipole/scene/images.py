@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
+from epipole._checks import check_index
+from epipole._declared import Declared, checked
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Images:
+class Images(Declared):
     """One row per image; keypoints of image i are keypoints_px[keypoint_offsets[i] : keypoint_offsets[i + 1]]."""
 
     name: tuple[str, ...]
@@ -24,8 +27,10 @@ class Images:
     def __len__(self) -> int:
         return len(self.name)
 
+    @checked
     def keypoints_of(self, image: int) -> Float64[np.ndarray, "k 2"]:
         """Keypoints of one image, in pixels."""
+        check_index(image, "image", len(self))
         return self.keypoints_px[self.keypoint_offsets[image] : self.keypoint_offsets[image + 1]]
 
     def __repr__(self) -> str:

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._checks import as_float_array
+from epipole._declared import Declared
 from epipole.errors import ShapeError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointCloud:
+class PointCloud(Declared):
     """Points of a depth map."""
 
     points_in_cam: Float64[np.ndarray, "n 3"]
@@ -22,6 +23,10 @@ class PointCloud:
 
     def __len__(self) -> int:
         return len(self.points_in_cam)
+
+    def __repr__(self) -> str:
+        height, width = self.mask.shape
+        return f"PointCloud({len(self)} points of {width} x {height} pixels)"
 
 
 def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt8
 
+from epipole._declared import Declared
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
+class Points(Declared):
     """One row per 3D point."""
 
     xyz_in_world: Float64[np.ndarray, "n 3"]
@@ -25,7 +27,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+class Tracks(Declared):
     """Track of point j in compressed rows: observations offsets[j] to offsets[j + 1]."""
 
     offsets: Int64[np.ndarray, " n1"]

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
+from epipole._checks import check_indices, check_offsets
+from epipole._declared import check_fields, checked
+from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.scene.cameras import Cameras
 from epipole.scene.frames import Frames, Rigs
@@ -24,6 +27,35 @@ class Reconstruction:
     images: Images
     points: Points
     tracks: Tracks
+
+    def __post_init__(self) -> None:
+        """Check that rows refer to rows that are there.
+
+        Raises:
+            ShapeError: one does not.
+        """
+        check_fields(self)
+        images, tracks = self.images, self.tracks
+        check_offsets(self.rigs.sensor_offsets, "rigs.sensor_offsets", len(self.rigs.sensor_camera))
+        check_indices(self.rigs.sensor_camera, "rigs.sensor_camera", len(self.cameras))
+        check_indices(self.frames.rig, "frames.rig", len(self.rigs))
+        check_indices(images.frame, "images.frame", len(self.frames))
+        check_indices(images.sensor, "images.sensor", len(self.rigs.sensor_camera))
+        check_offsets(images.keypoint_offsets, "images.keypoint_offsets", len(images.keypoints_px))
+        check_offsets(tracks.offsets, "tracks.offsets", len(tracks.image))
+        check_indices(tracks.image, "tracks.image", len(images))
+        counts = np.diff(images.keypoint_offsets)[tracks.image]
+        if not ((tracks.keypoint >= 0) & (tracks.keypoint < counts)).all():
+            raise ShapeError("tracks.keypoint names a keypoint that is not there")
+        for name, found, wanted in (
+            ("points", len(self.points), len(tracks)),
+            ("rigs.cam_from_rig", len(self.rigs.cam_from_rig), len(self.rigs.sensor_camera)),
+            ("frames.rig_from_world", len(self.frames.rig_from_world), len(self.frames)),
+            ("images.frame", len(images.frame), len(images)),
+            ("images.keypoint_offsets", len(images.keypoint_offsets), len(images) + 1),
+        ):
+            if found != wanted:
+                raise ShapeError(f"{name} must have {wanted} rows, got {found}")
 
     @property
     def camera_of_image(self) -> Int32[np.ndarray, " n"]:
@@ -77,6 +109,7 @@ class Reconstruction:
         errors = errors[np.isfinite(errors)]
         return float(errors.mean()) if len(errors) else float("nan")
 
+    @checked
     def transformed(self, target_from_world: Similarity3) -> Reconstruction:
         """The same model in other coordinates. Rigs scale with it."""
         rig_from_target = target_from_world.move_cam_from_source(self.frames.rig_from_world)
@@ -92,7 +125,15 @@ class Reconstruction:
         )
 
     def __repr__(self) -> str:
+        # The points' own errors, which are there already: projecting all of them would make printing slow.
+        seen = np.diff(self.tracks.offsets)
+        known = np.isfinite(self.points.error_px) & (seen > 0)
+        error = ""
+        if known.any():
+            mean = np.average(self.points.error_px[known], weights=seen[known])
+            error = f", mean error {mean:.2f} px"
         return (
-            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images, "
-            f"{len(self.cameras)} cameras, {len(self.points)} points, {len(self.tracks.image)} observations)"
+            f"Reconstruction({int(self.is_registered().sum())} of {len(self.images)} images placed, "
+            f"{len(self.points)} points, {len(self.tracks.image)} observations{error}, "
+            f"{len(self.cameras)} cameras)"
         )

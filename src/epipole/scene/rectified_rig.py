@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
+from epipole._declared import check_fields, checked
 from epipole.errors import ConfigError
 
 _NEAREST, _FARTHEST = 8.0, 800.0  # baselines
@@ -35,6 +36,7 @@ class RectifiedRig:
         Raises:
             ConfigError: focal length or baseline is not positive, or a number is missing.
         """
+        check_fields(self)
         for name, value in (("focal_px", self.focal_px), ("baseline", self.baseline)):
             if not 0 < value < np.inf:
                 hint = "; are left and right swapped?" if name == "baseline" and value < 0 else ""
@@ -50,6 +52,7 @@ class RectifiedRig:
         """Of the left camera."""
         return np.array([[self.focal_px, 0.0, self.cx], [0.0, self.focal_px, self.cy], [0.0, 0.0, 1.0]])
 
+    @checked
     def calibration_sigma(self, disparity_px: Float[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
         """Error of each disparity, in pixels, that stands for those of f, B and the principal points: Z = f B / (d + o)."""
         relative = (self.focal_sigma_px / self.focal_px) ** 2 + (self.baseline_sigma / self.baseline) ** 2

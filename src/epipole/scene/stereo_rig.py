@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
+from epipole._declared import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
@@ -33,6 +34,7 @@ class StereoRig:
             ShapeError: the motion is not a single one, or the covariance has another shape.
             ConfigError: the motion is not finite, no rotation, or its baseline is zero.
         """
+        check_fields(self)
         if self.right_from_left.translation.shape != (3,):
             raise ShapeError("right_from_left must be a single motion")
         if self.covariance is not None and self.covariance.shape != (RIG_UNKNOWNS, RIG_UNKNOWNS):
@@ -54,6 +56,7 @@ class StereoRig:
         """Distance between both centres."""
         return float(np.linalg.norm(self.right_from_left.translation))
 
+    @checked
     def check_pictures(self, left: np.ndarray, right: np.ndarray) -> None:
         """Compare the sizes of two pictures, (h, w) or (h, w, c), with those the cameras were calibrated for.
 
@@ -61,12 +64,15 @@ class StereoRig:
             ShapeError: one differs.
         """
         for name, picture, camera in (("left", left, self.left), ("right", right, self.right)):
+            if picture.ndim < 2:
+                raise ShapeError(f"{name} must be a picture, has shape {picture.shape}")
             height, width = picture.shape[:2]
             if (width, height) != (camera.width, camera.height):
                 raise ShapeError(
                     f"{name} is {width} x {height} pixels; its calibration is for {camera.width} x {camera.height}"
                 )
 
+    @checked
     def perturbed(self, change: Float64[np.ndarray, " 30"]) -> StereoRig:
         """The rig after a change of its unknowns, in the order of `covariance`."""
         n, m = len(self.left.params), len(self.right.params)

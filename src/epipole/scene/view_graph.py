@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
+from epipole._declared import Declared
 from epipole.geometry import Rigid3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewGraph:
+class ViewGraph(Declared):
     """One row per verified pair; inlier matches of pair e are rows match_offsets[e] to match_offsets[e + 1]."""
 
     image1: Int32[np.ndarray, " n"]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
+from epipole._checks import as_directions, as_points, as_table, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.solvers import _absolute_pose_kernels as kernels
@@ -25,9 +25,8 @@ def solve_p3p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 4.
     """
-    rays = as_float_array(rays_in_cam, "rays_in_cam", 3, 3, finite=True)
-    points = as_float_array(points_in_world, "points_in_world", 3, 3, finite=True)
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = as_directions(as_table(rays_in_cam, "rays_in_cam", 3, 3), "rays_in_cam")
+    points = as_table(points_in_world, "points_in_world", 3, 3)
     out = np.empty((4, 12))
     found = out[: kernels.p3p(rays, points, out, kernels.p3p_workspace())]
     return Rigid3(found[:, :9].reshape(-1, 3, 3).copy(), found[:, 9:].copy())
@@ -53,8 +52,8 @@ def solve_p4pf(pixels: Any, points_in_world: Any) -> FocalPoses:
     Returns:
         Between 0 and 8 solutions; four points fix one number more than there are unknowns, which is left free.
     """
-    p = as_float_array(pixels, "pixels", 4, 2, finite=True)
-    points = as_float_array(points_in_world, "points_in_world", 4, 3, finite=True)
+    p = as_table(pixels, "pixels", 4, 2)
+    points = as_table(points_in_world, "points_in_world", 4, 3)
     middle = points.mean(axis=0)
     size, spread = float(np.abs(points - middle).max()) or 1.0, float(np.abs(p).max()) or 1.0
     out = np.empty((8, 13))
@@ -74,10 +73,9 @@ def solve_generalized_p3p(origins_in_rig: Any, rays_in_rig: Any, points_in_world
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 8.
     """
-    origins = as_float_array(origins_in_rig, "origins_in_rig", 3, 3, finite=True)
-    rays = as_float_array(rays_in_rig, "rays_in_rig", 3, 3, finite=True)
-    points = as_float_array(points_in_world, "points_in_world", 3, 3, finite=True)
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    origins = as_table(origins_in_rig, "origins_in_rig", 3, 3)
+    rays = as_directions(as_table(rays_in_rig, "rays_in_rig", 3, 3), "rays_in_rig")
+    points = as_table(points_in_world, "points_in_world", 3, 3)
     middle = points.mean(axis=0)
     size = float(np.abs(points - middle).max()) or 1.0
     out = np.empty((8, 13))
@@ -97,9 +95,8 @@ def solve_upright_p2p(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
     Returns:
         Rigid3 of batch shape (k,), k between 0 and 2.
     """
-    rays = as_float_array(rays_in_cam, "rays_in_cam", 2, 3, finite=True)
-    points = as_float_array(points_in_world, "points_in_world", 2, 3, finite=True)
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = as_directions(as_table(rays_in_cam, "rays_in_cam", 2, 3), "rays_in_cam")
+    points = as_table(points_in_world, "points_in_world", 2, 3)
     out = np.empty((2, 12))
     found = out[: more.upright_p2p(rays, points, out)]
     return Rigid3(found[:, :9].reshape(-1, 3, 3).copy(), found[:, 9:].copy())
@@ -129,10 +126,12 @@ def solve_pnp(rays_in_cam: Any, points_in_world: Any) -> Rigid3:
         raise ShapeError(f"at least 4 points are needed, got {len(points)}")
     middle = points.mean(axis=0)
     size = float(np.linalg.norm(points - middle, axis=1).max())
+    if not size < np.inf:
+        raise ShapeError("points_in_world are too far apart to be calculated with")
     if not size > 0 or np.linalg.svd(points - middle, compute_uv=False)[1] < 1e-9 * size:
         raise DegenerateGeometryError("the points lie on a line (or coincide)")
     x = (points - middle) / size
-    y = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    y = as_directions(rays, "rays_in_cam")
     across = np.eye(3) - y[:, :, None] * y[:, None, :]
     moved = np.einsum("ij,nk->nijk", np.eye(3), x).reshape(-1, 3, 9)  # R x = moved r
     total = across.sum(axis=0)

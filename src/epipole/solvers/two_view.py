@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._checks import as_float_array, as_points, require_same_length
+from epipole._checks import as_points, as_table, require_same_length
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, from_homogeneous, to_homogeneous
 from epipole.solvers import _five_point_kernels as five_point
@@ -28,8 +28,8 @@ def solve_essential_five_point(rays1: Any, rays2: Any) -> Float64[np.ndarray, "k
         Between 0 and 10 matrices; none for degenerate input.
     """
     y1, y2 = (
-        as_float_array(rays1, "rays1", 5, 3, finite=True),
-        as_float_array(rays2, "rays2", 5, 3, finite=True),
+        as_table(rays1, "rays1", 5, 3),
+        as_table(rays2, "rays2", 5, 3),
     )
     out = np.empty((10, 9))
     return out[: five_point.essential_five_point(y1, y2, out, five_point.five_point_workspace())].reshape(
@@ -47,8 +47,8 @@ def solve_upright_relative_three_point(rays1: Any, rays2: Any) -> Rigid3:
     Returns:
         Rigid3 of batch shape (k,): up to six rotations, each with both signs of t.
     """
-    y1 = as_float_array(rays1, "rays1", 3, 3, finite=True)
-    y2 = as_float_array(rays2, "rays2", 3, 3, finite=True)
+    y1 = as_table(rays1, "rays1", 3, 3)
+    y2 = as_table(rays2, "rays2", 3, 3)
     out = np.empty((12, 12))
     count = more.upright_relative_three_point(y1, y2, out, more.upright_relative_workspace())
     return Rigid3(out[:count, :9].reshape(-1, 3, 3).copy(), out[:count, 9:].copy())
@@ -74,8 +74,8 @@ def solve_shared_focal_six_point(pixels1: Any, pixels2: Any) -> SharedFocals:
     Returns:
         Between 0 and 8 solutions; none where optical axes meet, which leaves the focal length open.
     """
-    p1 = as_float_array(pixels1, "pixels1", 6, 2, finite=True)
-    p2 = as_float_array(pixels2, "pixels2", 6, 2, finite=True)
+    p1 = as_table(pixels1, "pixels1", 6, 2)
+    p2 = as_table(pixels2, "pixels2", 6, 2)
     size = max(float(np.abs(p1).max()), float(np.abs(p2).max())) or 1.0
     x1, x2 = to_homogeneous(p1 / size), to_homogeneous(p2 / size)
     essentials, focals = np.empty((8, 9)), np.empty(8)
@@ -96,8 +96,8 @@ def solve_fundamental_seven_point(pixels1: Any, pixels2: Any) -> Float64[np.ndar
         pixels1: (7, 2).
         pixels2: (7, 2).
     """
-    p1 = as_float_array(pixels1, "pixels1", 7, 2, finite=True)
-    p2 = as_float_array(pixels2, "pixels2", 7, 2, finite=True)
+    p1 = as_table(pixels1, "pixels1", 7, 2)
+    p2 = as_table(pixels2, "pixels2", 7, 2)
     t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
     out = np.empty((3, 9))
     x1, x2 = to_homogeneous(p1) @ t1.T, to_homogeneous(p2) @ t2.T
@@ -123,8 +123,8 @@ def solve_fundamental_eight_point(pixels1: Any, pixels2: Any) -> Float64[np.ndar
 
 def solve_homography_four_point(pixels1: Any, pixels2: Any) -> Float64[np.ndarray, "k 3 3"]:
     """The homography of four matches, x2 ~ H x1, |H| = 1: one, or none if three points are collinear."""
-    p1 = as_float_array(pixels1, "pixels1", 4, 2, finite=True)
-    p2 = as_float_array(pixels2, "pixels2", 4, 2, finite=True)
+    p1 = as_table(pixels1, "pixels1", 4, 2)
+    p2 = as_table(pixels2, "pixels2", 4, 2)
     t1, t2 = hartley_normalization(p1), hartley_normalization(p2)
     out = np.empty(9)
     if not kernels.homography_four_point(to_homogeneous(p1) @ t1.T, to_homogeneous(p2) @ t2.T, out):
@@ -173,7 +173,13 @@ def _matched(pixels1: Any, pixels2: Any, least: int) -> tuple[np.ndarray, np.nda
 
 
 def _null_vector(system: np.ndarray) -> np.ndarray:
-    _, s, vt = np.linalg.svd(system, full_matrices=True)
+    """The right singular vector of the smallest singular value.
+
+    Fewer rows than columns leave it out of the economical form; more would make the full one's left vectors n x n.
+    """
+    if not np.isfinite(system).all():
+        raise ShapeError("the pixels are too large to be calculated with")
+    _, s, vt = np.linalg.svd(system, full_matrices=len(system) < system.shape[1])
     if len(s) >= 8 and s[7] <= 1e-9 * s[0]:
         raise DegenerateGeometryError("the matches admit more than one solution")
     return vt[-1]

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_float_array
+from epipole._checks import as_float_array, check_count
+from epipole._declared import checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.synthetic.scene import Box, HeightField, Plane, Sphere, SyntheticScene
@@ -52,6 +53,7 @@ def courtyard() -> SyntheticScene:
     )  # fmt: skip
 
 
+@checked
 def courtyard_views(num_views: int = 24) -> Rigid3:
     """Places on an arc of 100 degrees before the corner, at varying heights, all looking at its middle.
 
@@ -60,6 +62,7 @@ def courtyard_views(num_views: int = 24) -> Rigid3:
     """
     if num_views < 1:
         raise ConfigError(f"num_views must be at least 1, got {num_views}")
+    check_count(num_views, "num_views")
     angles = np.deg2rad(np.linspace(-95.0, 5.0, num_views))
     height = 1.5 + 0.25 * np.sin(np.arange(num_views) * 1.9)
     reach = 4.6 + 0.3 * np.cos(np.arange(num_views) * 1.3)

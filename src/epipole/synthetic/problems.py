@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
+from epipole._checks import check_count, check_seed
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Rotation3
@@ -19,6 +21,8 @@ NEAR, FAR = 4.0, 9.0
 RING_RADIUS, BALL_RADIUS = 4.0, 1.0
 DISTORTION = (-0.05, 0.01, 1e-3, -1e-3)
 """The first coefficients of whichever model a bundle problem uses."""
+_MOST_ROUNDS = 1000
+"""Draws of points for two pictures; a few do where the pictures overlap."""
 START_TWIST, START_POINT, START_FOCAL = 0.01, 0.02, 0.01
 """Standard deviations of a bundle problem's start: twist of each camera, points, and focal length (relative)."""
 
@@ -59,6 +63,7 @@ class ReconstructionProblem:
     start: Reconstruction
 
 
+@checked
 def two_view_problem(
     num_matches: int,
     outlier_ratio: float = 0.0,
@@ -84,10 +89,11 @@ def two_view_problem(
     Raises:
         ConfigError: a value makes no sense.
     """
-    _check(num_matches, outlier_ratio, noise_px)
+    _check(num_matches, outlier_ratio, noise_px, seed)
     return _two_views(_pinhole(focal_px, size), num_matches, outlier_ratio, noise_px, seed, kind)
 
 
+@checked
 def dominant_plane_problem(
     num_matches: int,
     plane_share: float,
@@ -107,7 +113,7 @@ def dominant_plane_problem(
     Raises:
         ConfigError: a value makes no sense.
     """
-    _check(num_matches, outlier_ratio, noise_px)
+    _check(num_matches, outlier_ratio, noise_px, seed)
     if not 0 <= plane_share <= 1:
         raise ConfigError(f"plane_share must lie in [0, 1], got {plane_share}")
     camera = _pinhole(800.0, (1280, 960))
@@ -131,7 +137,9 @@ def _two_views(
     normal = _slanted_normal(rng) if kind == "planar" else None
     points, pixels1, pixels2 = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
     plane_mask = np.empty(0, bool)
-    while len(points) < num_matches:
+    for _ in range(_MOST_ROUNDS):
+        if len(points) == num_matches:
+            break
         candidates, seen1, flat = _points_in_view(rng, camera, num_matches + 8, normal, plane_share)
         seen2 = camera.project(cam2_from_cam1.apply(candidates))
         inside = _is_inside(camera, seen2)
@@ -139,11 +147,16 @@ def _two_views(
         plane_mask = np.concatenate([plane_mask, flat[inside]])[:num_matches]
         pixels1 = np.concatenate([pixels1, seen1[inside]])[:num_matches]
         pixels2 = np.concatenate([pixels2, seen2[inside]])[:num_matches]
+    if len(points) < num_matches:
+        raise ConfigError(
+            f"pictures of {camera.width} x {camera.height} pixels hardly show a point in common"
+        )
     pixels1 = pixels1 + noise_px * rng.standard_normal(pixels1.shape)
     pixels2, inlier_mask = _with_noise_and_outliers(rng, camera, pixels2, outlier_ratio, noise_px)
     return TwoViewProblem(pixels1, pixels2, inlier_mask, cam2_from_cam1, camera, camera, points, plane_mask)
 
 
+@checked
 def absolute_pose_problem(
     num_points: int,
     outlier_ratio: float = 0.0,
@@ -168,7 +181,7 @@ def absolute_pose_problem(
     Raises:
         ConfigError: a value makes no sense.
     """
-    _check(num_points, outlier_ratio, noise_px)
+    _check(num_points, outlier_ratio, noise_px, seed)
     rng, camera = np.random.default_rng(seed), _pinhole(focal_px, size)
     cam_from_world = Rigid3(
         Rotation3.from_quat_wxyz(rng.standard_normal(4)).matrix, rng.uniform(-10.0, 10.0, 3)
@@ -180,6 +193,7 @@ def absolute_pose_problem(
     return AbsolutePoseProblem(points_in_world, pixels, inlier_mask, cam_from_world, camera)
 
 
+@checked
 def bundle_problem(
     num_cameras: int,
     num_points: int,
@@ -202,7 +216,8 @@ def bundle_problem(
     Raises:
         ConfigError: a value makes no sense.
     """
-    _check(num_points, 0.0, noise_px)
+    check_count(num_cameras, "num_cameras", 1 << 16)
+    _check(num_points, 0.0, noise_px, seed)
     if not 1 <= track_length <= num_cameras:
         raise ConfigError(f"track_length must lie between 1 and {num_cameras} cameras, got {track_length}")
     rng = np.random.default_rng(seed)
@@ -217,9 +232,9 @@ def bundle_problem(
     return ReconstructionProblem(truth, _perturbed(truth, rng))
 
 
-def _check(count: int, outlier_ratio: float, noise_px: float) -> None:
-    if count < 0:
-        raise ConfigError(f"the number of points must not be negative, got {count}")
+def _check(count: int, outlier_ratio: float, noise_px: float, seed: int) -> None:
+    check_seed(seed)
+    check_count(count, "the number of points")
     if not 0 <= outlier_ratio <= 1:
         raise ConfigError(f"outlier_ratio must lie in [0, 1], got {outlier_ratio}")
     if not 0 <= noise_px < np.inf:

@@ -8,7 +8,10 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.synthetic import _render_kernels as kernels
 from epipole.synthetic.scene import SyntheticScene
@@ -23,6 +26,7 @@ class Rendering:
     """z in camera coordinates at each pixel's centre; NaN for the sky."""
 
 
+@checked
 def render(
     scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, noise_sigma: float = 0.0, seed: int = 0
 ) -> Rendering:
@@ -34,8 +38,17 @@ def render(
         cam_from_world: where the camera stands.
         noise_sigma: standard deviation of the sensor's noise, in grey levels of 255.
         seed: of the noise.
+
+    Raises:
+        ConfigError: noise or seed is negative, or the picture too large.
+        ShapeError: the camera stands in many places.
     """
+    if not 0 <= noise_sigma < np.inf or seed < 0:
+        raise ConfigError(f"noise_sigma and seed must not be negative, got {noise_sigma} and {seed}")
+    if cam_from_world.batch_shape() != ():
+        raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
     height, width = camera.height, camera.width
+    check_pixels(width, height, 1 << 27)
     rgb, depth = np.zeros((height, width, 3), np.float32), np.full((height, width), np.nan)
     motion = np.concatenate([cam_from_world.rotation.ravel(), cam_from_world.translation])
     columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)

@@ -9,6 +9,7 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from epipole._declared import Declared, checked
 from epipole.errors import ShapeError
 from epipole.synthetic import _render_kernels as kernels
 
@@ -26,7 +27,7 @@ class Texture(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Surface:
+class _Surface(Declared):
     color: Vector = (0.5, 0.5, 0.5)
     texture: Texture = Texture.RICH
     seed: int = 0
@@ -73,7 +74,7 @@ Primitive = Plane | Box | Sphere | HeightField
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SyntheticScene:
+class SyntheticScene(Declared):
     """Primitives as columns."""
 
     kind: Int64[np.ndarray, " n"]
@@ -81,10 +82,11 @@ class SyntheticScene:
     texture: Int64[np.ndarray, " n"]
     color: Float64[np.ndarray, "n 3"]
     seed: Int64[np.ndarray, " n"]
-    light: Float64[np.ndarray, 3]
+    light: Float64[np.ndarray, " 3"]
     """Unit direction towards the light."""
 
     @staticmethod
+    @checked
     def of(primitives: Sequence[Primitive], light: Vector = (0.3, -0.5, 0.81)) -> SyntheticScene:
         """Collect primitives.
 

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from epipole._checks import check_pixels, check_seed
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, depth_to_disparity
 from epipole.synthetic.courtyard import look_at
@@ -31,6 +33,7 @@ class StereoPair:
     baseline: float
 
 
+@checked
 def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     """A wall, a rolling floor and a few things before them, seen by two cameras of some sharpness, contrast and noise.
 
@@ -39,7 +42,12 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     Args:
         seed: another room for another number.
         size: width and height.
+
+    Raises:
+        ConfigError: the seed is negative, or the picture too large.
     """
+    check_seed(seed)
+    check_pixels(*size, 1 << 27)
     rng = np.random.default_rng(seed)
     scene = _room(rng)
     focal = size[0] * rng.uniform(0.8, 1.2)
@@ -48,6 +56,7 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
     return _photographed(scene, size, focal, baseline, left_from_world, rng)
 
 
+@checked
 def stereo_street(
     seed: int, size: tuple[int, int] = (640, 480), focal_px: float = 800.0, baseline: float = 0.12
 ) -> StereoPair:
@@ -58,7 +67,12 @@ def stereo_street(
         size: width and height.
         focal_px: of both cameras.
         baseline: in metres.
+
+    Raises:
+        ConfigError: the seed is negative, or the picture too large.
     """
+    check_seed(seed)
+    check_pixels(*size, 1 << 27)
     rng = np.random.default_rng(seed)
     ground = HeightField(
         center=(0, 20, -1.2),

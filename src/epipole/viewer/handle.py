@@ -15,6 +15,11 @@ class ViewerHandle:
     url: str
     stop: Callable[[], None]
     """Close the viewer; calling it again does nothing."""
+    note: str = ""
+    """What the user should know: that another port was taken than the usual one."""
+
+    def __repr__(self) -> str:
+        return f"ViewerHandle({self.url})"
 
 
 @runtime_checkable
@@ -27,10 +32,11 @@ class Stoppable(Protocol):
         """Close the server."""
 
 
-def serve(viewer: Stoppable, port: int, host: str, *, block: bool) -> ViewerHandle:
+def serve(viewer: Stoppable, port: int, host: str, note: str, *, block: bool) -> ViewerHandle:
     """The handle of a viewer that is open; with `block` only after Ctrl-C."""
-    shown_host = "127.0.0.1" if host in ("", "0.0.0.0") else host
-    handle = ViewerHandle(f"http://{shown_host}:{port}", viewer.stop)
+    shown_host = "127.0.0.1" if host in ("", "0.0.0.0", "::") else host
+    shown_host = f"[{shown_host}]" if ":" in shown_host else shown_host
+    handle = ViewerHandle(f"http://{shown_host}:{port}", viewer.stop, note)
     if block:
         try:
             viewer.stopped.wait()

@@ -12,7 +12,7 @@ def view(
     reconstruction: Reconstruction,
     load_image: LoadImage,
     *,
-    port: int = 8080,
+    port: int | None = None,
     host: str = "127.0.0.1",
     block: bool = True,
 ) -> ViewerHandle:
@@ -22,37 +22,45 @@ def view(
         reconstruction: the model, upright (+z is up).
         load_image: gives the RGB picture of an image name, or None where there is none; called in a thread of
             its own, one picture after another, after the viewer has started.
-        port: where to listen; the next free port is taken if this one is in use.
+        port: where to listen; None: 8080, or the next free port if that is in use.
         host: the address to listen on; "0.0.0.0" lets other machines in.
         block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
 
     Returns:
         The address to open, and the way to stop.
+
+    Raises:
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     # viser is slow to import, and few runs end in a viewer.
     from epipole.viewer.model_viewer import ModelViewer
-    from epipole.viewer.server import open_server
+    from epipole.viewer.server import note_on_port, open_server
 
     server = open_server(host, port)
     viewer = ModelViewer(server, reconstruction)
     viewer.start_loading(load_image)
-    return serve(viewer, server.get_port(), host, block=block)
+    shown = server.get_port()
+    return serve(viewer, shown, host, note_on_port(port, shown), block=block)
 
 
 def view_depth(
-    view: DepthView, *, port: int = 8080, host: str = "127.0.0.1", block: bool = True
+    view: DepthView, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
 ) -> ViewerHandle:
     """Show the depth of a pair in the browser.
 
     Args:
         view: what is shown.
-        port: where to listen; the next free port is taken if this one is in use.
+        port: where to listen; None: 8080, or the next free port if that is in use.
         host: the address to listen on.
         block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
+
+    Raises:
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     # viser is slow to import, and few runs end in a viewer.
     from epipole.viewer.depth_viewer import DepthViewer
-    from epipole.viewer.server import open_server
+    from epipole.viewer.server import note_on_port, open_server
 
     server = open_server(host, port)
-    return serve(DepthViewer(server, view), server.get_port(), host, block=block)
+    shown = server.get_port()
+    return serve(DepthViewer(server, view), shown, host, note_on_port(port, shown), block=block)

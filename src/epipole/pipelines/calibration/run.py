@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,7 @@ def calibrate(
     config: CalibrationConfig | None = None,
     right: str | Path | None = None,
     progress: ProgressCallback = ignore_progress,
+    **options: Any,
 ) -> CalibrationRun:
     """Calibrate a camera, or a pair, from pictures of a board, with a report.
 
@@ -45,13 +47,15 @@ def calibrate(
         config: board and options.
         right: folder of the right camera's pictures, of the same names or in the same order.
         progress: called with the progress.
+        **options: single options of the config or its board by name, which override it: `columns=9`.
 
     Raises:
         FileFormatError: there are no pictures, or the two folders do not fit.
         DegenerateGeometryError: the board is seen too seldom, or the views do not determine everything.
         WorkspaceError: the output folder cannot be used.
+        ConfigError: an option is unknown, or its value makes no sense.
     """
-    config, images = options_of(CalibrationConfig, config), as_path(images)
+    config, images = options_of(CalibrationConfig, config, options), as_path(images)
     others = () if right is None else (as_path(right),)
     job = Job(
         kind="calibrate",

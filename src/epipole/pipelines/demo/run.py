@@ -70,6 +70,12 @@ class DemoResult:
         """Whether all pictures were placed, as exactly as they should be."""
         return self.num_placed == self.num_views and self.relative_error <= MAX_RELATIVE_ERROR
 
+    def __repr__(self) -> str:
+        return (
+            f"DemoResult({self.num_placed} of {self.num_views} images placed, position error "
+            f"{100 * self.relative_error:.3g} % of the scene)"
+        )
+
 
 def demo(
     out: str | Path = "demo", num_views: int = 24, progress: ProgressCallback = ignore_progress

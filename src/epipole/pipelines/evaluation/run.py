@@ -31,6 +31,12 @@ class Evaluation:
     auc: dict[int, float]
     """Area under the recall curve of relative pose errors over all pairs, up to 1, 3 and 5 degrees."""
 
+    def __repr__(self) -> str:
+        return (
+            f"Evaluation({self.num_registered} of {self.num_truth} cameras, position mean {self.position_mean:.4g}, "
+            f"rotation mean {self.rotation_mean_deg:.4g} deg)"
+        )
+
 
 def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
     """Compare a model's cameras with known ones.

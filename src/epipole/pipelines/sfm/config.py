@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from epipole._declared import check_fields
 from epipole.config import FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
@@ -102,6 +103,9 @@ class MapperConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative, got {self.seed}")
         if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
             raise ConfigError("error bounds must be positive")
         if not self.global_growth > 1:

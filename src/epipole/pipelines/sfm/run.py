@@ -54,6 +54,7 @@ def reconstruct(
     progress: ProgressCallback = ignore_progress,
     *,
     executor: ExecutorChoice | None = None,
+    **options: Any,
 ) -> ReconstructionResult:
     """Make a 3D model from a folder of photographs or a video, with a report; a stopped run continues.
 
@@ -64,14 +65,15 @@ def reconstruct(
         progress: called with the progress of each stage.
         executor: what works on single pictures and pairs, instead of the config's choice: a name or any
             `concurrent.futures.Executor`, such as Dask's `Client.get_executor()`.
+        **options: single options of the config by name, which override it: `single_camera=True`.
 
     Raises:
         NoModelError: the pictures give no model; the message says why.
         WorkspaceError: the output folder cannot be used.
-        ConfigError: an option does not fit the pictures.
+        ConfigError: an option is unknown, or does not fit the pictures.
         FileFormatError: a file that was named is missing or cannot be read.
     """
-    config, out, source = options_of(ReconstructConfig, config), as_path(out), as_path(images)
+    config, out, source = options_of(ReconstructConfig, config, options), as_path(out), as_path(images)
     _check_inputs(source, config)
     settings = asdict(config)
     job = Job(

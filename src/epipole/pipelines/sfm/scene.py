@@ -14,7 +14,7 @@ from epipole.io.photographs import read_rgb
 from epipole.viewer import ViewerHandle, view
 
 
-def show(path: Path, *, port: int, host: str, block: bool) -> ViewerHandle:
+def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
     """The points of a model, its cameras and its pictures.
 
     Raises:

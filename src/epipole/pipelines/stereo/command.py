@@ -14,8 +14,13 @@ from epipole.pipelines.stereo.config import ModelPair, RigOptions, StereoConfig
 
 Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
 Right = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
-MoreRight = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT")]
-MoreOut = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+_NEEDED = "(required, except with --workspace)"
+MoreRight = Annotated[
+    Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RIGHT", help_behavior_hint=_NEEDED)
+]
+MoreOut = Annotated[
+    Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT", help_behavior_hint=_NEEDED)
+]
 
 DEFAULTS = StereoConfig()
 NO_RIG, NO_MODEL = RigOptions(), ModelPair()
@@ -36,7 +41,7 @@ def stereo(
     side by side). Without a calibration they count as rectified. With --workspace and --pair give OUT alone.
 
     Args:
-        left: Left picture, whose pixels get the disparities.
+        left: Left picture, whose pixels get the disparities (with --workspace: OUT).
         right: Right picture.
         out: Output folder.
         config: Options.

@@ -38,12 +38,12 @@ _GRID = 3
 
 
 class Cause(StrEnum):
-    """The likely cause of the vertical offsets, from their trend."""
+    """The likely cause of the vertical offsets, from their trend; the words stand after "likely cause"."""
 
     NONE = "rows match"
-    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or baseline's direction)"
+    EXTRINSICS = "how the cameras stand to each other (rotation, principal point, focal length or the baseline's direction)"
     DISTORTION = "lens distortion"
-    UNCLEAR = "neither rotation nor distortion explains the offsets: blur, rolling shutter, or moving things"
+    UNCLEAR = "blur, rolling shutter or moving things, for neither the rig nor its lenses explain the offsets"
     UNKNOWN = "too few features match to tell"
 
 
@@ -98,6 +98,10 @@ class Diagnosis:
     def is_healthy(self) -> bool:
         """Whether nothing is wrong."""
         return not self.problems
+
+    def __repr__(self) -> str:
+        found = "healthy" if self.is_healthy else "; ".join(self.problems)
+        return f"Diagnosis({found}; {self.num_matches} matches)"
 
 
 def examine(
@@ -169,7 +173,7 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
         grey = list(rectification.apply(grey[0], grey[1]))
     elif grey[0].shape != grey[1].shape:
         raise ShapeError(
-            f"left is {grey[0].shape[::-1]} pixels and right {grey[1].shape[::-1]}: a rectified pair has one size"
+            f"left is {_size(grey[0])} pixels and right {_size(grey[1])}: a rectified pair has one size"
         )
     found = match_features(grey[0], grey[1])
     if rectification is None or not len(found):
@@ -183,6 +187,10 @@ def _match(pair: tuple[np.ndarray, np.ndarray], rectification: Rectification | N
         height, width = valid.shape
         inside &= valid[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
     return RowMatches(found.left_px[inside], found.right_px[inside])
+
+
+def _size(grey: np.ndarray) -> str:
+    return f"{grey.shape[1]} x {grey.shape[0]}"
 
 
 def _fits(matches: RowMatches, flat: RectifiedRig | None, size: tuple[int, int]) -> tuple[float, float]:
@@ -235,7 +243,8 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if not num_pairs:
         return []
     if len(matches) < LEAST_FOR_TREND:
-        words = f"only {len(matches)} features match, too few to say anything: blank, blurred, or pictures of other things"
+        found = f"{len(matches)} {'feature matches' if len(matches) == 1 else 'features match'}"
+        words = f"{found}, too few to say anything: the pictures are blank, blurred or of different things"
         return [_Finding(words, True)]
     if np.median(np.hypot(matches.disparity_px, matches.vertical_px)) < SAME_PX:
         return [_Finding("left and right are the same picture", True)]
@@ -243,7 +252,7 @@ def _rows(matches: RowMatches, fits: tuple[float, float], num_pairs: int) -> lis
     if cause is Cause.NONE:
         return []
     offset = np.abs(matches.vertical_px)
-    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); this points at {cause}"
+    words = f"rows are off by {np.median(offset):.2f} px (median), {np.percentile(offset, 95):.2f} px (95 %); likely cause: {cause}"
     is_bad = np.median(offset) > GOOD_PX or np.percentile(offset, 95) > 2.0 * BAD_PX
     return [_Finding(words, is_bad)]
 

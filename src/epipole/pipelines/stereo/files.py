@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from epipole.disparity_search.rectification import Rectification
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
+from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
@@ -96,8 +96,8 @@ def read_stereo(out: Path) -> StereoFiles:
             out, "it holds disparities but no depth: give focal length and baseline, or a calibration"
         )
     try:
-        K = np.array(json.loads((out / "rig.json").read_text())["K"], np.float64).reshape(3, 3)
-    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        K = np.array(read_json(out / "rig.json")["K"], np.float64).reshape(3, 3)
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise FileFormatError(out / "rig.json", "it is missing or damaged") from error
     if not np.isfinite(K).all():
         raise FileFormatError(out / "rig.json", "its camera matrix is not finite")

@@ -30,6 +30,10 @@ class FilledDisparities:
     filled_mask: Bool[np.ndarray, "h w"]
     """Pixels that are guessed."""
 
+    def __repr__(self) -> str:
+        height, width = self.filled_mask.shape
+        return f"FilledDisparities({width} x {height}, {100 * self.filled_mask.mean():.1f} % guessed)"
+
 
 def fill_disparities(found: DisparityMap, left: Any, strength: float = 10.0) -> FilledDisparities:
     """Fill by weighted least squares guided by the picture; occluded pixels take what lies behind.

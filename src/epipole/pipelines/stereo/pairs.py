@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError
+from epipole.io.files import read_json
 from epipole.io.stereo_folders import pair_folders
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import is_video
@@ -116,8 +116,8 @@ def summary_of(
 def read_summary(out: Path) -> dict[str, Any]:
     """What an earlier run over many pairs has written of them; empty where there was none, or it is damaged."""
     try:
-        content = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        content = read_json(out / "summary.json", allow_nan=True)
+    except FileFormatError:
         return {}
     tables = ("known", "warnings", "problems", "pictures")
     is_valid = isinstance(content, dict) and all(isinstance(content.get(part, {}), dict) for part in tables)

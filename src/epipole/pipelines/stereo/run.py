@@ -39,6 +39,7 @@ def stereo(
     out: str | Path,
     config: StereoConfig | None = None,
     rig: RectifiedRig | StereoRig | None = None,
+    **options: Any,
 ) -> StereoResult:
     """Disparities of a pair with standard deviations, with a rig also depth and points, and a report.
 
@@ -49,15 +50,16 @@ def stereo(
         config: options; None for the defaults.
         rig: two calibrated cameras, by which the pair is rectified first; or what is known of a rectified pair;
             None: the pair counts as rectified, and there are disparities but no depth.
+        **options: single options of the config by name, which override it: `max_disparity_px=96`.
 
     Raises:
         FileFormatError: a picture cannot be read.
         ShapeError: the pictures are no pair, or not of the calibration's size.
-        ConfigError: left and right are swapped in the calibration.
+        ConfigError: an option is unknown, or left and right are swapped in the calibration.
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config), as_path(left), as_path(right)
+    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
     with open_run(job, as_path(out)) as run:
         result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
@@ -75,6 +77,7 @@ def stereo_many(
     config: StereoConfig | None = None,
     rig: RectifiedRig | StereoRig | None = None,
     progress: ProgressCallback = ignore_progress,
+    **options: Any,
 ) -> StereoBatch:
     """`stereo` for every pair of two folders or of stereo video.
 
@@ -85,7 +88,7 @@ def stereo_many(
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config), as_path(left), as_path(right)
+    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
     with open_run(job, as_path(out)) as run:
         pairs = list_pairs(left, right, run.root, config.max_frames)
@@ -99,7 +102,12 @@ def stereo_many(
 
 
 def stereo_of_model(
-    workspace: str | Path, first: str, second: str, out: str | Path, config: StereoConfig | None = None
+    workspace: str | Path,
+    first: str,
+    second: str,
+    out: str | Path,
+    config: StereoConfig | None = None,
+    **options: Any,
 ) -> StereoResult:
     """`stereo` for two pictures of a finished reconstruction, rectified by their places; depth in the model's unit.
 
@@ -109,12 +117,13 @@ def stereo_of_model(
         second: name of the other.
         out: output folder.
         config: options.
+        **options: single options of the config by name, which override it.
 
     Raises:
         FileFormatError: there is no model, or a picture is not in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
     """
-    workspace = as_path(workspace)
+    config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
     registered, places = model.is_registered(), model.cams_from_world()

@@ -19,7 +19,7 @@ def is_mine(path: Path) -> bool:
     return (path / "disparity.pfm").is_file() or "done" in read_summary(path)
 
 
-def show(path: Path, *, port: int, host: str, block: bool) -> ViewerHandle:
+def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
     """The points of a pair, before the camera that saw them.
 
     Raises:

@@ -28,12 +28,15 @@ def show_stereo(result: StereoResult) -> None:
         table.add_row("their median standard deviation", f"{np.median(found.sigma_px[known]):.2f} px")
     if result.depths is not None and np.isfinite(result.depths.depth).any():
         near, far = np.nanpercentile(result.depths.depth, (1, 99))
-        table.add_row("depths", f"{near:.3g} to {far:.3g}")
+        table.add_row("depths, in the baseline's unit", f"{near:.3g} to {far:.3g}")
         table.add_row("points", f"{result.num_points}")
-    table.add_row("written to", str(result.out))
     console = Console()
     console.print(table)
     print_warnings(console, result.warnings)
+    if result.out is not None:
+        look = "" if result.depths is None else f"\nlook     epipole view {result.out}"
+        words = f"results  {result.out}\nreport   {result.out / 'report.html'}{look}"
+        console.print(words, highlight=False, markup=False)
 
 
 def show_batch(batch: StereoBatch) -> None:
@@ -75,10 +78,10 @@ def _add_rows(table: Table, found: Diagnosis) -> None:
         f"{found.vertical_signed_px:+.2f} px",
     )
     table.add_row(
-        "left after the best extrinsics, after distortion",
+        "left once the rig is fitted, once its lenses are too",
         f"{found.after_extrinsics_px:.2f} px, {found.after_distortion_px:.2f} px",
     )
     if found.calibration_error_px == found.calibration_error_px:
-        table.add_row("of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
+        table.add_row("the part of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))

@@ -92,15 +92,16 @@ def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     Raises:
         FileFormatError: it names none that can be written.
     """
+    try:
+        is_encoded, content = cv2.imencode(path.suffix, rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+    except cv2.error:  # an unknown suffix, HEIC's for one
+        is_encoded = False
+    if not is_encoded:
+        raise FileFormatError(
+            path, "pictures are not written in this format; convert yours to JPEG or PNG first"
+        )
     with atomic_write(path) as aside:
-        try:
-            written = cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
-        except cv2.error:  # an unknown suffix, HEIC's for one
-            written = False
-        if not written:
-            raise FileFormatError(
-                path, "pictures are not written in this format; convert yours to JPEG or PNG first"
-            )
+        aside.write_bytes(content.tobytes())
 
 
 def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:

@@ -1,0 +1,98 @@
+"""What annotations declare, kept at the public border: arguments and fields are checked, and converted where that loses nothing.
+
+`@checked` does so for the arguments of a function, `check_fields` and `Declared` for the fields of a data class. Wrong arrays raise
+`ShapeError`, all else `ConfigError`. Kernels behind the border see one type and one layout, so that none is compiled twice.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, get_annotations, signature, unwrap
+from typing import Any, TypeVar, cast
+
+from epipole._declared.kinds import Convert, Sizes
+from epipole._declared.values import converter_of
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
+"""Of each data class the fields that are checked."""
+
+
+def checked(function: Function) -> Function:
+    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is."""
+    own = unwrap(function)
+    plan: list[tuple[str, Convert | None]] = []
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        if not plan:  # annotations are looked at on first use: imports stay quick
+            plan.extend(_parameters(own))
+        sizes: Sizes = {}
+        given = list(args)
+        for place, (name, convert) in enumerate(plan):
+            if convert is None:
+                continue
+            if place < len(given):
+                given[place] = convert(given[place], name, sizes)
+            elif name in kwargs:
+                kwargs[name] = convert(kwargs[name], name, sizes)
+        return function(*given, **kwargs)
+
+    return cast(Function, call)
+
+
+def check_fields(data: Any) -> None:
+    """Check and convert the fields of a data class's instance as their annotations say; for `__post_init__`."""
+    sizes: Sizes = {}
+    kind = type(data)
+    if kind not in _plans:
+        _plans[kind] = _fields(kind)
+    for name, convert in _plans[kind]:
+        value = getattr(data, name)
+        kept = convert(value, name, sizes)
+        if kept is not value:
+            object.__setattr__(data, name, kept)
+
+
+def _parameters(function: Callable[..., Any]) -> list[tuple[str, Convert | None]]:
+    """The converter of every parameter; None where there is nothing to check."""
+    out: list[tuple[str, Convert | None]] = []
+    for parameter in signature(function).parameters.values():
+        is_many = parameter.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+        annotation = Any if is_many else _evaluated(parameter.annotation, function.__globals__)
+        out.append((parameter.name, converter_of(annotation)))
+    return out
+
+
+class Declared:
+    """Base of data classes of arrays whose fields are checked, and need no other check."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields.
+
+        Raises:
+            ShapeError: an array is of another kind or shape than declared.
+            ConfigError: something else is.
+        """
+        check_fields(self)
+
+
+def _fields(kind: type) -> tuple[tuple[str, Convert], ...]:
+    """The converters of a data class's fields, those of its bases first."""
+    found: dict[str, Convert | None] = {}
+    for base in reversed(kind.__mro__):
+        names = vars(sys.modules[base.__module__])
+        for name, annotation in get_annotations(base).items():
+            if name in getattr(kind, "__dataclass_fields__", {}):
+                found[name] = converter_of(_evaluated(annotation, names))
+    return tuple((name, convert) for name, convert in found.items() if convert is not None)
+
+
+def _evaluated(annotation: Any, names: dict[str, Any]) -> Any:
+    if annotation is Parameter.empty:
+        return Any
+    return eval(annotation, names) if isinstance(annotation, str) else annotation

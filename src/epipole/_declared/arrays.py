@@ -1,0 +1,81 @@
+"""Arrays as kernels take them: of one type, C-contiguous, aligned, writeable and of the machine's byte order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from epipole._declared.kinds import Convert, Sizes
+from epipole.errors import ShapeError
+
+_WORDS = {"f": "numbers", "i": "whole numbers", "u": "whole numbers", "b": "True or False"}
+_NUMBERS = ("float64", "float32", "int64", "int32", "int16", "uint64", "uint32", "uint16", "uint8")
+_ALLOWED = {"f": "biuf", "i": "iu", "u": "iu", "b": "b"}
+
+
+def as_array(value: Any, name: str, dtype: np.dtype[Any]) -> np.ndarray:
+    """The value as an array of this type, in the layout above; itself where it is one.
+
+    Kernels are compiled for writeable arrays alone: what is read-only is copied.
+
+    Raises:
+        ShapeError: it holds other than such numbers, or numbers beyond the type's range.
+    """
+    if type(value) is np.ndarray and value.dtype == dtype and value.flags.carray:
+        return value
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ShapeError(f"{name} must be an array of {_WORDS[dtype.kind]}: {error}") from error
+    if given.dtype.kind not in _ALLOWED[dtype.kind] and not (given.size == 0 and given.dtype.kind in "biuf"):
+        raise ShapeError(f"{name} must be an array of {_WORDS[dtype.kind]}, got {given.dtype}")
+    if dtype.kind in "iu" and given.dtype != dtype and given.size:
+        low, high = int(given.min()), int(given.max())
+        limits = np.iinfo(dtype)
+        if low < limits.min or high > limits.max:
+            raise ShapeError(f"{name} must be within {limits.min} and {limits.max}, got {low} to {high}")
+    with np.errstate(over="ignore"):  # a double beyond single precision is infinite there
+        return np.require(given, dtype, ["C", "A", "W"])
+
+
+def array_converter(annotation: Any) -> Convert:
+    """What checks a value against jaxtyping's annotation: kind of numbers, axes, and lengths that axes share."""
+    kinds = {np.dtype(name) for name in annotation.dtypes if name in ("bool", *_NUMBERS)}
+    only = kinds.pop() if len(kinds) == 1 else None
+    axes = annotation.dim_str.split()
+    variadic = next((k for k, axis in enumerate(axes) if axis.startswith(("*", "..."))), None)
+
+    def convert(value: Any, name: str, sizes: Sizes) -> np.ndarray:
+        array = as_array(value, name, only or _kept_type(value))
+        shape = array.shape
+        named = axes
+        if variadic is not None and len(shape) >= len(axes) - 1:
+            named = [*axes[:variadic], *["_"] * (len(shape) - len(axes) + 1), *axes[variadic + 1 :]]
+        if len(shape) != len(named):
+            raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}")
+        for axis, length in zip(named, shape):
+            _check_axis(axis, length, name, axes, shape, sizes)
+        return array
+
+    return convert
+
+
+def _check_axis(
+    axis: str, length: int, name: str, axes: list[str], shape: tuple[int, ...], sizes: Sizes
+) -> None:
+    if axis.isdecimal():
+        if length != int(axis):
+            raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}")
+    elif axis.isidentifier() and axis != "_":
+        known, other = sizes.setdefault(axis, (length, name))
+        if known != length:
+            raise ShapeError(
+                f"{name} must be ({', '.join(axes)}) with {axis} = {known}, as {other} has it; got {shape}"
+            )
+
+
+def _kept_type(value: Any) -> np.dtype[Any]:
+    """Of annotations for any floating-point numbers: single precision stays, all else becomes double."""
+    given = getattr(value, "dtype", None)
+    return np.dtype(np.float32 if given == np.float32 else np.float64)

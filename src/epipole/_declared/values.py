@@ -1,0 +1,209 @@
+"""What single annotations declare: numbers, choices, objects, and sequences of them."""
+
+from __future__ import annotations
+
+import math
+import operator
+import os
+import types
+from collections.abc import Callable, Iterable, Sequence, Sized
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+from epipole._declared.kinds import Convert, Sizes
+from epipole.errors import ConfigError, EpipoleError
+
+_LARGEST = 2**63 - 1
+
+
+def converter_of(annotation: Any) -> Convert | None:
+    """What checks a value against an annotation and converts it; None where anything goes."""
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return converter_of(parts[0])
+    if annotation is None or annotation is type(None):
+        return _none
+    if annotation is Any or annotation is object or isinstance(annotation, TypeVar):
+        return None
+    if hasattr(annotation, "dim_str"):  # jaxtyping's: NumPy is loaded where such an annotation is
+        from epipole._declared.arrays import array_converter
+
+        return array_converter(annotation)
+    if origin in (Union, types.UnionType):
+        return _one_of([converter_of(part) for part in parts])
+    if origin is Literal:
+        return _choice(parts)
+    if origin is tuple:
+        return _tuple(parts)
+    if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
+        return _function
+    if isinstance(origin, type) and issubclass(origin, Iterable):
+        return _items(origin, parts[0])
+    kind = origin if origin is not None else annotation
+    return _single(kind) if isinstance(kind, type) else None
+
+
+def _single(kind: type) -> Convert:
+    plain: dict[type, Convert] = {bool: _bool, int: _int, float: _float, Path: _path}
+    if kind in plain:
+        return plain[kind]
+    return _member(kind) if issubclass(kind, Enum) else _instance(kind)
+
+
+def _wrong(name: str, wanted: str, value: Any) -> ConfigError:
+    came = type(value).__name__ if isinstance(value, Sized) and not isinstance(value, str) else repr(value)
+    return ConfigError(f"{name} must be {wanted}, got {came[:60]}")
+
+
+def _none(value: Any, name: str, _sizes: Sizes) -> None:
+    if value is not None:
+        raise _wrong(name, "None", value)
+
+
+def _bool(value: Any, name: str, _sizes: Sizes) -> bool:
+    if isinstance(value, bool):
+        return value
+    if str(getattr(value, "dtype", "")) == "bool" and getattr(value, "ndim", 1) == 0:  # NumPy's
+        return bool(value)
+    raise _wrong(name, "True or False", value)
+
+
+def _int(value: Any, name: str, _sizes: Sizes) -> int:
+    if type(value) is not int:
+        try:
+            if isinstance(value, bool):
+                raise TypeError
+            value = operator.index(value)
+        except TypeError:
+            raise _wrong(name, "a whole number", value) from None
+    if abs(value) > _LARGEST:
+        raise ConfigError(f"{name} must be a number of 64 bits, got {str(value)[:60]}")
+    return int(value)
+
+
+def _float(value: Any, name: str, _sizes: Sizes) -> float:
+    if type(value) is not float:
+        try:
+            if isinstance(value, (bool, str, bytes)) or getattr(value, "ndim", 0) != 0:
+                raise TypeError
+            # A complex number, which NumPy would cut, has no way to a float.
+            value = float(value) if not hasattr(value, "imag") or value.imag == 0 else None
+            value = float(value)
+        except (TypeError, ValueError, OverflowError):
+            raise _wrong(name, "a number", value) from None
+    if math.isnan(value):
+        raise ConfigError(f"{name} must be a number, got NaN")
+    return float(value)
+
+
+def _path(value: Any, name: str, _sizes: Sizes) -> Path:
+    if not isinstance(value, (str, os.PathLike)):
+        raise _wrong(name, "a path", value)
+    return value if isinstance(value, Path) else Path(value)
+
+
+def _function(value: Any, name: str, _sizes: Sizes) -> Any:
+    if not callable(value):
+        raise _wrong(name, "a function", value)
+    return value
+
+
+def _instance(kind: type) -> Convert:
+    article = "an" if kind.__name__[0] in "AEIOU" else "a"
+
+    def convert(value: Any, name: str, _sizes: Sizes) -> Any:
+        if not isinstance(value, kind):
+            raise _wrong(name, f"{article} {kind.__name__}", value)
+        return value
+
+    return convert
+
+
+def _member(kind: type[Enum]) -> Convert:
+    def convert(value: Any, name: str, _sizes: Sizes) -> Enum:
+        if isinstance(value, kind):
+            return value
+        try:
+            if not isinstance(value, str):
+                value = _int(value, name, {})
+            return kind(value)
+        except ValueError:  # of an enumeration, and ConfigError
+            raise _wrong(name, "one of " + ", ".join(map(str, kind)), value) from None
+
+    return convert
+
+
+def _choice(values: tuple[Any, ...]) -> Convert:
+    def convert(value: Any, name: str, _sizes: Sizes) -> Any:
+        for allowed in values:
+            if type(allowed) is type(value) and allowed == value:
+                return allowed
+        if not isinstance(value, (str, bool)) and hasattr(value, "__index__"):
+            number = _int(value, name, {})
+            if number in values:
+                return number
+        raise _wrong(name, "one of " + ", ".join(map(str, values)), value)
+
+    return convert
+
+
+def _one_of(converters: list[Convert | None]) -> Convert | None:
+    if None in converters:
+        return None
+    parts = [convert for convert in converters if convert is not None and convert is not _none]
+    may_be_none = len(parts) < len(converters)
+
+    def convert(value: Any, name: str, sizes: Sizes) -> Any:
+        if value is None and may_be_none:
+            return None
+        first: EpipoleError | None = None
+        for part in parts:
+            try:
+                return part(value, name, sizes)
+            except EpipoleError as error:
+                first = first or error
+        raise first or _wrong(name, "None", value)
+
+    return convert
+
+
+def _tuple(parts: tuple[Any, ...]) -> Convert:
+    is_any_length = len(parts) == 2 and parts[1] is Ellipsis
+    converters = [converter_of(part) for part in parts if part is not Ellipsis]
+
+    def convert(value: Any, name: str, sizes: Sizes) -> tuple[Any, ...]:
+        rows = _listed(value, name)
+        if not is_any_length and len(rows) != len(converters):
+            raise ConfigError(f"{name} must have {len(converters)} values, got {len(rows)}")
+        each = converters * len(rows) if is_any_length else converters
+        out = tuple(
+            row if one is None else one(row, f"{name}[{k}]", sizes)
+            for k, (one, row) in enumerate(zip(each, rows))
+        )
+        is_same = isinstance(value, tuple) and all(a is b for a, b in zip(out, value))
+        return value if is_same else out
+
+    return convert
+
+
+def _items(kind: type, part: Any) -> Convert:
+    one = converter_of(part)
+
+    def convert(value: Any, name: str, sizes: Sizes) -> Any:
+        rows = _listed(value, name)
+        if one is None:
+            return value if isinstance(value, kind) and issubclass(kind, Sequence) else rows
+        # Axes of one length over all items share a name: that of the first counts for all.
+        return [one(row, f"{name}[{k}]", sizes) for k, row in enumerate(rows)]
+
+    return convert
+
+
+def _listed(value: Any, name: str) -> list[Any]:
+    if isinstance(value, (str, bytes, dict)) or not hasattr(value, "__iter__"):
+        raise _wrong(name, "a sequence", value)
+    try:
+        return list(value)
+    except TypeError:  # an array without axes
+        raise _wrong(name, "a sequence", value) from None

@@ -1,0 +1,136 @@
+"""Opening files that may be none, may never end, or may hold more than fits: one place for all readers."""
+
+from __future__ import annotations
+
+import io
+import json
+import stat
+from pathlib import Path
+from typing import Any
+
+from epipole.errors import FileFormatError
+
+MOST_JSON_BYTES = 1 << 28
+"""Largest JSON file that is read."""
+
+_MOST_JSON_VALUES = 1 << 23
+_MOST_NAME_BYTES = 4096
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def require_file(path: Path) -> int:
+    """The size in bytes of a file; a pipe or a device, which may never end, is none.
+
+    Raises:
+        FileFormatError: there is no such file, or the path is of something else.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError as error:
+        raise FileFormatError(path, "there is no such file") from error
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be opened: {error.strerror or error}") from error
+    except ValueError as error:  # a zero, or what no file system can name
+        raise FileFormatError(path, f"is no name of a file: {error}") from error
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
+        raise FileFormatError(path, f"is {kind}, not a file")
+    return status.st_size
+
+
+def open_file(path: Path) -> io.BufferedReader:
+    """Open a file for reading.
+
+    Raises:
+        FileFormatError: it is none, or cannot be opened.
+    """
+    require_file(path)
+    try:
+        return path.open("rb")
+    except OSError as error:
+        raise FileFormatError(path, f"cannot be opened: {error.strerror or error}") from error
+
+
+def file_bytes(path: Path, most_bytes: int | None = None) -> bytes:
+    """The whole file.
+
+    Raises:
+        FileFormatError: there is none, it cannot be read, or it is larger than `most_bytes`.
+    """
+    with open_file(path) as stream:
+        try:
+            if most_bytes is not None and stream.seek(0, io.SEEK_END) > most_bytes:
+                raise FileFormatError(path, f"is larger than {most_bytes} bytes")
+            stream.seek(0)
+            return stream.read()
+        except (OSError, MemoryError) as error:
+            problem = getattr(error, "strerror", None) or str(error) or "it does not fit into the memory"
+            raise FileFormatError(path, f"cannot be read: {problem}") from error
+
+
+def file_text(path: Path, most_bytes: int | None = None) -> str:
+    """The whole file as UTF-8 text.
+
+    Raises:
+        FileFormatError: there is none, it cannot be read, it is too large, or it is not text.
+    """
+    try:
+        return file_bytes(path, most_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, f"byte {error.start}: not UTF-8 text") from error
+
+
+def read_json(path: Path, most_bytes: int = MOST_JSON_BYTES, *, allow_nan: bool = False) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: the file.
+        most_bytes: its largest size.
+        allow_nan: whether NaN and Infinity, which JSON does not have, are read as numbers.
+
+    Raises:
+        FileFormatError: there is none, it is too large, nested too deeply, or not JSON.
+    """
+    text = file_text(path, most_bytes)
+    try:
+        return json_values(text, allow_nan=allow_nan)
+    except ValueError as error:
+        raise FileFormatError(path, f"not JSON: {error}") from error
+
+
+def json_values(text: str, *, allow_nan: bool = False) -> Any:
+    """What a JSON text holds.
+
+    Raises:
+        ValueError: it is none, is nested too deeply, or holds more values than any file of ours.
+    """
+    # Three bytes of text may become a hundred of memory.
+    if sum(text.count(mark) for mark in ",[{") > _MOST_JSON_VALUES:
+        raise ValueError(f"more than {_MOST_JSON_VALUES} values")
+    try:
+        return json.loads(text, parse_constant=None if allow_nan else _no_constant)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def _no_constant(word: str) -> float:
+    raise ValueError(f"{word} is no number of JSON")
+
+
+def problem_of_name(name: object) -> str | None:
+    """Why what a file gives as a picture's name cannot be one; None where it can."""
+    if not isinstance(name, str):
+        return f"a name is text, not {type(name).__name__}"
+    if any(mark in name for mark in "\0\r\n"):
+        return f"the name {name[:60]!r} holds a zero or a line break"
+    try:
+        size = len(name.encode())
+    except UnicodeEncodeError:
+        return f"the name {name[:60]!r} is not Unicode text"
+    return f"a name has {size} bytes, more than {_MOST_NAME_BYTES}" if size > _MOST_NAME_BYTES else None

@@ -1,0 +1,88 @@
+"""Components of keypoints that verified matches join: tracks before they have points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int32, Int64
+
+from epipole._checks import check_indices, check_offsets
+from epipole._declared import Declared, checked
+from epipole.errors import ShapeError
+from epipole.mapping import _track_kernels as kernels
+from epipole.scene import ViewGraph
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchComponents(Declared):
+    """Keypoints connected by verified matches: rows offsets[t] to offsets[t + 1] are component t."""
+
+    offsets: Int64[np.ndarray, " t1"]
+    image: Int32[np.ndarray, " r"]
+    keypoint: Int32[np.ndarray, " r"]
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+
+@checked
+def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, " n1"]) -> MatchComponents:
+    """Merge the verified matches of all pairs, strongest pair first, into components with one keypoint an image."""
+    check_offsets(keypoint_offsets, "keypoint_offsets")
+    check_matches(view_graph, np.diff(keypoint_offsets))
+    pair = np.repeat(np.arange(len(view_graph)), view_graph.num_inliers())
+    strongest_first = np.argsort(-view_graph.num_inliers()[pair], kind="stable")
+    row1 = keypoint_offsets[view_graph.image1[pair]] + view_graph.keypoint1
+    row2 = keypoint_offsets[view_graph.image2[pair]] + view_graph.keypoint2
+    parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
+    image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
+    kernels.connect_without_conflict(
+        *(row1[strongest_first].astype(np.int64), row2[strongest_first].astype(np.int64), image_of_row),
+        *(parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64)),
+    )
+    sizes = np.bincount(parent, minlength=len(parent))
+    rows = np.flatnonzero(sizes[parent] >= 2)
+    rows = rows[np.argsort(parent[rows], kind="stable")]
+    _, counts = np.unique(parent[rows], return_counts=True)
+    image = np.searchsorted(keypoint_offsets, rows, side="right") - 1
+    return MatchComponents(
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        image.astype(np.int32),
+        (rows - keypoint_offsets[image]).astype(np.int32),
+    )
+
+
+def check_matches(view_graph: ViewGraph, num_keypoints: Int64[np.ndarray, " n"]) -> None:
+    """Check that matches join keypoints that are there.
+
+    Args:
+        view_graph: pairs of images and their matches.
+        num_keypoints: of each image.
+
+    Raises:
+        ShapeError: a match does not.
+    """
+    check_offsets(view_graph.match_offsets, "match_offsets", len(view_graph.keypoint1))
+    if len(view_graph.match_offsets) != len(view_graph) + 1:
+        raise ShapeError(f"match_offsets must have {len(view_graph) + 1} rows")
+    for side in ("1", "2"):
+        image, keypoint = getattr(view_graph, f"image{side}"), getattr(view_graph, f"keypoint{side}")
+        check_indices(image, f"image{side}", len(num_keypoints))
+        most = np.repeat(num_keypoints[image], view_graph.num_inliers())
+        if not ((keypoint >= 0) & (keypoint < most)).all():
+            raise ShapeError(f"keypoint{side} names a keypoint that is not there")
+
+
+def check_components(components: MatchComponents, num_keypoints: Sequence[int]) -> None:
+    """Check that components hold keypoints that are there.
+
+    Raises:
+        ShapeError: one does not.
+    """
+    check_offsets(components.offsets, "components.offsets", len(components.image))
+    check_indices(components.image, "components.image", len(num_keypoints))
+    most = np.array(num_keypoints, np.int64)[components.image]
+    if not ((components.keypoint >= 0) & (components.keypoint < most)).all():
+        raise ShapeError("components.keypoint names a keypoint that is not there")

@@ -1,0 +1,170 @@
+"""Every Python block of the pages runs, top to bottom, with the files and arrays that it names."""
+
+import bz2
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from epipole import api
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3, Rotation3
+from epipole.io import write_colmap_model, write_g2o
+from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.optim import PoseGraph
+from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, two_view_problem
+from epipole.synthetic.stereo_rooms import stereo_room
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
+from photographs import neighbouring_views, render_to
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+SIZE = (320, 240)
+
+
+def blocks_of(page: Path) -> list[str]:
+    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def two_views() -> dict[str, Any]:
+    problem = two_view_problem(300, outlier_ratio=0.2, noise_px=0.5)
+    return {name: getattr(problem, name) for name in ("pixels1", "pixels2", "camera1", "camera2")}
+
+
+def photographs(folder: Path) -> dict[str, Any]:
+    """IMAGES, and as DIR Strecha's known cameras."""
+    views = neighbouring_views(6)
+    (folder / "DIR").mkdir()
+    for name, view in zip(render_to(folder / "IMAGES", views), views):
+        rows = [*np.eye(3), np.zeros(3), *view.rotation.T, view.centers()]
+        lines = [" ".join(map(str, row)) for row in rows]
+        (folder / "DIR" / f"{name}.camera").write_text("\n".join([*lines, "480 320"]))
+    return two_views()
+
+
+def board_pictures(folder: Path) -> dict[str, Any]:
+    """A chessboard of 9 x 6 inner corners before a pinhole camera, as files in IMAGES and as arrays."""
+    square_px, pictures = 40, []
+    rows, columns = np.indices((7 * square_px, 10 * square_px)) // square_px
+    board = np.pad(np.where((rows + columns) % 2, 255, 0).astype(np.uint8), square_px, constant_values=255)
+    metres_from_pixel = np.array([[0.025 / square_px, 0, -0.15], [0, 0.025 / square_px, -0.11], [0, 0, 1]])
+    K = np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]])
+    (folder / "IMAGES").mkdir()
+    rng = np.random.default_rng(4)
+    for number in range(12):
+        turn = Rotation3.exp(rng.uniform(-0.5, 0.5, 3)).matrix
+        at = np.array([*rng.uniform(-0.06, 0.06, 2), rng.uniform(0.45, 0.6)])
+        plane = K @ np.column_stack([turn[:, :2], at]) @ metres_from_pixel
+        grey = cv2.warpPerspective(board, plane, (640, 480), flags=cv2.INTER_AREA, borderValue=200)
+        pictures.append(np.ascontiguousarray(grey))
+        Image.fromarray(grey).save(folder / "IMAGES" / f"{number:02d}.png")
+    return {"pictures": pictures}
+
+
+def cameras(folder: Path) -> dict[str, Any]:
+    model(folder)
+    calibration(folder)
+    return {"picture": np.zeros((480, 640, 3), np.uint8)}
+
+
+def calibration(folder: Path) -> None:
+    camera = Camera("PINHOLE", *SIZE, [300, 300, 159.5, 119.5])
+    motions = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0, 0], [-0.12, 0.001, 0]]))
+    write_calibration(
+        folder / "calibration.json", CalibrationFile((camera, camera), motions, 1e-8 * np.eye(30))
+    )
+
+
+def model(folder: Path) -> None:
+    write_colmap_model(bundle_problem(6, 100, 4).truth, folder / "OUT" / "sparse" / "0")
+
+
+def bundle(folder: Path) -> dict[str, Any]:
+    """A file of Bundle Adjustment in the Large: cameras look along -z."""
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-2, -2, -9], [2, 2, -6], (60, 3))
+    places = np.column_stack([rng.normal(0, 0.02, (4, 3)), 0.5 * np.arange(4), np.zeros((4, 2))])
+    seen = []
+    for k, place in enumerate(places):
+        in_cam = points @ Rotation3.exp(place[:3]).matrix.T + place[3:]
+        pixels = -500 * in_cam[:, :2] / in_cam[:, 2:] + rng.normal(0, 0.3, (60, 2))
+        seen += [f"{k} {j} {x} {y}" for j, (x, y) in enumerate(pixels)]
+    values = np.concatenate([*(np.r_[place, 500, 0, 0] for place in places), points.ravel()])
+    text = "\n".join([f"4 60 {len(seen)}", *seen, *map(str, values)])
+    packed = bz2.compress(text.encode())
+    (folder / "problem-16-22106-pre.txt.bz2").write_bytes(packed)
+    model(folder)
+    return {}
+
+
+def pose_graph(folder: Path) -> dict[str, Any]:
+    step = Rigid3.exp(np.tile([1.0, 0, 0, 0, 0, 2 * np.pi / 8], (8, 1)))
+    first = np.arange(8)
+    start = Rigid3.exp(np.random.default_rng(0).normal(0, 0.1, (8, 6)))
+    graph = PoseGraph(start, first, (first + 1) % 8, step, np.tile(np.eye(6), (8, 1, 1)))
+    write_g2o(folder / "sphere2500.g2o", graph)
+    return {}
+
+
+def stereo_pair(folder: Path) -> dict[str, Any]:
+    pair = stereo_room(8, SIZE)
+    for name in ("left", "right"):
+        Image.fromarray(getattr(pair, name)).save(folder / name.upper(), format="PNG")
+    calibration(folder)
+    return {"left": pair.left, "right": pair.right}
+
+
+def known_points(_: Path) -> dict[str, Any]:
+    problem = absolute_pose_problem(100, outlier_ratio=0.2, noise_px=0.5)
+    return {name: getattr(problem, name) for name in ("points_in_world", "pixels", "camera")}
+
+
+def tracks(_: Path) -> dict[str, Any]:
+    truth = bundle_problem(5, 80, 5).truth
+    motions = truth.cams_from_world()
+    pixels = [truth.cameras[0].project(motion.apply(truth.points.xyz_in_world)) for motion in motions]
+    return {"cams_from_world": motions, "camera": truth.cameras[0], "pixels": np.stack(pixels)}
+
+
+PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "README": photographs,
+    "absolute_pose": known_points,
+    "bundle_adjustment": bundle,
+    "calibration": board_pictures,
+    "cameras": cameras,
+    "fundamental_matrix": lambda _: two_views(),
+    "homography": lambda _: two_views(),
+    "index": lambda _: {},
+    "pairs": lambda _: two_views(),
+    "pose_graphs": pose_graph,
+    "relative_pose": lambda _: two_views(),
+    "stereo": stereo_pair,
+    "triangulation": tracks,
+}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
+def test_python_of_the_pages_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = []
+    real = api.view
+    monkeypatch.setattr(api, "view", lambda *a, **k: opened.append(real(*a, **k)) or opened[-1])
+    monkeypatch.chdir(tmp_path)
+    names = PREPARED[page.stem](tmp_path)
+    blocks = blocks_of(page)
+    assert blocks or page.stem == "index"
+    try:
+        for number, block in enumerate(blocks):
+            exec(compile(block, f"{page.name}, block {number + 1}", "exec"), names)
+    finally:
+        for handle in opened:
+            handle.stop()
+    success = getattr(names.get("found"), "success", True)
+    assert success, names["found"]
+    assert bool(opened) == (page.stem == "README")

@@ -1,0 +1,388 @@
+"""Every format that is read: a valid example, the file of it that is spoilt, its reader, and what is sound."""
+
+import bz2
+import io
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from PIL import Image, features
+from test_io_colmap_database import PAIRS, make_contents
+from test_io_hostile_calibrations import EUROC, KALIBR, KITTI, KITTI_ROWS, LENS, MIDDLEBURY, PAIR, XML
+from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_PLY, graph_of, transforms_text
+from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
+from test_io_hostile_pictures import GPS, RGB
+
+from epipole.io import (
+    convert_model,
+    read_bal,
+    read_colmap_model,
+    read_database,
+    read_g2o,
+    read_points_ply,
+    read_transforms,
+    read_truth,
+    write_colmap_model,
+    write_database,
+    write_g2o,
+    write_points_ply,
+)
+from epipole.io.calibration_files import (
+    read_calibration,
+    read_stereo_rig,
+    write_calibration,
+    write_opencv_yaml,
+    write_ros_yaml,
+)
+from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
+from epipole.io.exif import new_exif
+from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.stereo_video import extract_pairs
+from epipole.io.video import extract_frames, frame_size
+from epipole.pipelines.sfm.pairing import read_pairs
+from epipole.pipelines.stereo.files import read_stereo, write_picture
+from epipole.pipelines.stereo.pairs import read_summary
+from epipole.runs.folder import OutputFolder, read_mark
+from epipole.runs.units import load, store, stored_key
+from hostile_bytes import assert_model, assert_motions
+from io_models import small_model
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way in which a file can reach a reader."""
+
+    write: Callable[[Path], None]
+    """Puts a valid example into a folder."""
+    file: str
+    """The one that is spoilt."""
+    kind: str
+    """Of damage."""
+    read: Callable[[Path], None]
+    """Reads from the folder, and asserts that what comes is sound."""
+    readers: tuple[str, ...]
+    """Public functions that `read` calls."""
+    weight: float = 1.0
+    """Share of the cases."""
+    must_name: bool = True
+    """Whether an error names the folder."""
+
+
+def _put(name: str, data: bytes) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_bytes(data) and None
+
+
+def _model(folder: Path) -> None:
+    assert_model(read_colmap_model(folder))
+
+
+def _truth(folder: Path) -> None:
+    found = read_truth(folder)
+    assert np.isfinite(found.cams_from_world.rotation).all()
+    assert_motions(found.cams_from_world)
+    assert all(name.encode() for name in found.names)
+
+
+def _converted(folder: Path) -> None:
+    assert convert_model(folder, folder / "out", "ply").is_file()
+
+
+def _database(folder: Path) -> None:
+    found = read_database(folder / "database.db")
+    counts = np.diff(found.images.keypoint_offsets)
+    assert (counts >= 0).all() and all(name.encode() for name in found.images.name)
+    for (i, j), rows in found.matches.items():
+        assert (rows >= 0).all() and (rows < counts[[i, j]]).all()
+
+
+def _transforms(folder: Path) -> None:
+    model = read_transforms(folder / "transforms.json")
+    assert_model(model)
+    assert all(name.encode() is not None for name in model.images.name)
+
+
+def _cloud(folder: Path) -> None:
+    found = read_points_ply(folder / "cloud.ply")
+    assert found.rgb is None or found.rgb.shape == found.xyz.shape
+
+
+def _bal(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_bal(folder / name)
+        assert_motions(found.rig_from_world)
+        assert found.offsets[-1] == len(found.frame) == len(found.pixels)
+
+    return read
+
+
+def _graph(folder: Path) -> None:
+    found = read_g2o(folder / "graph.g2o").graph
+    assert len(found.first) == len(found.second) == len(found.information)
+
+
+def _calibration(*names: str, size: tuple[int, int] | None = None) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_calibration(*(folder / name for name in names), size=size)
+        assert len(found.cameras) == len(found.cam_from_rig)
+        assert_motions(found.cam_from_rig)
+        for camera in found.cameras:
+            assert camera.width > 0 and camera.height > 0 and np.isfinite(camera.params).all()
+        if len(found.cameras) > 1:
+            assert_motions(read_stereo_rig(*(folder / name for name in names), size=size).right_from_left)
+
+    return read
+
+
+def _ros(folder: Path) -> None:
+    motion = PAIR.cam_from_rig[1]
+    projection = np.column_stack([LENS.K, [-60.0, 0.0, 0.0]])
+    write_ros_yaml(folder / "left.yaml", LENS, "left")
+    write_ros_yaml(folder / "right.yaml", LENS, "right", motion.rotation, projection)
+
+
+def _opencv_sample(folder: Path) -> None:
+    """OpenCV's stereo sample: intrinsics and extrinsics in two files."""
+    write_opencv_yaml(folder / "both.yml", PAIR)
+    lines = (folder / "both.yml").read_text()
+    head, mark, rest = lines.partition("R: !!")
+    (folder / "intrinsics.yml").write_text(head)
+    (folder / "extrinsics.yml").write_text("%YAML:1.0\n---\n" + mark + rest)
+
+
+def _euroc_pair(folder: Path) -> None:
+    (folder / "a.yaml").write_bytes(EUROC)
+    (folder / "b.yaml").write_bytes(EUROC.replace(b"0.0, 0.0, -0.02", b"0.0, 0.0, 0.09"))
+
+
+def _map(read: Callable[[Path], np.ndarray], name: str) -> Callable[[Path], None]:
+    def run(folder: Path) -> None:
+        assert read(folder / name).ndim == 2
+
+    return run
+
+
+def _picture(kind: str) -> bytes:
+    stream = io.BytesIO()
+    options = {} if kind in ("BMP", "PPM") else {"exif": new_exif("Canon", "Canon EOS 5D", 35.0, GPS)}
+    mode = {"form": "JPEG", "progressive": True} if kind == "progressive" else {"form": kind}
+    if kind == "TIFF-deflate":
+        mode, options = {"form": "TIFF"}, {**options, "compression": "tiff_adobe_deflate"}
+    if kind == "APNG":
+        more = [Image.fromarray(RGB[::-1].copy())]
+        mode, options = {"form": "PNG"}, {**options, "save_all": True, "append_images": more}
+    if kind == "PNG-deep":
+        Image.fromarray(RGB[..., 0].astype(np.uint16) * 200).save(stream, "PNG")
+        return stream.getvalue()
+    Image.fromarray(RGB).save(stream, mode.pop("form"), **mode, **options)
+    return stream.getvalue()
+
+
+def _photograph(folder: Path) -> None:
+    path = folder / "photograph"
+    header = read_header(path)
+    assert header.width > 0 and header.height > 0 and 1 <= header.orientation <= 8
+    assert header.focal_px is None or 0 < header.focal_px < np.inf
+    assert header.gps is None or (abs(header.gps.lat_deg) <= 90 and abs(header.gps.lon_deg) <= 180)
+    rgb = read_rgb(path)
+    assert rgb.shape[2] == 3 and rgb.dtype == np.uint8
+    grey = read_grey(path, 16)
+    assert grey.ndim == 2 and max(grey.shape) <= 16
+    copy_or_rotate(path, folder / "copy.jpg")
+
+
+def _mask(folder: Path) -> None:
+    found = read_mask(folder, "a.jpg")
+    assert found is not None and found.dtype == bool
+
+
+def _video(folder: Path) -> None:
+    path = folder / "video.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    for n in range(4):
+        writer.write(np.roll(np.kron(RGB[:12, :16], np.ones((4, 4, 1), np.uint8)), n, axis=1))
+    writer.release()
+
+
+def _frames(folder: Path) -> None:
+    size = frame_size(folder / "video.avi")
+    assert size is None or min(size) > 0
+    found = extract_frames(folder / "video.avi", folder / "frames", max_frames=2)
+    assert 1 <= len(found) <= 2 and all((folder / "frames" / name).is_file() for name in found.name)
+
+
+def _listed(folder: Path) -> None:
+    _video(folder)
+    extract_frames(folder / "video.avi", folder / "frames", max_frames=2)
+
+
+def _pairs_of_video(folder: Path) -> None:
+    path = folder / "video.avi"
+    assert 1 <= len(extract_pairs(path, path, folder / "pairs", 2)) <= 2
+
+
+def _stereo(folder: Path) -> None:
+    write_picture(folder / "left.png", RGB)
+    for name in ("depth.pfm", "sigma_depth.pfm"):
+        write_pfm(folder / name, np.ones(RGB.shape[:2]))
+    content = {"K": LENS.K.tolist(), "baseline": 0.12, "principal_offset_px": 0.0}
+    (folder / "rig.json").write_text(json.dumps(content, indent=1))
+
+
+def _depths(folder: Path) -> None:
+    found = read_stereo(folder)
+    assert found.depths.shape == found.left_rgb.shape[:2] and np.isfinite(found.K).all()
+
+
+def _summary(folder: Path) -> None:
+    assert isinstance(read_summary(folder), dict)
+
+
+def _unit(folder: Path) -> None:
+    assert isinstance(stored_key(folder / "unit.npz"), str)
+    assert set(load(folder / "unit.npz", "pixels", "names")) == {"pixels", "names"}
+
+
+def _write_unit(folder: Path) -> None:
+    arrays = {"pixels": np.ones((3, 2)), "names": np.array(["a", "bc"]), "counts": np.arange(3)}
+    store(folder / "unit.npz", "key", arrays)
+
+
+def _marked(folder: Path) -> None:
+    OutputFolder(folder, "reconstruct", "here").save()
+
+
+def _mark(folder: Path) -> None:
+    found = read_mark(folder)
+    assert found is None or isinstance(found.kind, str)
+
+
+def _list_of_pairs(folder: Path) -> None:
+    found = read_pairs(folder / "pairs.txt", ["a.jpg", "b.jpg", "c.jpg"])
+    assert found.shape[1] == 2 and (found < 3).all()
+
+
+def _colmap(name: str) -> Format:
+    text = name.endswith("txt")
+
+    def write(folder: Path) -> None:
+        write_colmap_model(small_model(), folder, text=text)
+
+    return Format(write, name, "text" if text else "binary", _model, ("read_colmap_model", "find_model"))
+
+
+def _calibrated(kind: str, write: Callable[[Path], None], *names: str, size: Any = None) -> Format:
+    readers = ("read_calibration", "read_stereo_rig")
+    return Format(write, names[0], kind, _calibration(*names, size=size), readers)
+
+
+def _pictured(kind: str, damage: str = "binary") -> Format:
+    readers = ("read_header", "read_rgb", "read_grey", "copy_or_rotate")
+    return Format(_put("photograph", _picture(kind)), "photograph", damage, _photograph, readers)
+
+
+def _points(folder: Path) -> None:
+    write_points_ply(folder / "points.ply", np.ones((3, 3)), np.zeros((3, 3), np.uint8))
+
+
+def _transforms_file(known: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        _points(folder)
+        Image.fromarray(RGB).save(folder / "a.png")
+        (folder / "images").mkdir(exist_ok=True)
+        Image.fromarray(RGB).save(folder / "images" / "a.png")
+        (folder / "transforms.json").write_bytes(transforms_text(known))
+
+    return write
+
+
+_PAR = MIDDLEBURY_PAR.replace(b"0.0254 0.0084 0.9996 1 0 0 0 1 0 0", b"1 0 0 0 1 0 0 0 1")
+_PARTS = ("cameras", "rigs", "frames", "images", "points3D")
+
+FORMATS: dict[str, Format] = {
+    **{
+        f"colmap-{part}-{suffix}": _colmap(f"{part}.{suffix}") for part in _PARTS for suffix in ("bin", "txt")
+    },
+    "database": Format(
+        lambda folder: write_database(folder / "database.db", make_contents(small_model(), PAIRS)),
+        *("database.db", "sqlite", _database, ("read_database",)),
+        weight=2.0,
+    ),
+    **{
+        f"transforms-{known}": Format(
+            *(_transforms_file(known), "transforms.json", "json", _transforms, ("read_transforms",))
+        )
+        for known in ("all", "size", "nothing")
+    },
+    "transforms-points": Format(
+        _transforms_file("all"), "points.ply", "ply", _transforms, ("read_transforms",), must_name=False
+    ),
+    "convert": Format(
+        *(lambda folder: write_colmap_model(small_model(), folder), "images.bin", "binary", _converted),
+        readers=("convert_model",),
+        weight=0.3,
+    ),
+    "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),
+    "truth-middlebury": Format(_put("t_par.txt", _PAR), "t_par.txt", "text", _truth, ("read_truth",)),
+    "ply": Format(
+        lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
+        *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
+    ),
+    "ply-text": Format(_put("cloud.ply", TEXT_PLY), "cloud.ply", "text", _cloud, ("read_points_ply",)),
+    "bal": Format(_put("a.txt", BAL), "a.txt", "text", _bal("a.txt"), ("read_bal",)),
+    "bal-bz2": Format(
+        _put("a.txt.bz2", bz2.compress(BAL)), "a.txt.bz2", "bz2", _bal("a.txt.bz2"), ("read_bal",)
+    ),
+    **{
+        f"g2o-{dimension}": Format(
+            lambda folder, kind=kind, size=dimension: write_g2o(folder / "graph.g2o", graph_of(kind, size)),
+            *("graph.g2o", "text", _graph, ("read_g2o",)),
+        )
+        for kind, dimension in GRAPHS
+    },
+    "calibration-own": _calibrated(
+        "json", lambda folder: write_calibration(folder / "a.json", PAIR), "a.json"
+    ),
+    "calibration-opencv": _calibrated("yaml", lambda f: write_opencv_yaml(f / "a.yml", PAIR), "a.yml"),
+    "calibration-opencv-two": _calibrated("yaml", _opencv_sample, "intrinsics.yml", "extrinsics.yml"),
+    "calibration-ros": _calibrated("yaml", _ros, "left.yaml", "right.yaml"),
+    "calibration-kalibr": _calibrated("yaml", _put("a.yaml", yaml.safe_dump(KALIBR).encode()), "a.yaml"),
+    "calibration-euroc": _calibrated("yaml", _euroc_pair, "a.yaml", "b.yaml"),
+    "calibration-xml": _calibrated("text", _put("a.xml", XML), "a.xml"),
+    "calibration-kitti": _calibrated("text", _put("calib.txt", KITTI), "calib.txt"),
+    "calibration-kitti-rows": _calibrated("text", _put("c.txt", KITTI_ROWS), "c.txt", size=(1242, 375)),
+    "calibration-middlebury": _calibrated("text", _put("calib.txt", MIDDLEBURY), "calib.txt"),
+    "pfm": Format(
+        lambda folder: write_pfm(folder / "map.pfm", np.arange(12.0).reshape(3, 4)),
+        *("map.pfm", "binary", _map(read_pfm, "map.pfm"), ("read_pfm",)),
+    ),
+    "png16": Format(
+        lambda folder: write_png16(folder / "map.png", np.arange(1.0, 13.0).reshape(3, 4)),
+        *("map.png", "png", _map(read_png16, "map.png"), ("read_png16",)),
+    ),
+    **{f"picture-{kind}": _pictured(kind) for kind in ("TIFF", "TIFF-deflate", "WEBP", "BMP", "PPM")},
+    **{f"picture-{kind}": _pictured(kind, "png") for kind in ("PNG", "APNG", "PNG-deep")},
+    **{f"picture-{kind}": _pictured(kind, "jpeg") for kind in ("JPEG", "progressive")},
+    **({"picture-AVIF": _pictured("AVIF")} if features.check("avif") else {}),
+    "mask": Format(_put("a.jpg.png", _picture("PNG")), "a.jpg.png", "png", _mask, ("read_mask",)),
+    "video": Format(_video, "video.avi", "binary", _frames, ("extract_frames", "frame_size"), weight=0.3),
+    "video-pairs": Format(_video, "video.avi", "binary", _pairs_of_video, ("extract_pairs",), weight=0.3),
+    "video-list": Format(_listed, "frames/frames.json", "json", _frames, ("extract_frames",), weight=0.3),
+    "stereo-rig": Format(_stereo, "rig.json", "json", _depths, ("read_stereo",)),
+    "stereo-depth": Format(_stereo, "depth.pfm", "binary", _depths, ("read_stereo",)),
+    "stereo-picture": Format(_stereo, "left.png", "png", _depths, ("read_stereo",)),
+    "stereo-summary": Format(
+        _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
+        *("summary.json", "json", _summary, ("read_summary",)),
+    ),
+    "unit": Format(_write_unit, "unit.npz", "zip", _unit, ("load", "stored_key")),
+    "mark": Format(_marked, "epipole.json", "json", _mark, ("read_mark",)),
+    "pairs": Format(
+        _put("pairs.txt", b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n"),
+        *("pairs.txt", "text", _list_of_pairs, ("read_pairs",)),
+    ),
+}

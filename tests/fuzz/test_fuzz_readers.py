@@ -1,0 +1,62 @@
+"""Damaged files of every format, read in a process that may die: what `make fuzz` does for longer."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import run
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as on Linux")
+
+SOURCES = Path(__file__).parents[2] / "src" / "epipole"
+CASES = 2500
+WITHOUT_FILES = {"pair_folders", "pair_within", "list_photographs"}
+"""They list folders, and read none of the files in them."""
+BY_WAY_OF_OTHERS = {"read_image_set", "read_picture", "read_json"} | {
+    *("load_features", "load_putative", "load_view_graph"),
+}
+"""They hand their file to readers that are in the table."""
+VERBS = (
+    "read_",
+    "extract_",
+    "convert_",
+    "load",
+    "stored_",
+    "find_model",
+    "frame_size",
+    "copy_or_",
+    "pair_folders",
+    "pair_within",
+    "list_ph",
+)
+
+
+def test_damaged_files_end_in_a_clear_error_or_a_sound_object() -> None:
+    found = run.search(run.tasks_of(CASES, seed=1))
+    assert not found, "\n\n".join(map(str, found))
+
+
+def test_no_reader_is_left_out() -> None:
+    """Every public function whose name says that it reads files."""
+    names = set()
+    for room in ("io", "pipelines", "runs"):
+        for path in (SOURCES / room).rglob("*.py"):
+            if path.name.startswith("_") and path.name != "__init__.py":
+                continue
+            body = ast.parse(path.read_text(encoding="utf-8")).body
+            names |= {f.name for f in body if isinstance(f, ast.FunctionDef) and f.name.startswith(VERBS)}
+    known = {reader for _, readers in run.formats().values() for reader in readers}
+    missing = names - known - WITHOUT_FILES - BY_WAY_OF_OTHERS
+    assert not missing, f"add to FORMATS in tests/fuzz/formats.py: {sorted(missing)}"
+    assert {"read_colmap_model", "read_database", "read_calibration"} <= names & known
+
+
+def test_a_case_is_repeated_to_the_byte(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        run.search([["transforms-all", 7, 3, 4]], tmp_path / folder)
+    name = Path("transforms-all") / "transforms.json"
+    assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()

@@ -1,0 +1,152 @@
+"""Small files that stand for much: refused clearly, or read, in little memory and time, in a process that survives."""
+
+import json
+import select
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bombs
+import pytest
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as on Linux")
+
+Read = Callable[..., str]
+
+
+class Reading:
+    """A process that reads; a new one where the last one died or hung."""
+
+    def __init__(self) -> None:
+        self.process: subprocess.Popen | None = None
+
+    def close(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.communicate()
+            self.process = None
+
+    def __call__(self, reader: str, *paths: Path) -> str:
+        if self.process is None:
+            program = [sys.executable, str(Path(__file__).with_name("bomb_process.py"))]
+            pipe = subprocess.PIPE
+            self.process = subprocess.Popen(program, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL)
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.write(json.dumps([reader, [str(p) for p in paths]]).encode() + b"\n")
+        self.process.stdin.flush()
+        if not select.select([self.process.stdout], [], [], 30)[0]:
+            self.close()
+            return "hangs"
+        line = self.process.stdout.readline()
+        if not line:
+            code = self.process.wait()
+            self.close()
+            return f"dies with {code}"
+        return json.loads(line)
+
+
+@pytest.fixture(scope="module")
+def read() -> Iterator[Reading]:
+    reading = Reading()
+    yield reading
+    reading.close()
+
+
+def refuses(said: str) -> None:
+    assert said.startswith("refused: ")
+
+
+@pytest.mark.parametrize("what", list(bombs.YAML))
+def test_yaml(read: Read, tmp_path: Path, what: str) -> None:
+    path = tmp_path / "bomb.yaml"
+    path.write_text(bombs.YAML[what])
+    refuses(read("calibration", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.MATRICES))
+def test_matrices_of_opencv(read: Read, tmp_path: Path, what: str) -> None:
+    """A size that its values do not have is refused; OpenCV's own reader would end the process."""
+    path = tmp_path / "bomb.yml"
+    path.write_text(bombs.opencv("3", "3"))
+    assert read("calibration", path) == "read"
+    path.write_text(bombs.MATRICES[what])
+    refuses(read("calibration", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.XML_FILES))
+def test_xml(read: Read, tmp_path: Path, what: str) -> None:
+    path = tmp_path / "bomb.xml"
+    path.write_bytes(bombs.XML_FILES[what])
+    refuses(read("calibration", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.PICTURES))
+def test_pictures(read: Read, tmp_path: Path, what: str) -> None:
+    path = tmp_path / "bomb.png"
+    path.write_bytes(bombs.PICTURES[what]())
+    for reader in ("rgb", "grey", "small", "mask", "png16", "pfm"):
+        refuses(read(reader, path))
+    assert read("header", path).startswith(("read", "refused"))
+
+
+@pytest.mark.parametrize("what", list(bombs.BZ2))
+def test_archives(read: Read, tmp_path: Path, what: str) -> None:
+    path = tmp_path / "bomb.bz2"
+    path.write_bytes(bombs.BZ2[what]())
+    refuses(read("bal", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.TRANSFORMS))
+def test_transforms(read: Read, tmp_path: Path, what: str) -> None:
+    bombs.make_pipe(tmp_path / "pipe")
+    path = tmp_path / "transforms.json"
+    path.write_bytes(bombs.TRANSFORMS[what])
+    refuses(read("transforms", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.DATABASES))
+def test_databases(read: Read, tmp_path: Path, what: str) -> None:
+    path = tmp_path / "database.db"
+    bombs.DATABASES[what](path)
+    refuses(read("database", path))
+
+
+@pytest.mark.parametrize("what", list(bombs.MODELS))
+def test_models(read: Read, tmp_path: Path, what: str) -> None:
+    bombs.MODELS[what](tmp_path / "model")
+    refuses(read("colmap", tmp_path / "model"))
+
+
+FILES = {
+    "calibration": "a.yaml",
+    "pfm": "a.pfm",
+    "png16": "a.png",
+    "header": "a.jpg",
+    "rgb": "a.jpg",
+    "copy": "a.jpg",
+    "bal": "a.txt",
+    "colmap": "cameras.bin",
+    "database": "a.db",
+    "ply": "a.ply",
+    "transforms": "transforms.json",
+    "truth": "a.camera",
+    "stereo": "depth.pfm",
+    "frame size": "a.mp4",
+    "frames": "a.mp4",
+    "pairs": "a.mp4",
+    "folders": "left",
+}
+
+
+@pytest.mark.parametrize("what", list(bombs.NO_FILES))
+def test_what_is_no_file(read: Read, tmp_path: Path, what: str) -> None:
+    """No reader waits for a pipe, or reads a device to its end."""
+    said = {}
+    for reader, name in FILES.items():
+        path = tmp_path / reader / name
+        path.parent.mkdir()
+        bombs.NO_FILES[what](path)
+        said[reader] = read(reader, path)
+    wrong = {reader: answer for reader, answer in said.items() if not answer.startswith("refused: ")}
+    assert not wrong

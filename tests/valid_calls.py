@@ -1,0 +1,590 @@
+"""One valid call of every public function and class of the rooms that calculate: what wrong calls are made from."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from epipole import (
+    cameras,
+    features,
+    geometry,
+    image,
+    mapping,
+    metrics,
+    optim,
+    robust,
+    scene,
+    solvers,
+    synthetic,
+)
+from epipole.cameras import Camera, CameraModel
+from epipole.config import FeatureConfig, MatchConfig, RansacConfig
+from epipole.disparity_search import coarse_to_fine, config, rectification, search, uncertainty
+from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, tangents
+from epipole.geometry.homogeneous import normalize_lines
+from epipole.io import g2o
+from epipole.mapping.adjustment import expected_params, free_params_of
+from epipole.optim import BundleConfig, BundlePriors, Loss, PoseGraph, PoseGraphConfig
+from epipole.optim.block_cholesky import BlockPattern, plan_cholesky
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.robust import PairMatches
+from epipole.solvers.two_view import hartley_normalization
+from epipole.synthetic import problems, stereo_rooms
+
+ROOMS = (cameras, geometry, image, solvers, optim, features, robust, scene, metrics, synthetic, mapping)
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function, or a class, and arguments that it takes."""
+
+    name: str
+    function: Callable[..., Any]
+    arguments: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+@cache
+def valid_calls() -> tuple[Call, ...]:
+    """All of them; the arrays are made once and must not be written to."""
+    return tuple(Call(name, function, arguments) for name, function, arguments in _all_calls())
+
+
+Row = tuple[str, Callable[..., Any], dict[str, Any]]
+
+
+def _all_calls() -> Iterator[Row]:
+    for rows in (
+        *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
+        *(_features, _pictures, _columns, _mapping, _disparities, _synthetic, _metrics, _options),
+    ):
+        yield from rows()
+
+
+def _row(function: Callable[..., Any], /, **arguments: Any) -> Row:
+    return function.__qualname__, function, arguments
+
+
+@cache
+def _pair() -> problems.TwoViewProblem:
+    return problems.two_view_problem(40, 0.2, 0.3, 1)
+
+
+@cache
+def _seen() -> problems.AbsolutePoseProblem:
+    return problems.absolute_pose_problem(40, 0.2, 0.3, 2)
+
+
+@cache
+def _ring() -> problems.ReconstructionProblem:
+    return problems.bundle_problem(4, 20, 3, 0.3, 3)
+
+
+def _some(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape)
+
+
+IN_FRONT = np.array([0.0, 0.0, 6.0])
+LENS = Camera(CameraModel.OPENCV, 64, 48, np.array([60.0, 61.0, 31.5, 23.5, -0.05, 0.01, 1e-3, -1e-3]))
+PINHOLE = Camera(CameraModel.PINHOLE, 64, 48, np.array([60.0, 60.0, 31.5, 23.5]))
+QUICK = RansacConfig(max_iterations=200, min_inliers=8)
+PLACES = Rigid3.exp(0.1 * _some(4, 6))
+PLACE = PLACES[1]
+
+
+def _geometry() -> Iterator[Row]:
+    p1, p2, K = _some(12, 2), _some(12, 2, seed=1), np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    E = geometry.essential_from_cam2_from_cam1(PLACE)
+    F = geometry.fundamental_from_essential(E, K, K)
+    rays = _some(5, 3) + IN_FRONT
+    yield _row(geometry.align_points, source=rays, target=rays + 1, with_scale=True)
+    yield _row(
+        geometry.depth_error, depth=rays, focal_px=50.0, baseline=0.1, disparity_error_px=0.5 + 0 * rays
+    )
+    for function, name in (
+        (geometry.depth_to_disparity, "depth"),
+        (geometry.disparity_to_depth, "disparity_px"),
+    ):
+        yield _row(function, **{name: rays}, focal_px=50.0, baseline=0.1, principal_offset_px=1.0)
+    candidates = geometry.decompose_essential_matrix(E)
+    yield _row(geometry.choose_by_cheirality, candidates=candidates, rays1=rays, rays2=rays)
+    yield _row(geometry.decompose_essential_matrix, essential=E)
+    yield _row(geometry.epipolar_lines, fundamental=F, pixels1=p1)
+    yield _row(geometry.epipoles, fundamental=F)
+    yield _row(geometry.essential_from_cam2_from_cam1, cam2_from_cam1=PLACE)
+    yield _row(geometry.essential_from_fundamental, fundamental=F, K1=K, K2=K)
+    yield _row(geometry.fundamental_from_essential, essential=E, K1=K, K2=K)
+    yield _row(geometry.sampson_error, fundamental=F, pixels1=p1, pixels2=p2)
+    yield _row(geometry.to_homogeneous, points=p1)
+    yield _row(geometry.from_homogeneous, points=rays)
+    yield _row(geometry.intersection_of, lines_a=rays, lines_b=rays + 1)
+    yield _row(geometry.line_through, points_a=p1, points_b=p2)
+    yield _row(geometry.point_line_distance, points=p1[:5], lines=rays)
+    yield _row(normalize_lines, lines=rays)
+    H = np.eye(3) + 0.01 * _some(3, 3)
+    yield _row(geometry.decompose_homography, homography=H, K1=K, K2=K, pixels1=p1)
+    size = (64, 48)
+    yield _row(geometry.rectifying_homographies, fundamental=F, pixels1=p1, pixels2=p2, size=size)
+    yield _row(geometry.skew, vectors=rays)
+    yield _row(geometry.ray_angles_rad, points=rays, centers_a=rays + 1, centers_b=rays - 1)
+    yield _row(geometry.triangulate_linear, cams_from_world=PLACES, rays=rays[:4])
+    yield _row(geometry.triangulate_two_view, cam2_from_cam1=PLACE, rays1=rays, rays2=rays + 1)
+    yield _row(geometry.PlaneMotions, cam2_from_cam1=PLACES, normals_in_cam1=_some(4, 3))
+    for function in (tangents.inverse_left_jacobian, tangents.inverse_right_jacobian):
+        yield _row(function, xi=0.1 * _some(3, 6))
+
+
+def _motions() -> Iterator[Row]:
+    points = _some(4, 3)
+    flat, similar = Rigid2.exp(_some(4, 3)), Similarity3.exp(0.1 * _some(4, 7))
+    turn = Rotation3(PLACES.rotation)
+    yield _row(Rotation3, matrix=turn.matrix)
+    yield _row(Rigid3, rotation=PLACES.rotation, translation=PLACES.translation)
+    yield _row(Rigid2, angle_rad=_some(4), translation=_some(4, 2))
+    yield _row(Similarity3, scale=np.ones(4), rotation=PLACES.rotation, translation=points)
+    yield _row(Rotation3.exp, phi_rad=points)
+    yield _row(Rotation3.from_quat_wxyz, quat_wxyz=_some(4, 4))
+    yield _row(Rotation3.nearest, matrix=_some(4, 3, 3))
+    yield _row(Rotation3.from_two_vectors, source=points[0], target=points[1])
+    yield _row(Rigid3.from_matrix, matrix=PLACES.as_matrix())
+    yield _row(Rigid3.from_quat_wxyz, quat_wxyz=_some(4, 4), translation=points)
+    yield _row(Rigid3.exp, xi=_some(4, 6))
+    yield _row(Rigid2.exp, xi=points)
+    yield _row(Rigid2.from_rigid3, motion=PLACES)
+    yield _row(Similarity3.exp, xi=_some(4, 7))
+    yield _row(similar.move_cam_from_source, cam_from_source=PLACES)
+    for motion, given in ((turn, points), (PLACES, points), (flat, points[:, :2]), (similar, points)):
+        yield _row(motion.apply, points=given)
+        yield _row(motion.__matmul__, other=motion)
+
+
+def _cameras() -> Iterator[Row]:
+    yield _row(Camera, model=LENS.model, width=64, height=48, params=LENS.params)
+    yield _row(LENS.project, points_in_cam=_some(5, 3) + IN_FRONT)
+    yield _row(LENS.project_with_jacobian, points_in_cam=_some(5, 3) + IN_FRONT)
+    yield _row(LENS.unproject, pixels=_some(5, 2))
+    yield _row(LENS.unproject_with_jacobian, pixels=_some(5, 2))
+    yield _row(LENS.scaled_to, width=32, height=24)
+    yield _row(cameras.camera_model_named, name="opencv")
+    yield _row(CameraModel.OPENCV.initial_params, focal_px=50.0, width=64, height=48)
+
+
+def _solvers() -> Iterator[Row]:
+    pair, seen = _pair(), _seen()
+    good = np.flatnonzero(pair.inlier_mask)
+    p1, p2 = pair.pixels1[good], pair.pixels2[good]
+    y1, y2 = pair.camera1.unproject(p1), pair.camera2.unproject(p2)
+    X, p = seen.points_in_world[seen.inlier_mask], seen.pixels[seen.inlier_mask]
+    y = seen.camera.unproject(p)
+    yield _row(solvers.solve_p3p, rays_in_cam=y[:3], points_in_world=X[:3])
+    yield _row(solvers.solve_p4pf, pixels=p[:4] - 400, points_in_world=X[:4])
+    origins = 0.1 * _some(3, 3)
+    yield _row(
+        solvers.solve_generalized_p3p, origins_in_rig=origins, rays_in_rig=y[:3], points_in_world=X[:3]
+    )
+    yield _row(solvers.solve_upright_p2p, rays_in_cam=y[:2], points_in_world=X[:2])
+    yield _row(solvers.solve_pnp, rays_in_cam=y[:8], points_in_world=X[:8])
+    yield _row(solvers.solve_essential_five_point, rays1=y1[:5], rays2=y2[:5])
+    yield _row(solvers.solve_upright_relative_three_point, rays1=y1[:3], rays2=y2[:3])
+    yield _row(solvers.solve_shared_focal_six_point, pixels1=p1[:6] - 400, pixels2=p2[:6] - 400)
+    for function, n in (
+        (solvers.solve_fundamental_seven_point, 7),
+        (solvers.solve_fundamental_eight_point, 12),
+        (solvers.solve_homography_four_point, 4),
+        (solvers.solve_homography_dlt, 9),
+    ):
+        yield _row(function, pixels1=p1[:n], pixels2=p2[:n])
+    yield _row(hartley_normalization, pixels=p1)
+    yield _row(solvers.FocalPoses, cam_from_world=PLACES, focal_px=np.ones(4))
+    yield _row(solvers.SharedFocals, fundamental=_some(4, 3, 3), focal_px=np.ones(4))
+
+
+def _estimators() -> Iterator[Row]:
+    pair, seen = _pair(), _seen()
+    matches = {"pixels1": pair.pixels1, "pixels2": pair.pixels2}
+    known = matches | {"camera1": pair.camera1, "camera2": pair.camera2}
+    seen_points = {"points_in_world": seen.points_in_world, "pixels": seen.pixels}
+    options, quality, down = {"config": QUICK}, {"quality": np.arange(40.0)}, np.array([0.0, 1.0, 0.1])
+    yield _row(robust.estimate_absolute_pose, **seen_points, camera=seen.camera, **options, **quality)
+    yield _row(
+        robust.estimate_rig_pose, **seen_points, camera_index=np.arange(40) % 2, cameras=[seen.camera] * 2,
+        cams_from_rig=PLACES[:2], **options,
+    )  # fmt: skip
+    upright = {"down_in_cam": down, "down_in_world": -down}
+    yield _row(robust.estimate_upright_pose, **seen_points, camera=seen.camera, **upright, **options)
+    center = np.array([640.0, 480.0])
+    yield _row(robust.estimate_pose_and_focal, **seen_points, principal_point=center, **options)
+    points = {"source": seen.points_in_world, "target": seen.points_in_world + 1.0}
+    yield _row(robust.estimate_rigid, **points, **options, **quality)
+    yield _row(robust.estimate_similarity, **points, **options, **quality)
+    yield _row(robust.estimate_upright_similarity, **points, **options)
+    for function, given in (  # in any order: the loop takes another type of argument then
+        (robust.estimate_absolute_pose, seen_points | {"camera": seen.camera}),
+        (robust.estimate_rigid, points),
+        (robust.estimate_similarity, points),
+        (robust.estimate_relative_pose, known),
+        (robust.estimate_fundamental_matrix, matches),
+        (robust.estimate_homography, matches),
+    ):
+        yield f"{function.__name__} in any order", function, given | options
+    yield _row(robust.estimate_motion_and_shared_focal, **matches, principal_point=center, **options)
+    centers = {"principal_point1": center, "principal_point2": center}
+    yield _row(robust.estimate_motion_and_focals, **matches, **centers, **options)
+    yield _row(robust.estimate_relative_pose, **known, **options, **quality)
+    yield _row(robust.estimate_upright_motion, **known, down_in_cams=(down, down), **options)
+    yield _row(robust.estimate_essential_matrix, **known, **options, **quality)
+    yield _row(robust.estimate_fundamental_matrix, **matches, **options, **quality)
+    yield _row(robust.estimate_homography, **matches, **options, **quality)
+    yield _row(PairMatches, **known, is_calibrated=True, seed=3)
+    yield _row(robust.verify_pairs, pairs=[PairMatches(**known), PairMatches(**known)], **options)
+    yield _row(robust.verify_pair, **known, is_calibrated=False, **options)
+    yield _row(robust.fundamental_for_guided_matching, **known, is_calibrated=True, **options)
+
+
+def _triangulation() -> Iterator[Row]:
+    points, lens = _some(6, 3) + IN_FRONT, LENS
+    for n in (2, 4):
+        pixels = np.stack([lens.project(place.apply(points)) for place in (PLACES[k] for k in range(n))])
+        views = {"cams_from_world": PLACES[:n], "cameras": [lens] * n}
+        name, function, arguments = _row(
+            robust.triangulate_points, **views, pixels=pixels, max_error_px=4.0, min_angle_rad=0.01
+        )
+        yield f"{name} of {n}", function, arguments
+    seen = np.ones((4, 6), bool)
+    yield _row(robust.point_covariances, **views, points_in_world=points, seen_mask=seen, noise_px=0.5)
+
+
+def _bundle() -> optim.BundleProblem:
+    return mapping.bundle_problem_of(_ring().start)
+
+
+def _bundles() -> Iterator[Row]:
+    problem = _bundle()
+    f, c = len(problem.frame_free), len(problem.camera_params)
+    quick = BundleConfig(max_iterations=2, loss=Loss.CAUCHY)
+    result = optim.adjust_bundle(problem, quick)
+    distances = optim.PointDistances(np.array([0, 1]), np.array([2, 3]), np.ones(2), np.ones(2))
+    priors = {
+        "position_in_world": problem.rig_from_world.centers(),
+        "position_sigma": 1.0,
+        "rig_from_world": problem.rig_from_world,
+        "rig_information": np.tile(np.eye(6), (f, 1, 1)),
+        "down_in_rig": np.tile([0.0, 0.6, 0.8], (f, 1)),
+        "down_in_world": (0.0, 0.0, -1.0),
+        "down_sigma_rad": 0.1,
+        "params_expected": problem.camera_params,
+        "params_sigma": np.ones((c, 12)),
+        "distances": distances,
+    }
+    fields = {name: getattr(problem, name) for name in problem.__slots__}
+    free = {"sensor_free": np.zeros((c, 6)), "priors": BundlePriors(**priors)}
+    ends = {name: getattr(distances, name) for name in distances.__slots__}
+    yield _row(optim.PointDistances, **ends)
+    yield _row(BundlePriors, **priors)
+    yield _row(BundlePriors(**priors).check, num_frames=f, num_cameras=c, num_points=20)
+    yield _row(optim.BundleProblem, **fields | free)
+    yield "adjust_bundle of BundleProblem", _adjusted, fields | free
+    yield _row(optim.adjust_bundle, problem=problem, config=quick, progress=lambda _: True)
+    yield _row(optim.bundle_covariance, problem=problem, result=result, config=quick, noise_px=0.5)
+    yield _row(optim.with_result, problem=problem, result=result)
+    yield _row(optim.with_fixed_gauge, problem=problem)
+    which = {"focal": True, "principal_point": False, "distortion": True}
+    yield _row(optim.free_params_mask, models=problem.camera_model, **which)
+    yield _row(optim.evaluate_loss, loss=Loss.HUBER, squared=_some(5) ** 2, scale=1.0)
+    pattern = {"size": np.full(3, 2), "row": np.array([0, 1, 2, 2]), "column": np.array([0, 1, 2, 0])}
+    yield _row(BlockPattern, **pattern)
+    blocks = np.stack([4.0 * np.eye(2)] * 3 + [np.ones((2, 2))])
+    plan = plan_cholesky(BlockPattern(**pattern))
+    yield _row(plan_cholesky, pattern=BlockPattern(**pattern), last_mask=np.array([False, False, True]))
+    yield _row(plan.factorize, blocks=blocks)
+
+
+def _adjusted(**fields: Any) -> Any:
+    return optim.adjust_bundle(optim.BundleProblem(**fields), BundleConfig(max_iterations=2))
+
+
+def _graph(kind: type) -> PoseGraph:
+    size = {Rigid2: 3, Rigid3: 6, Similarity3: 7}[kind]
+    steps, first = kind.exp(0.1 * _some(6, size)), np.array([0, 1, 2, 3, 0, 1])
+    second = np.array([1, 2, 3, 4, 4, 3])
+    return PoseGraph(kind.exp(0.1 * _some(5, size)), first, second, steps, np.tile(np.eye(size), (6, 1, 1)))
+
+
+def _optimized(**fields: Any) -> Any:
+    return optim.optimize_pose_graph(PoseGraph(**fields), PoseGraphConfig(max_iterations=5))
+
+
+def _pose_graphs() -> Iterator[Row]:
+    quick = PoseGraphConfig(max_iterations=5)
+    for kind in (Rigid2, Rigid3, Similarity3):
+        graph = _graph(kind)
+        fields = {name: getattr(graph, name) for name in graph.__slots__}
+        yield f"optimize_pose_graph of {kind.__name__}", _optimized, fields
+    yield _row(PoseGraph, **fields)
+    graph = _graph(Rigid3)
+    yield _row(optim.optimize_pose_graph, graph=graph, config=quick, progress=lambda *_: True)
+    may_be_wrong = np.array([False] * 4 + [True] * 2)
+    yield _row(optim.optimize_pose_graph_robustly, graph=graph, may_be_wrong_mask=may_be_wrong, config=quick)
+    yield _row(optim.initialize_pose_graph, graph=graph)
+    yield _row(optim.pose_graph_cost, graph=graph)
+    yield _row(g2o.write_g2o, path="/dev/null/no-folder/graph.g2o", graph=graph, ids=np.arange(5) + 7)
+
+
+def _some_features(n: int, width: int = 128) -> features.Features:
+    rng = np.random.default_rng(n)
+    pixels = rng.uniform(0, 200, (n, 2)).astype(np.float32)
+    ones = np.ones(n, np.float32)
+    return features.Features(pixels, ones, ones.copy(), rng.integers(0, 60, (n, width), np.uint8))
+
+
+def _features() -> Iterator[Row]:
+    one, two, F = _some_features(30), _some_features(25), _some(3, 3)
+    fields = {name: getattr(one, name) for name in one.__slots__}
+    words = _some(8, 128).astype(np.float32)
+    yield _row(features.Features, **fields)
+    yield _row(features.detect_features, grey=_picture(), config=FeatureConfig(max_features=50))
+    orb = FeatureConfig(kind="orb", max_features=50)
+    yield "detect_features orb", features.detect_features, {"grey": _picture(), "config": orb}
+    both = {"descriptors1": one.descriptors, "descriptors2": two.descriptors}
+    yield _row(features.match_descriptors, **both, config=MatchConfig())
+    bits = {"descriptors1": one.descriptors[:, :32].copy(), "descriptors2": two.descriptors[:, :32].copy()}
+    yield "match_descriptors of bits", features.match_descriptors, bits | {"config": MatchConfig()}
+    guided = {"fundamental": F, "band_px": 3.0, "config": MatchConfig()}
+    yield _row(features.match_along_epipolar_lines, features1=one, features2=two, **guided)
+    yield _row(features.describe_image, descriptors=one.descriptors, words=words)
+    yield _row(features.most_similar, vectors=_some(6, 16).astype(np.float32), count=3)
+    lists = [one.descriptors, two.descriptors]
+    yield _row(features.train_vocabulary, descriptors=lists, num_words=4, seed=1, rounds=2)
+    yield _row(features.root_sift, descriptors=np.abs(words))
+
+
+def _picture(*channels: int) -> np.ndarray:
+    return np.random.default_rng(5).integers(0, 255, (48, 64, *channels), np.uint8)
+
+
+def _pictures() -> Iterator[Row]:
+    yield _row(image.census, image=_picture().astype(np.uint16), window=(5, 5))
+    yield _row(image.color_range, values=_some(5, 4))
+    yield _row(image.color_map, values=_some(5, 4))
+    yield _row(image.downscaled, image=_picture(3), max_side_px=20)
+    yield _row(image.undistorted_camera, camera=LENS)
+    yield _row(image.undistort_image, rgb=_picture(3), camera=LENS, pinhole=PINHOLE)
+
+
+def _columns() -> Iterator[Row]:
+    model = _ring().start
+    for part in (model, model.cameras, model.rigs, model.frames, model.images, model.points, model.tracks):
+        yield _row(type(part), **{name: getattr(part, name) for name in part.__slots__})
+    yield _row(scene.Cameras.from_list, cameras=[LENS], is_focal_trusted=[True], is_constant=[False])
+    yield _row(scene.Rigs.of_single_cameras, num_cameras=3)
+    yield _row(model.images.keypoints_of, image=1)
+    yield _row(model.transformed, target_from_world=Similarity3.exp(0.1 * _some(7)))
+    yield _row(scene.unregistered, count=3)
+    single, small = np.zeros((3, 4), np.float32), np.zeros((3, 4))
+    yield _row(scene.DisparityMap, disparity_px=single, sigma_px=single, reason=np.zeros((3, 4), np.uint8))
+    yield _row(scene.DepthMap, depth=small, sigma=small, calibration_sigma=small)
+    yield _row(scene.Extent, low=-np.ones(3), high=np.ones(3), focus=np.zeros(3), radius=1.0)
+    box = scene.extent_of(_some(9, 3), _some(4, 3), 90.0)
+    yield _row(box.contains, points_in_world=_some(9, 3))
+    yield _row(scene.extent_of, points_in_world=_some(9, 3), centers_in_world=_some(4, 3), percent=90.0)
+    yield _row(scene.frustum_corners_in_cam, K=LENS.K, width=64, height=48)
+    yield _row(scene.frustum_size, centers_in_world=_some(4, 3), least=0.1, most=1.0)
+    yield _row(scene.PointCloud, points_in_cam=_some(12, 3), mask=np.ones((3, 4), bool))
+    yield _row(scene.depth_map_to_point_cloud, depth=1.0 + np.abs(_some(5, 4)), K=LENS.K)
+    numbers = {"focal_px": 50.0, "cx": 31.5, "cy": 23.5, "baseline": 0.1, "principal_offset_px": 1.0}
+    sigmas = {"focal_sigma_px": 0.1, "baseline_sigma": 0.01, "principal_offset_sigma_px": 0.1}
+    yield _row(scene.RectifiedRig, **numbers, **sigmas)
+    yield _row(scene.RectifiedRig(**numbers).calibration_sigma, disparity_px=single)
+    right = Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0]))
+    yield _row(scene.StereoRig, left=LENS, right=LENS, right_from_left=right, covariance=np.eye(30))
+    rig = scene.StereoRig(LENS, LENS, right)
+    yield _row(rig.check_pictures, left=_picture(), right=_picture())
+    yield _row(rig.perturbed, change=1e-3 * _some(30))
+    graph = _view_graph()
+    yield _row(scene.ViewGraph, **{name: getattr(graph, name) for name in graph.__slots__})
+
+
+def _view_graph() -> scene.ViewGraph:
+    model = _ring().start
+    point, image_of, keypoint = (
+        model.tracks.point_of_observation(),
+        model.tracks.image,
+        model.tracks.keypoint,
+    )
+    rows = []
+    for j in range(len(model.points)):
+        own = np.flatnonzero(point == j)
+        rows += [(image_of[a], image_of[b], keypoint[a], keypoint[b]) for a, b in pairwise(own)]
+    rows.sort(key=lambda row: row[:2])
+    pairs = sorted({row[:2] for row in rows})
+    counts = [sum(row[:2] == pair for row in rows) for pair in pairs]
+    columns = np.array(rows, np.int32)
+    n = len(pairs)
+    blank = np.full((n, 3, 3), np.nan)
+    return scene.ViewGraph(
+        *np.array(pairs, np.int32).T.copy(),
+        np.ones(n, np.int32),
+        np.array(counts, np.int32),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        columns[:, 2].copy(),
+        columns[:, 3].copy(),
+        Rigid3(blank, np.full((n, 3), np.nan)),
+        *(blank, blank.copy(), blank.copy()),
+        np.full(n, 0.1),
+    )
+
+
+def _builder() -> mapping.ModelBuilder:
+    model = _ring().start
+    lists = [model.images.keypoints_of(i) for i in range(len(model.images))]
+    components = mapping.connect_matches(_view_graph(), model.images.keypoint_offsets)
+    builder = mapping.ModelBuilder(model.cameras, model.camera_of_image, lists, components)
+    places = model.cams_from_world()
+    for i in range(len(lists)):
+        builder.register(i, places[i])
+    builder.triangulate(np.arange(len(components)), 100.0, 0.001)
+    return builder
+
+
+def _mapping() -> Iterator[Row]:
+    model, graph = _ring().start, _view_graph()
+    offsets, builder = model.images.keypoint_offsets, _builder()
+    components, freedom = builder.components, mapping.Freedom()
+    quick = BundleConfig(max_iterations=2)
+    yield _row(mapping.connect_matches, view_graph=graph, keypoint_offsets=offsets)
+    parts = {name: getattr(components, name) for name in components.__slots__}
+    yield _row(mapping.MatchComponents, **parts)
+    lists = [model.images.keypoints_of(i) for i in range(len(model.images))]
+    yield _row(
+        mapping.ModelBuilder, cameras=model.cameras, camera_of_image=model.camera_of_image, keypoints=lists,
+        components=components,
+    )  # fmt: skip
+    yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)
+    yield _row(mapping.Freedom, focal=True, principal_point=False, distortion=True)
+    priors = mapping.PositionPriors(_some(4, 3), 1.0)
+    yield _row(free_params_of, cameras=model.cameras, freedom=freedom)
+    yield _row(expected_params, model=builder)
+    yield _row(mapping.adjust_all, model=builder, config=quick, freedom=freedom, priors=priors)
+    around = {"image": 1, "num_images": 2, "config": quick, "freedom": freedom}
+    yield _row(mapping.adjust_around, model=builder, **around)
+    consistency = mapping.MatchConsistency(builder, graph)
+    yield _row(mapping.MatchConsistency, model=builder, view_graph=graph)
+    yield _row(consistency.shares, model=builder)
+    yield _row(consistency.overall, model=builder)
+    yield _row(consistency.num_explained, model=builder)
+    yield _row(consistency.of_image, model=builder, image=1)
+    which = np.arange(len(components))
+    yield _row(builder.update_rays, camera=0)
+    yield _row(builder.camera, index=0)
+    yield _row(builder.cam_from_world, image=1)
+    yield _row(builder.triangulate, components=which, max_error_px=4.0, min_angle_rad=0.01)
+    yield _row(builder.extend, components=which, max_error_px=4.0)
+    yield _row(builder.filter, max_error_px=4.0, min_angle_rad=0.01)
+    yield _row(builder.points_in_sight, image=1)
+    yield _row(builder.freeze, names=["a", "b", "c", "d"], colors=None, timestamps_s=np.arange(4.0))
+    whole = {"model": model, "freedom": freedom, "priors": None}
+    yield _row(mapping.bundle_problem_of, **whole)
+    yield _row(mapping.adjust_reconstruction, **whole, config=quick, progress=lambda _: True)
+    yield _row(mapping.resect_image, model=builder, image=1, config=QUICK, search_focal=True)
+    rows, points = builder.points_in_sight(1)
+    camera, xyz, pixels = builder.camera(0), builder.points[points], builder.row_pixel[rows]
+    estimate = robust.estimate_absolute_pose(xyz, pixels, camera, QUICK)
+    found = {"points_in_world": xyz, "pixels": pixels, "estimate": estimate, "camera": camera, "focal": True}
+    yield _row(mapping.refine_resection, **found)
+
+
+def _disparities() -> Iterator[Row]:
+    left, options = _picture(), config.DisparityConfig(max_disparity_px=10)
+    right = np.roll(left, -3, axis=1)
+    yield _row(search.match_stereo, left=left, right=right, config=options)
+    yield _row(search.match_with_evidence, left=left, right=right, config=options)
+    disparities, evidence = search.match_with_evidence(left, right, options)
+    fields = {name: getattr(evidence, name) for name in evidence.__slots__}
+    yield _row(uncertainty.MatchEvidence, **fields)
+    yield _row(uncertainty.disparity_sigma, evidence=evidence)
+    yield _row(uncertainty.cues, evidence=evidence, start=0, stop=10)
+    yield _row(uncertainty.roughness, disparity_px=np.nan_to_num(disparities.disparity_px))
+    yield _row(uncertainty.score, of=uncertainty.cues(evidence))
+    coarse = np.zeros((24, 32), np.float32)
+    name, function, arguments = _row(
+        coarse_to_fine.tiles_of, coarse_px=coarse, shape=(48, 64), search=(0, 20)
+    )
+    yield name, partial(_listed, function), arguments
+    rig = scene.StereoRig(LENS, LENS, Rigid3(np.eye(3), np.array([-0.1, 0.0, 0.0])))
+    yield _row(rectification.rectify, rig=rig)
+    yield _row(rectification.is_right_of_left, rig=rig)
+    rectified = rectification.rectify(rig)
+    yield _row(rectified.apply, left=left, right=right)
+    fields = {name: getattr(rectified, name) for name in rectified.__slots__}
+    yield _row(rectification.Rectification, **fields)
+    masks = {"left_valid": np.ones((48, 64), bool), "right_valid": np.ones((48, 64), bool)}
+    yield _row(rectification.within_both, disparities=disparities, **masks)
+
+
+def _listed(function: Callable[..., Any], /, **arguments: Any) -> Any:
+    return list(function(**arguments))
+
+
+def _synthetic() -> Iterator[Row]:
+    yard = synthetic.SyntheticScene.of([synthetic.Sphere(center=(0, 5, 0), radius=1.0)])
+    yield _row(synthetic.look_at, center=np.zeros(3), target=np.ones(3), up=np.array([0, 0, 1.0]))
+    yield _row(synthetic.courtyard)
+    yield _row(synthetic.courtyard_views, num_views=3)
+    yield _row(synthetic.SyntheticScene, **{name: getattr(yard, name) for name in yard.__slots__})
+    place = synthetic.look_at((0, 0, 0), (0, 5, 0))
+    yield _row(synthetic.render, scene=yard, camera=PINHOLE, cam_from_world=place, noise_sigma=1.0, seed=1)
+    surface = {
+        "color": (0.5, 0.5, 0.5),
+        "texture": synthetic.Texture.RICH,
+        "seed": 1,
+        "center": (0.0, 5.0, 0.0),
+    }
+    across = {"direction_u": (1.0, 0.0, 0.0), "direction_v": (0.0, 0.0, 1.0)}
+    flat, rolling = {"half_size": (1.0, 1.0)}, {"amplitude": 0.1, "wavelength": 1.0}
+    for kind, more in (
+        (synthetic.Plane, across | flat),
+        (synthetic.Box, {"half_size": (1.0, 1.0, 1.0), "angle_rad": 0.1}),
+        (synthetic.Sphere, {"radius": 1.0}),
+        (synthetic.HeightField, flat | rolling),
+    ):
+        yield _row(kind, **surface, **more)
+        yield f"render of {kind.__name__}", partial(_rendered, kind), {**surface, **more}
+    things = [synthetic.Sphere(center=(0, 5, 0), radius=1.0)]
+    yield _row(synthetic.SyntheticScene.of, primitives=things, light=(0.3, -0.5, 0.8))
+    two_views = {"num_matches": 20, "outlier_ratio": 0.2, "noise_px": 0.5, "seed": 1}
+    more = {"focal_px": 800.0, "size": (640, 480)}
+    yield _row(problems.two_view_problem, **two_views, kind="planar", **more)
+    yield _row(problems.dominant_plane_problem, **two_views, plane_share=0.5)
+    seen = {"num_points": 20, "outlier_ratio": 0.2, "noise_px": 0.5, "seed": 1}
+    yield _row(problems.absolute_pose_problem, **seen, planar=True, **more)
+    counts = {"num_cameras": 4, "num_points": 10, "track_length": 2, "noise_px": 0.5, "seed": 1}
+    yield _row(problems.bundle_problem, **counts, model=CameraModel.RADIAL)
+    yield _row(stereo_rooms.stereo_room, seed=1, size=(48, 36))
+    yield _row(stereo_rooms.stereo_street, seed=1, size=(48, 36), focal_px=60.0, baseline=0.1)
+
+
+def _rendered(kind: type, /, **fields: Any) -> Any:
+    place = synthetic.look_at((0, 0, 0), (0, 5, 0))
+    return synthetic.render(synthetic.SyntheticScene.of([kind(**fields)]), PINHOLE, place)
+
+
+def _metrics() -> Iterator[Row]:
+    both = {"estimated": PLACES, "truth": Rigid3.exp(0.1 * _some(4, 6, seed=9))}
+    yield _row(metrics.align_cameras, **both)
+    yield _row(metrics.camera_errors, **both, alignment=metrics.align_cameras(**both))
+    found = {"registered_mask": np.array([True, True, True, False])}
+    yield _row(metrics.relative_pose_auc, **both, **found, thresholds_deg=(1.0, 5.0))
+    yield _row(metrics.relative_pose_errors_deg, **both, **found)
+    yield _row(metrics.area_under_recall, errors=np.abs(_some(6)), thresholds=(1.0, 5.0))
+
+
+def _options() -> Iterator[Row]:
+    kinds = (FeatureConfig, MatchConfig, RansacConfig, config.DisparityConfig, MapperConfig)
+    for kind in (*kinds, BundleConfig, PoseGraphConfig):
+        yield _row(kind, **{name: getattr(kind(), name) for name in kind.__dataclass_fields__})

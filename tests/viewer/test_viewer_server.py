@@ -1,0 +1,180 @@
+"""Where the viewer listens, and whom it answers."""
+
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+import viser
+import websockets.asyncio.server
+from test_viewer_viewer import OPEN, free_port, three_cameras
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from epipole.errors import ConfigError, MissingDependencyError
+from epipole.io import write_colmap_model
+from epipole.viewer import ViewerHandle, server, view
+from epipole.viewer.origin_check import is_allowed
+
+PROTOCOL = [f"viser-v{viser.__version__}"]
+
+
+@contextmanager
+def shown(**options: object) -> Iterator[ViewerHandle]:
+    handle = view(three_cameras(), lambda _: None, block=False, **options)
+    try:
+        yield handle
+    finally:
+        handle.stop()
+
+
+@contextmanager
+def taken(port: int = 0) -> Iterator[int]:
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        yield int(other.getsockname()[1])
+
+
+def status_of_page(port: int, host: str) -> int:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", "/", headers={"Host": host})
+    with connection.getresponse() as answer:
+        return answer.status
+
+
+def refusal(port: int, **options: object) -> int:
+    with pytest.raises(InvalidStatus) as refused:
+        connect(f"ws://127.0.0.1:{port}", subprotocols=PROTOCOL, proxy=None, **options).close()
+    return refused.value.response.status_code
+
+
+@pytest.fixture(scope="module")
+def open_port() -> Iterator[int]:
+    with shown(port=free_port()) as handle:
+        yield int(handle.url.rsplit(":", 1)[1])
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1.evil.example", "http://["]
+)
+def test_other_web_pages_cannot_open_the_socket(open_port, origin):
+    assert refusal(open_port, origin=origin) == 403
+
+
+def test_another_port_of_this_machine_is_another_page(open_port):
+    assert refusal(open_port, origin=f"http://127.0.0.1:{open_port + 1}") == 403
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_viewers_own_page_and_programs_that_are_no_browser_get_the_scene(open_port, own):
+    origin = f"http://127.0.0.1:{open_port}" if own else None
+    with connect(
+        f"ws://127.0.0.1:{open_port}", subprotocols=PROTOCOL, origin=origin, proxy=None, max_size=None
+    ) as socket_:
+        assert len(socket_.recv(timeout=10)) > 16
+
+
+def test_a_name_that_was_made_to_point_here_is_refused(open_port):
+    assert status_of_page(open_port, f"rebound.example:{open_port}") == 403
+    assert status_of_page(open_port, "localhost:9000") == 200  # through a tunnel
+    assert status_of_page(open_port, f"[::1]:{open_port}") == 200
+    name = f"rebound.example:{open_port}"
+    assert not is_allowed([name], [f"http://{name}"], is_local=True)
+
+
+def test_headers_that_come_twice_or_not_at_all():
+    assert not is_allowed([], [], is_local=False)
+    assert not is_allowed(["localhost", "b"], [], is_local=True)
+    assert not is_allowed(["localhost"], ["http://localhost", "http://b"], is_local=True)
+    assert is_allowed(["LOCALHOST:1"], ["http://localhost:1"], is_local=True)
+
+
+def test_other_machines_may_be_let_in_by_any_name_but_not_other_pages():
+    with shown(port=free_port(), host="0.0.0.0") as handle:
+        port = int(handle.url.rsplit(":", 1)[1])
+        assert handle.url.startswith("http://127.0.0.1:")
+        assert status_of_page(port, f"workstation.lab:{port}") == 200
+        assert refusal(port, origin="http://evil.example") == 403
+
+
+def test_a_viser_that_opens_its_server_otherwise_is_not_used(monkeypatch):
+    """Its server goes past the check: it is closed again."""
+    begun = []
+    real = websockets.asyncio.server.serve
+
+    class Otherwise(viser.ViserServer):
+        def __init__(self, **options: object) -> None:
+            websockets.asyncio.server.serve, checked = real, websockets.asyncio.server.serve
+            super().__init__(**options)
+            websockets.asyncio.server.serve = checked
+            begun.append(self.get_port())
+
+    monkeypatch.setattr(server.viser, "ViserServer", Otherwise)
+    with pytest.raises(MissingDependencyError, match="viser"):
+        server.open_server("127.0.0.1", free_port())
+    with pytest.raises(OSError):
+        OPEN(f"http://127.0.0.1:{begun[0]}", timeout=2)
+    assert websockets.asyncio.server.serve is real
+
+
+def test_servers_that_are_not_ours_stay_as_they_are(open_port):
+    other = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
+    try:
+        assert status_of_page(other.get_port(), "anything.example") == 200
+    finally:
+        other.stop()
+
+
+def test_a_port_that_was_asked_for_is_the_port_or_an_error():
+    with taken() as port, pytest.raises(ConfigError, match=f"^port {port} is in use$"):
+        view(three_cameras(), lambda _: None, port=port, block=False)
+
+
+@pytest.mark.parametrize("port", [80000, 0, -1])
+def test_a_port_that_cannot_be(port):
+    with pytest.raises(ConfigError, match=f"between 1 and 65535, got {port}"):
+        view(three_cameras(), lambda _: None, port=port, block=False)
+
+
+@pytest.mark.parametrize(
+    ("host", "words"), [("no.such.host.invalid", "not known"), ("192.0.2.1", "no address")]
+)
+def test_a_host_that_cannot_be(host, words):
+    with pytest.raises(ConfigError, match=words):
+        view(three_cameras(), lambda _: None, host=host, block=False)
+
+
+def test_the_usual_port_may_be_stepped_over_and_that_is_said(monkeypatch):
+    with taken() as port:
+        monkeypatch.setattr(server, "DEFAULT_PORT", port)
+        with shown() as handle:
+            assert handle.url != f"http://127.0.0.1:{port}"
+            with OPEN(handle.url, timeout=10) as answer:
+                assert answer.status == 200
+            assert handle.note == f"port {port} is in use; showing on {handle.url.rsplit(':', 1)[1]}"
+    with shown() as handle:
+        assert handle.url == f"http://127.0.0.1:{port}" and handle.note == ""
+
+
+def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
+    write_colmap_model(three_cameras(), tmp_path)
+    command = [sys.executable, "-m", "epipole", "view", str(tmp_path), "--port"]
+    with taken() as port:
+        for asked, words in ((80000, "between 1 and 65535, got 80000"), (port, f"port {port} is in use")):
+            done = subprocess.run([*command, str(asked)], capture_output=True, text=True, timeout=60)
+            assert done.returncode == 1 and done.stderr.count("\n") == 1 and not done.stdout
+            assert done.stderr.startswith("epipole: ") and words in done.stderr
+    with subprocess.Popen([*command, str(free_port())], stdout=subprocess.PIPE, text=True) as running:
+        stop = threading.Timer(60, running.kill)
+        stop.start()
+        assert running.stdout.readline().startswith("Viewer at http://127.0.0.1:")
+        os.kill(running.pid, signal.SIGINT)
+        assert running.wait(30) == 130
+        stop.cancel()
