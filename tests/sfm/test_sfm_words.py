@@ -47,8 +47,8 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(told):
     result, _, _ = told
     (note,) = [w for w in result.warnings if "focal length" in w]
     final_px = result.model.cameras[0].focal_px
-    assert note.startswith("focal length of view_00.jpg and 4 others: ")
-    assert f"px estimated from the pictures themselves, {final_px:.0f} px in the model" in note
+    assert note.startswith("focal length found from the pictures themselves: view_00.jpg and 4 others: ")
+    assert f": {final_px:.0f} px (first estimate " in note
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
 
 

@@ -17,6 +17,7 @@ KINDS_OF_FOLDER = frozenset(
     | {"photo", "photographs", "photos", "pictures", "rgb"}
 )
 """Names of folders that tell nothing of what the pictures show."""
+CAMERAS_SHOWN = 3
 
 
 def title_of(source: Path) -> str:
@@ -62,17 +63,20 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
 
 
 def _focal_notes(solution: Solution) -> list[str]:
-    """Of each camera whose focal length came out of the pictures: the guess, and what the model made of it."""
-    out = []
+    """Focal lengths that came out of the pictures, as they are in the models, and the first estimates."""
+    found = []
     for c in solution.guessed_cameras:
-        guess_px = solution.cameras[c].focal_px
         taken = [m for m in solution.mapped.models if (m.is_registered() & (m.camera_of_image == c)).any()]
-        final = f"{taken[0].cameras[c].focal_px:.0f} px in the model" if taken else "none of them has a place"
-        out.append(
-            f"focal length of {pictures_of_camera(solution, c)}: {guess_px:.0f} px estimated from the pictures "
-            f"themselves, {final}"
-        )
-    return out
+        if taken:
+            final_px, first_px = taken[0].cameras[c].focal_px, solution.cameras[c].focal_px
+            found.append(
+                f"{pictures_of_camera(solution, c)}: {final_px:.0f} px (first estimate {first_px:.0f} px)"
+            )
+    if not found:
+        return []
+    more = f"; and {len(found) - CAMERAS_SHOWN} more, see the report" if len(found) > CAMERAS_SHOWN else ""
+    words = "focal length" if len(found) == 1 else "focal lengths"
+    return [f"{words} found from the pictures themselves: {'; '.join(found[:CAMERAS_SHOWN])}{more}"]
 
 
 def pictures_of_camera(solution: Solution, camera: int) -> str:

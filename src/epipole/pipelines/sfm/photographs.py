@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -183,7 +184,7 @@ def _masked(names: Sequence[str], masks: Path | None) -> tuple[int, str]:
     without = [name for name in names if mask_of(masks, name) is None]
     if len(without) == len(names):
         first, second = mask_names(names[0])
-        held = sorted(p.relative_to(masks).as_posix() for p in masks.rglob("*") if not p.is_dir())
+        held = sorted(p.relative_to(masks).as_posix() for p in islice(masks.rglob("*"), 1000) if p.is_file())
         there = f"there are {_some(held)}" if held else "it is empty"
         raise ConfigError(
             f"masks {masks} holds none for any of the {_counted(len(names), 'picture')}: looked for {first} or {second}, "
