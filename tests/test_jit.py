@@ -14,7 +14,7 @@ from numba.core.errors import NumbaError
 
 import epipole
 from epipole import _jit
-from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel
+from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel, storage
 from epipole._jit.linking import Kernel
 from epipole.pipelines.sfm.warm_up import warm_up
 
@@ -151,6 +151,60 @@ def test_an_unusable_cache_folder_is_no_reason_to_stop(tmp_path: Path) -> None:
     env = {"EPIPOLE_CACHE_DIR": str(blocked), "TMPDIR": str(tmp_path)}
     folder = Path(run_python(code, **env))
     assert folder.is_dir() and folder.is_relative_to(tmp_path) and folder.name == cache_folder().name
+
+
+@pytest.mark.parametrize("mode", ["linked", "plain"])
+def test_kernels_that_are_cut_short_are_compiled_again(tmp_path: Path, mode: str) -> None:
+    """Either of the two files of a kernel, cut anywhere; and a byte that has changed, which only digests tell."""
+    env = {"EPIPOLE_CACHE_DIR": str(tmp_path), "EPIPOLE_KERNELS": mode}
+    assert float(run_python(COMPILE, **env)) > 0
+    kept = {path: path.read_bytes() for path in tmp_path.rglob("*.nb[ic]")}
+    assert {path.suffix for path in kept} == {".nbi", ".nbc"}
+    cuts = [lambda data: data[: len(data) // 2], lambda _: b""]
+    if mode == "linked":
+        cuts[1] = lambda data: data[:-300] + bytes([data[-300] ^ 1]) + data[-299:]
+    for suffix, cut in zip((".nbi", ".nbc"), cuts):
+        for path in (path for path in kept if path.suffix == suffix):
+            path.write_bytes(cut(kept[path]))
+        assert float(run_python(COMPILE, **env)) > 0
+        assert float(run_python(COMPILE, **env)) == 0.0
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="POSIX rights")
+def test_code_from_a_folder_that_others_may_write_to_is_not_run(tmp_path: Path) -> None:
+    shared = tmp_path / "shared"
+    (shared / "cache" / "kernels").mkdir(parents=True)
+    assert storage.why_not_trusted(shared / "cache") == ""
+    for mode, words in ((0o777, "anyone may write"), (0o1777, ""), (0o755, "")):
+        shared.chmod(mode)
+        assert words in storage.why_not_trusted(shared / "cache" / "kernels")
+        assert bool(words) == bool(storage.why_not_trusted(shared / "cache" / "kernels"))
+    (shared / "cache").chmod(
+        0o1777
+    )  # the sticky bit guards what lies in a folder, not the folder's own contents
+    assert "anyone may write" in storage.why_not_trusted(shared / "cache")
+    shared.chmod(0o777)
+    code = "from epipole._jit import cache_folder; print(cache_folder())"
+    env = {**os.environ, "EPIPOLE_CACHE_DIR": str(shared / "cache")}
+    told = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert f"anyone may write to {shared}" in told.stderr
+    found = Path(told.stdout.strip())
+    assert not found.is_relative_to(shared) and found.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
+def test_code_from_a_folder_of_another_user_is_not_run(tmp_path: Path) -> None:
+    (tmp_path / "theirs" / "kernels").mkdir(parents=True)
+    os.chown(tmp_path / "theirs", 12345, 12345)
+    assert "belongs to another user" in storage.why_not_trusted(tmp_path / "theirs" / "kernels")
+
+
+def test_a_full_disk_under_the_kernels_does_not_end_a_run(tmp_path: Path) -> None:
+    """No file may grow: kernels work from memory, with one warning."""
+    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+    limit += "from epipole._jit import cache_folder; cache_folder();"
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0));"
+    assert float(run_python(limit + COMPILE, EPIPOLE_CACHE_DIR=str(tmp_path), EPIPOLE_KERNELS="linked")) > 0
 
 
 def test_the_folder_follows_the_sources_of_all_kernels(tmp_path: Path) -> None:

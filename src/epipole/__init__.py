@@ -20,7 +20,15 @@ _CONFIGS = (
 )
 _DATA = ("Camera", "CameraModel", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig")
 _RESULTS = (
-    *("ReconstructionResult", "StereoResult", "StereoBatch", "Diagnosis", "CalibrationRun", "Evaluation"),
+    *(
+        "ReconstructionResult",
+        "StereoResult",
+        "StereoBatch",
+        "Diagnosis",
+        "CalibrationRun",
+        "Conversion",
+        "Evaluation",
+    ),
     *("DemoResult", "ViewerHandle"),
 )
 _ROOMS = (

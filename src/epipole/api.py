@@ -16,6 +16,7 @@ from epipole.pipelines.calibration.config import BoardConfig as BoardConfig
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun
 from epipole.pipelines.calibration.run import calibrate as calibrate
+from epipole.pipelines.conversion.run import Conversion as Conversion
 from epipole.pipelines.conversion.run import convert as convert
 from epipole.pipelines.demo.run import DemoResult as DemoResult
 from epipole.pipelines.demo.run import demo as demo

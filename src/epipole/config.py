@@ -162,3 +162,5 @@ class RansacConfig:
             raise ConfigError(f"min_inlier_ratio must be between 0 and 1, got {self.min_inlier_ratio}")
         if min(self.min_iterations, self.max_iterations, self.min_inliers) < 1:
             raise ConfigError("min_iterations, max_iterations and min_inliers must be at least 1")
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative, got {self.seed}")

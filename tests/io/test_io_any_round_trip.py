@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
-from io_models import mappable_model
 from PIL import Image
 
 from any_geometry import cameras, numbers, steps_aside, twists
@@ -43,6 +42,7 @@ from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import gps_of, new_exif
 from epipole.optim import BundleProblem, free_params_mask
 from epipole.scene import Reconstruction
+from io_models import mappable_model
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # a thousand files, of types that other tests check
 

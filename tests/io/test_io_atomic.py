@@ -1,12 +1,15 @@
 """Files and folders appear whole or not at all."""
 
 import os
+import re
+import stat
 from pathlib import Path
 
 import pytest
 
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io import atomic_folder, atomic_write
+from epipole.io.atomic import part_beside, remove_abandoned_parts
 
 
 def names_in(folder: Path) -> list[str]:
@@ -91,3 +94,63 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
             raise ValueError
     assert names_in(tmp_path) == ["a.bin"]
     assert (tmp_path / "a.bin").read_text() == "old"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such files on Windows")
+def test_devices_and_pipes_are_written_to(tmp_path: Path) -> None:
+    with atomic_write("/dev/null") as part:
+        part.write_text("gone")
+    assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
+    pipe = tmp_path / "pipe.json"
+    os.mkfifo(pipe)
+    with pytest.raises(WorkspaceError, match="cannot write"), atomic_write(pipe) as part:
+        part.write_text("nobody reads")  # an error, where it could wait for ever
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with atomic_write(pipe) as part:
+        assert part.suffix == ".json"
+        part.write_text("read")
+    assert os.read(reader, 10) == b"read"
+    os.close(reader)
+    assert names_in(tmp_path) == ["pipe.json"] and stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no such files on Windows")
+def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "folder.txt").mkdir()
+    with pytest.raises(WorkspaceError, match="is a folder"), atomic_write(tmp_path / "folder.txt"):
+        pytest.fail("a folder")
+    for kind in (os.mkfifo, os.mkdir):
+        kind(tmp_path / "b.bin")
+        with pytest.raises(WorkspaceError, match=r"cannot write .*b\.bin"), atomic_folder(tmp_path) as part:
+            (part / "a.bin").write_text("new")
+            (part / "b.bin").write_text("new")
+        assert not (tmp_path / "a.bin").exists() and not (tmp_path / "b.bin").is_file()
+        (os.rmdir if kind is os.mkdir else os.unlink)(tmp_path / "b.bin")
+    (tmp_path / "old.bin").mkdir()
+    with atomic_folder(tmp_path, stale=["old.bin"]) as part:
+        (part / "a.bin").write_text("new")
+    assert (tmp_path / "old.bin").is_dir()
+
+
+def test_the_longest_names_can_be_written(tmp_path: Path) -> None:
+    for name in ("x" * 251 + ".jpg", "\u00e4" * 125 + ".png", "a." + "y" * 250):
+        with atomic_write(tmp_path / name) as part:
+            part.write_text("1")
+    assert len(names_in(tmp_path)) == 3
+
+
+def test_parts_of_a_process_that_is_gone_are_removed(tmp_path: Path) -> None:
+    """Those of running processes, of other machines, and the user's files stay."""
+    own = part_beside(tmp_path / "a.txt")
+    gone = tmp_path / own.name.replace(f"-{os.getpid()}-", "-4194304999-")
+    elsewhere = tmp_path / gone.name.replace(gone.name[9:17], "00000000")
+    earlier = tmp_path / re.sub("-[0-9a-f]{16}", "-0123456789abcdef", own.name)  # this number, another life
+    mine = tmp_path / ".epipole-notes.part.txt"
+    for path in (own, gone, elsewhere, earlier, mine):
+        path.write_text("half")
+    (tmp_path / "sub").mkdir()
+    folder = tmp_path / "sub" / gone.name
+    folder.mkdir()
+    (folder / "x").write_text("half")
+    remove_abandoned_parts(tmp_path)
+    assert names_in(tmp_path) == sorted([own.name, elsewhere.name, mine.name, "sub"])

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import mappable_model, small_model
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io import write_bundler
 from epipole.scene import Cameras, Reconstruction
+from io_models import mappable_model, small_model
 
 
 def bundler_model(k1: float = 0.03, k2: float = -0.01) -> Reconstruction:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import small_model
 
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io import params_from_colmap, params_to_colmap, read_colmap_model, write_colmap_model
 from epipole.scene import Rigs
+from io_models import small_model
 
 NAMES = ("cameras", "rigs", "frames", "images", "points3D")
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import small_model
 from pycolmap_process import needs_pycolmap, run_pycolmap
 
 from epipole.io import read_colmap_model, write_colmap_model
+from io_models import small_model
 
 DESCRIBE = """
     model = pycolmap.Reconstruction(args[0])

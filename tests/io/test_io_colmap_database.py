@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import mappable_model, small_model
 from pycolmap_process import needs_pycolmap, run_pycolmap
 
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError, WorkspaceError
@@ -15,6 +14,7 @@ from epipole.geometry import Rigid3, align_points, essential_from_cam2_from_cam1
 from epipole.io import DatabaseContents, read_database, write_database
 from epipole.robust.pair_kind import PairKind
 from epipole.scene import Reconstruction, ViewGraph
+from io_models import mappable_model, small_model
 
 
 def matches_of(model: Reconstruction, image1: int, image2: int) -> np.ndarray:

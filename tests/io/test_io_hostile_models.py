@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from io_models import small_model
 from PIL import Image
 from test_io_colmap_database import PAIRS, make_contents
 
@@ -32,6 +31,7 @@ from epipole.io import (
 from epipole.io.depth_maps import read_pfm
 from epipole.optim import PoseGraph
 from hostile_bytes import assert_model, assert_motions, read_or_refuse, spoil_one, spoilt
+from io_models import small_model
 
 pytestmark = pytest.mark.usefixtures("unchecked")  # a thousand files, of types that other tests check
 

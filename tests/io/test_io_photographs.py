@@ -19,6 +19,7 @@ from epipole.io.exif import GpsPosition, gps_to_enu
 from epipole.io.photographs import (
     copy_or_rotate,
     list_photographs,
+    mask_of,
     read_grey,
     read_header,
     read_mask,
@@ -472,3 +473,44 @@ def test_real_focal_length_is_near_the_calibrated_one():
     assert header.focal_px == pytest.approx(2905.88 / 2, rel=0.07)
     assert header.capture_time is not None
     assert header.capture_time.year == 2010
+
+
+def test_pipes_and_names_that_no_list_can_hold_are_named_and_not_listed(tmp_path):
+    touch(tmp_path / "a.jpg")
+    os.mkfifo(tmp_path / "pipe.jpg")
+    odd = [
+        "line\nbreak.jpg",
+        "bell\x07.png",
+        "next\x85line.jpg",
+        "para\u2029graph.jpg",
+        os.fsdecode(b"caf\xe9.jpg"),
+    ]
+    for name in odd:
+        touch(tmp_path / name)
+    touch(tmp_path / "notes\n.txt")
+    longest = "n" * 251 + ".jpg"
+    touch(tmp_path / longest)
+    found = list_photographs(tmp_path)
+    assert found.names == ("a.jpg", longest)
+    assert "a pipe, a socket or a device" in found.unusable["pipe.jpg"]
+    assert set(found.unusable) == {
+        "pipe.jpg",
+        r"line\nbreak.jpg",
+        r"bell\x07.png",
+        r"next\x85line.jpg",
+        r"para\u2029graph.jpg",
+        r"caf\udce9.jpg",
+    }
+    assert "not UTF-8" in found.unusable[r"caf\udce9.jpg"]
+    assert "control character" in found.unusable[r"bell\x07.png"]
+    assert mask_of(tmp_path, longest) is None
+
+
+def test_a_header_tells_deep_grey(tmp_path):
+    cv2.imwrite(str(tmp_path / "depth.png"), np.full((40, 50), 1000, np.uint16))
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((40, 50), 100, np.uint8))
+    cv2.imwrite(str(tmp_path / "deep.png"), np.full((40, 50, 3), 1000, np.uint16))
+    deep = [
+        name for name in ("depth", "grey", "deep") if read_header(tmp_path / f"{name}.png").is_deep_grey_png
+    ]
+    assert deep == ["depth"]

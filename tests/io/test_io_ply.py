@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import small_model
 
 from epipole.errors import FileFormatError, ShapeError, WorkspaceError
 from epipole.io import read_points_ply, write_points_ply, write_scene_ply
+from io_models import small_model
 
 
 @pytest.mark.parametrize("n", [0, 1, 100])

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import mappable_model, small_model
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.io import read_transforms, write_transforms
 from epipole.scene import Cameras
+from io_models import mappable_model, small_model
 
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 

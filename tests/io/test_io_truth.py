@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import small_model
 
 from epipole.errors import FileFormatError
 from epipole.io import read_truth, write_colmap_model, write_transforms
+from io_models import small_model
 
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[2].parent / "shared" / "data")) / "sfm"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera, CameraModel
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.mapping import MatchConsistency, ModelBuilder, connect_matches
 from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
@@ -115,3 +115,29 @@ def test_a_snapshot_brings_the_model_back(rng):
     model.restore(state)
     np.testing.assert_array_equal(model.points, before)
     np.testing.assert_array_equal(model.registered, [True, True, False])
+
+
+@pytest.mark.parametrize("depth", [0.0, 1e-15, 1e-9])
+def test_a_point_in_a_cameras_centre_is_no_point(rng, depth):
+    """There every pixel of that camera fits, and its depth is lost in rounding when the model moves."""
+    places, _, _, model = scene(rng)
+    for image, place in enumerate(places):
+        model.register(image, place)
+    model.triangulate(np.arange(len(model.components)), 4.0, np.deg2rad(1.5))
+    before = (model.row_point >= 0).sum()
+    lost = int(model.row_point[0])
+    mine = np.flatnonzero(model.row_point == lost)
+    model.set_points(
+        np.array([lost]), places[0].inverse().apply(CAMERA.unproject(model.row_pixel[:1]) * depth)
+    )
+    inside = model.points[lost]
+    for row in mine[1:]:  # the other views see it where it is; the first sees it wherever it likes
+        model.row_pixel[row] = CAMERA.project(places[model.row_image[row]].apply(inside[None]))[0]
+    model.filter(4.0, np.deg2rad(1.5))
+    assert model.row_point[mine[0]] == -1
+    tilt = Similarity3(np.array(1e-4), Rotation3.exp([0.4, -0.7, 0.2]).matrix, np.array([1.0, 2.0, 3.0]))
+    model.move(tilt)
+    frozen = model.freeze(["a", "b", "c"])
+    assert np.isfinite(frozen.reprojection_errors_px()).all()
+    assert np.isfinite(frozen.mean_reprojection_error_px())
+    assert (model.row_point >= 0).sum() >= before - 3

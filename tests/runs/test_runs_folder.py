@@ -3,10 +3,13 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from epipole.errors import WorkspaceError
 from epipole.runs.folder import MARK, OutputFolder, claim, read_mark
+
+PICTURES = Path("/pictures")
 
 
 def names(root: Path) -> list[str]:
@@ -15,7 +18,7 @@ def names(root: Path) -> list[str]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> OutputFolder:
-    return claim(tmp_path / "out", "made", "/pictures")
+    return claim(tmp_path / "out", "made", [PICTURES])
 
 
 def publish(folder: OutputFolder, group: str, files: dict[str, str]) -> None:
@@ -33,25 +36,25 @@ def test_a_new_folder_is_marked_with_kind_source_and_version(folder: OutputFolde
 
 def test_the_same_run_comes_back_and_others_do_not(folder: OutputFolder) -> None:
     publish(folder, "model", {"a.bin": "1"})
-    again = claim(folder.root, "made", "/pictures")
+    again = claim(folder.root, "made", [PICTURES])
     assert again.files == {"model": ["a.bin"]}
-    for kind, source in (("other", "/pictures"), ("made", "/elsewhere")):
+    for kind, source in (("other", PICTURES), ("made", Path("/elsewhere"))):
         with pytest.raises(WorkspaceError, match="holds the results of `epipole made` of /pictures"):
-            claim(folder.root, kind, source)
+            claim(folder.root, kind, [source])
 
 
 def test_a_marked_folder_without_results_may_be_taken(folder: OutputFolder) -> None:
-    taken = claim(folder.root, "other", "/elsewhere")
+    taken = claim(folder.root, "other", [Path("/elsewhere")])
     assert (taken.kind, taken.source) == ("other", "/elsewhere")
 
 
 def test_folders_of_others_are_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(WorkspaceError, match="not made by epipole"):
-        claim(tmp_path, "made", "/pictures")
+        claim(tmp_path, "made", [PICTURES])
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
     with pytest.raises(WorkspaceError, match="is a file"):
-        claim(tmp_path / "notes.txt", "made", "/pictures")
+        claim(tmp_path / "notes.txt", "made", [PICTURES])
 
 
 def test_results_do_not_go_among_the_inputs(tmp_path: Path) -> None:
@@ -59,8 +62,8 @@ def test_results_do_not_go_among_the_inputs(tmp_path: Path) -> None:
     picture.write_bytes(b"")
     for given in (picture, tmp_path):
         with pytest.raises(WorkspaceError, match="choose another for the results"):
-            claim(tmp_path, "made", "x", [given])
-    claim(tmp_path / "out", "made", "x", [picture, tmp_path])
+            claim(tmp_path, "made", [given])
+    claim(tmp_path / "out", "made", [picture, tmp_path])
 
 
 def test_results_appear_together_and_stale_ones_go(folder: OutputFolder) -> None:
@@ -70,7 +73,7 @@ def test_results_appear_together_and_stale_ones_go(folder: OutputFolder) -> None
     assert names(folder.root) == ["report.html", "sparse/0/a.bin"]
     assert (folder.root / "sparse/0/a.bin").read_text() == "5"
     assert not (folder.root / "sparse/1").exists()  # nor an empty folder of it
-    assert claim(folder.root, "made", "/pictures").files == folder.files
+    assert claim(folder.root, "made", [PICTURES]).files == folder.files
 
 
 def test_a_block_that_fails_changes_nothing(folder: OutputFolder) -> None:
@@ -96,24 +99,126 @@ def test_files_written_one_by_one_are_ours_before_they_appear(folder: OutputFold
     with pytest.raises(KeyboardInterrupt), folder.replacing("images", ["a.png", "b.png"]):
         (folder.root / "a.png").write_text("1")
         raise KeyboardInterrupt
-    again = claim(folder.root, "made", "/pictures")
+    again = claim(folder.root, "made", [PICTURES])
     with again.replacing("images", ["a.png"]):
         (folder.root / "a.png").write_text("2")
     assert names(folder.root) == ["a.png"]
 
 
-def test_a_run_that_left_nothing_leaves_no_folder(folder: OutputFolder) -> None:
-    folder.give_up()
-    assert not folder.root.exists()
-    kept = claim(folder.root, "made", "/pictures")
+def test_a_run_that_left_nothing_leaves_no_mark(folder: OutputFolder) -> None:
+    folder.give_up(has_failed=True)
+    assert list(folder.root.iterdir()) == []
+    kept = claim(folder.root, "made", [PICTURES])
     publish(kept, "model", {"a.bin": "1"})
-    kept.give_up()
-    assert names(folder.root) == ["a.bin"]
+    kept.give_up(has_failed=True)
+    assert names(folder.root) == ["a.bin"] and not kept.has_failed  # there are results of an earlier run
+
+
+def test_a_folder_in_which_a_run_failed_is_free(folder: OutputFolder) -> None:
+    publish(folder, "database", {"database.db": "1"})
+    (folder.root / "notes.txt").write_text("mine")
+    folder.give_up(has_failed=True)
+    folder.save()
+    taken = claim(folder.root, "other", [Path("/elsewhere")])
+    assert (taken.kind, taken.source, taken.files) == ("other", "/elsewhere", {})
+    assert names(folder.root) == ["notes.txt"]
+
+
+def test_the_work_of_a_stopped_run_is_not_free(folder: OutputFolder) -> None:
+    (folder.root / "work").mkdir()
+    (folder.root / "work" / "a.npz").write_text("hours")
+    folder.give_up(has_failed=False)
+    folder.save()
+    with pytest.raises(WorkspaceError, match="holds the work of `epipole made` of /pictures, which is gone"):
+        claim(folder.root, "made", [Path("/elsewhere")])
+    claim(folder.root, "made", [PICTURES])
+
+
+def test_a_renamed_source_is_known_by_its_files(tmp_path: Path) -> None:
+    before, after, out = tmp_path / "photos", tmp_path / "summer, 2024", tmp_path / "out"
+    before.mkdir()
+    for name, text in (("a.jpg", "1"), ("b.jpg", "22")):
+        (before / name).write_text(text)
+    publish(claim(out, "made", [before]), "model", {"a.bin": "1"})
+    after.mkdir()
+    (after / "a.jpg").write_text("1")
+    with pytest.raises(WorkspaceError, match="holds the results"):  # both are there: which is it?
+        claim(out, "made", [after])
+    (after / "a.jpg").unlink()
+    after.rmdir()
+    before.rename(after)
+    assert claim(out, "made", [after]).files == {"model": ["a.bin"]}
+    third = after.rename(tmp_path / "third")
+    (third / "b.jpg").write_text("another")
+    with pytest.raises(WorkspaceError, match="which is gone"):
+        claim(out, "made", [third])
+
+
+def test_what_is_no_file_any_more_is_not_replaced(folder: OutputFolder, tmp_path: Path) -> None:
+    """A folder, or a link, that the user has put in the place of a result."""
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    publish(folder, "model", {"a.bin": "1", "b.bin": "1"})
+    (folder.root / "a.bin").unlink()
+    (folder.root / "a.bin").mkdir()
+    (folder.root / "b.bin").unlink()
+    (folder.root / "b.bin").symlink_to(mine)
+    for name in ("a.bin", "b.bin"):
+        with pytest.raises(WorkspaceError, match=rf"holds {name[0]}\.bin"):
+            publish(folder, "model", {name: "2"})
+    publish(folder, "model", {"c.bin": "1"})  # stale now, and left alone
+    assert (folder.root / "a.bin").is_dir() and (folder.root / "b.bin").is_symlink()
+    assert mine.read_text() == "mine"
+
+
+def test_nothing_is_written_or_removed_through_a_linked_folder(folder: OutputFolder, tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    (photos / "a.jpg").write_text("mine")
+    publish(folder, "images", {"images/a.jpg": "1"})
+    (folder.root / "images" / "a.jpg").unlink()
+    (folder.root / "images").rmdir()
+    (folder.root / "images").symlink_to(photos)
+    with pytest.raises(WorkspaceError, match="no name of a file inside"):
+        publish(folder, "images", {"images/a.jpg": "2"})
+    publish(folder, "images", {"c.bin": "1"})
+    assert (photos / "a.jpg").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["../mine.txt", "/etc/passwd", "a/../../mine.txt", "", "..", "a\0b"])
+def test_a_mark_names_files_of_its_folder_only(folder: OutputFolder, name: str) -> None:
+    publish(folder, "model", {"a.bin": "1"})
+    mark = json.loads((folder.root / MARK).read_text())
+    mark["files"]["model"] = [name]
+    (folder.root / MARK).write_text(json.dumps(mark))
+    with pytest.raises(WorkspaceError, match="damaged"):
+        claim(folder.root, "made", [PICTURES])
+    with pytest.raises(WorkspaceError), folder.replacing("images", [name]):
+        pytest.fail("a name that leads out")
+
+
+def test_numbers_that_json_does_not_have_are_null(folder: OutputFolder) -> None:
+    folder.write_json(
+        "summary.json", {"a": float("nan"), "b": [np.float32("inf"), 1.5], "c": np.array([1.0, np.nan])}
+    )
+
+    def refuse(word: str) -> None:
+        pytest.fail(f"{word} is no JSON")
+
+    found = json.loads((folder.root / "summary.json").read_text(), parse_constant=refuse)
+    assert found == {"a": None, "b": [None, 1.5], "c": [1.0, None]}
 
 
 @pytest.mark.parametrize(
     ("text", "match"),
-    [("", "damaged"), ("[]", "damaged"), ('{"format": 2}', "damaged"), ('{"format": 1}', "another version")],
+    [
+        ("", "damaged"),
+        ("[]", "damaged"),
+        ("[" * 100_000, "damaged"),
+        ('{"format": 99}', "another version"),
+        ('{"format": 2}', "damaged"),
+        ('{"format": 1}', "another version"),
+    ],
 )
 def test_a_mark_that_cannot_be_read_is_an_error(tmp_path: Path, text: str, match: str) -> None:
     (tmp_path / MARK).write_text(text)

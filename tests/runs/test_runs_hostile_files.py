@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def mark(folder: Path) -> bytes:
-    claimed = claim(folder / "claimed", "reconstruct", "/some/pictures")
+    claimed = claim(folder / "claimed", "reconstruct", [Path("/some/pictures")])
     claimed.write_json("summary.json", {"num_images": 3})
     claimed.timings_s = {"read": 0.25}
     claimed.save()

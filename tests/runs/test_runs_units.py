@@ -1,5 +1,6 @@
 """Units are done once, redone when stale, and never leave half a file."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,25 @@ def test_a_file_damaged_behind_its_key_is_an_error(tmp_path):
         load(tmp_path / "none.npz")
 
 
+def test_a_file_damaged_behind_its_key_is_done_again(tmp_path):
+    (unit,) = units(tmp_path, numbers=(3,))
+    run_units([unit], stage="s")
+    whole = unit.path.read_bytes()
+    for at in range(len(whole)):
+        unit.path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        assert run_units([unit], stage="s") == 1
+    assert unit.path.read_bytes() == whole and run_units([unit], stage="s") == 0
+
+
+def test_what_is_no_file_of_ours_is_not_opened(tmp_path):
+    unit = units(tmp_path, numbers=(3,))[0]
+    np.savez_compressed(unit.path, key=np.array(unit.key), value=np.zeros(10**7))  # unpacks to any size
+    assert run_units([unit], stage="s") == 1 and int(load(unit.path)["value"]) == 9
+    unit.path.unlink()
+    os.mkfifo(unit.path)
+    assert stored_key(unit.path) == ""  # and does not wait for a writer
+
+
 def test_processes_give_the_same_files(tmp_path):
     squares = [Unit(tmp_path / f"{n}.npz", digest(n), np_square, n) for n in (5, 6)]
     assert run_units(squares, stage="s", executor="processes") == 2
@@ -84,3 +104,15 @@ def test_digests_tell_arrays_apart():
     assert digest(a) == digest(a.copy())
     assert digest(a) != digest(a.reshape(2, 3)) != digest(a.astype(float))
     assert digest("ab", "c") != digest("a", "bc")
+
+
+def test_progress_counts_what_units_hold(tmp_path):
+    reports = []
+    units = [Unit(tmp_path / f"{n}.npz", f"key {n}", square, n, size) for n, size in enumerate((4, 4, 2))]
+    run_units(units[:1], stage="pairs", progress=reports.append)
+    run_units(units, stage="pairs", progress=reports.append)
+    assert [(r.done, r.total) for r in reports[:2]] == [(0, 4), (4, 4)]
+    assert (reports[2].done, reports[2].total) == (4, 10) and (reports[-1].done, reports[-1].total) == (
+        10,
+        10,
+    )

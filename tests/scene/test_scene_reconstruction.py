@@ -68,8 +68,10 @@ def test_errors_are_distances_in_pixels(model: Reconstruction) -> None:
 def test_a_point_behind_its_cameras_has_no_error_in_pixels(model: Reconstruction) -> None:
     xyz = model.points.xyz_in_world.copy()
     xyz[2] = [0.0, 0.0, -50.0]
-    errors = replace(model, points=replace(model.points, xyz_in_world=xyz)).reprojection_errors_px()
+    changed = replace(model, points=replace(model.points, xyz_in_world=xyz))
+    errors = changed.reprojection_errors_px()
     np.testing.assert_array_equal(np.isnan(errors), model.tracks.point_of_observation() == 2)
+    assert changed.mean_reprojection_error_px() == errors[np.isfinite(errors)].mean()
 
 
 def test_a_similarity_changes_no_pixel(model: Reconstruction, rng: np.random.Generator) -> None:

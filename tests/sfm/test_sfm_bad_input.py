@@ -1,6 +1,7 @@
 """Bad input gets clear words, the rest is reconstructed, and what was made stays."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -14,9 +15,10 @@ from photographs import CAMERA, neighbouring_views, render_to
 from PIL import Image
 
 from epipole.api import reconstruct
+from epipole.config import RansacConfig
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.pipelines.sfm.config import PairingConfig, ReconstructConfig
+from epipole.pipelines.sfm.config import MapperConfig, PairingConfig, ReconstructConfig
 
 
 def copied(rendered: Path, folder: Path, count: int = 6) -> Path:
@@ -52,6 +54,44 @@ def test_a_replaced_picture_replaces_its_copy(rendered, tmp_path):
     shutil.copy(rendered / "view_05.jpg", changed)
     reconstruct(folder, tmp_path / "out")
     assert (tmp_path / "out" / "images" / "view_02.jpg").read_bytes() == changed.read_bytes()
+
+
+KILLED_WHILE_WRITING = """
+import os, signal, sys
+from epipole.io.atomic import atomic_write
+
+with atomic_write(sys.argv[1]) as aside:
+    aside.write_bytes(b"half a picture")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_turned):
+    """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
+    folder = copied(rendered, tmp_path / "photographs", 4)
+    changed = folder / "view_02.jpg"
+    if is_turned:
+        exif = Image.Exif()
+        exif[0x0112] = 3
+        Image.open(changed).rotate(180).save(changed, quality=97, exif=exif)
+    before = reconstruct(folder, tmp_path / "out").model.images.keypoints_of(2)
+    copy = tmp_path / "out" / "images" / "view_02.jpg"
+    first = copy.read_bytes()
+    changed.unlink()
+    shutil.copy(rendered / "view_04.jpg", changed)
+    os.utime(changed, (1e9, 1e9))
+    left = [sys.executable, "-c", KILLED_WHILE_WRITING, str(copy)]
+    assert subprocess.run(left, check=False).returncode == -signal.SIGKILL
+    assert len(list(copy.parent.glob(".*.part.jpg"))) == 1
+    (copy.parent / ".mine.jpg").write_bytes(b"and somebody else this")
+    after = reconstruct(folder, tmp_path / "out").model.images.keypoints_of(2)
+    assert copy.read_bytes() == changed.read_bytes() != first
+    assert before.shape != after.shape or not np.array_equal(before, after)
+    assert [p.name for p in copy.parent.glob(".*")] == [".mine.jpg"]
+    state = copy.stat()
+    reconstruct(folder, tmp_path / "out")
+    assert copy.stat().st_ino == state.st_ino and copy.stat().st_mtime_ns == state.st_mtime_ns
 
 
 def test_avif_ends_with_a_model(rendered, tmp_path):
@@ -144,16 +184,41 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
         reconstruct(rendered, tmp_path / "held")
 
 
-@pytest.mark.parametrize("params", ["1,2,3", "400,240,160,0,9", "nan,240,160,0", "-5,240,160,0"])
-def test_wrong_camera_params(rendered, tmp_path, params):
-    config = ReconstructConfig(camera_model="SIMPLE_RADIAL", camera_params=params)
-    with pytest.raises(ConfigError):
-        reconstruct(rendered, tmp_path / "out", config)
+@pytest.mark.parametrize(
+    ("params", "word"),
+    [
+        ("1,2,3", "takes 4 parameters"),
+        ("400,240,160,0,9", "takes 4 parameters"),
+        ("nan,240,160,0", "finite"),
+        ("1e999,240,160,0", "finite"),
+        ("-5,240,160,0", "must be positive"),
+        ("1e308,240,160,0", "f = 1e.308 cannot be of a camera of 480x320"),
+        ("1e-3,240,160,0", "f = 0.001 cannot"),
+        ("400,1e300,160,0", "cx = 1e.300 cannot"),
+        ("400,240,160,1e300", "k = 1e.300 cannot"),
+    ],
+)
+def test_wrong_camera_params(rendered, tmp_path, params, word):
+    with pytest.raises(ConfigError, match=word):
+        reconstruct(
+            rendered,
+            tmp_path / "out",
+            ReconstructConfig(camera_model="SIMPLE_RADIAL", camera_params=params),
+        )
+    assert not (tmp_path / "out").exists()
 
 
 def test_options_that_make_no_sense(rendered, tmp_path):
     with pytest.raises(ConfigError, match="numbers"):
         ReconstructConfig(camera_params="a,b")
+    for options in ({"seed": -1}, {"seed": 2**40}):
+        with pytest.raises(ConfigError, match="seed must be from 0"):
+            MapperConfig(**options)
+    with pytest.raises(ConfigError, match="seed must not be negative"):
+        RansacConfig(seed=-1)
+    for name in ("pairs", "database", "calibration"):
+        with pytest.raises(FileFormatError, match=f"no such file .{name}"):
+            reconstruct(rendered, tmp_path / "out", ReconstructConfig(**{name: tmp_path / "nosuch"}))
     with pytest.raises(ConfigError, match="unknown camera model"):
         reconstruct(rendered, tmp_path / "out", ReconstructConfig(camera_model="LENS"))
     with pytest.raises(ConfigError, match="GPS"):
@@ -215,6 +280,7 @@ def test_killed_in_every_stage_it_goes_on_to_the_same_model(rendered, tmp_path):
 WITH_LITTLE_ROOM = """
 import resource, signal, sys
 from epipole.api import reconstruct
+from epipole.config import RansacConfig
 from epipole.errors import WorkspaceError
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

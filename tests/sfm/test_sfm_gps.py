@@ -9,6 +9,7 @@ from epipole.geometry import Rotation3, Similarity3
 from epipole.io.exif import gps_to_enu
 from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
+from epipole.pipelines.sfm.gps_evidence import gps_evidence
 from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
 from epipole.synthetic import courtyard, courtyard_views, render
 
@@ -93,6 +94,43 @@ def test_fixes_that_cannot_tell_give_nothing(case: str) -> None:
     assert aligned(centers, fixes) is None
 
 
+@pytest.mark.parametrize("count", [3, 4, 5, 8, 12, 40, 200])
+def test_random_fixes_are_not_believed(count: int) -> None:
+    """Places within 111 m that have nothing to do with the pictures: one set in twenty deceives, at most."""
+    believed, trials = 0, 20 if count > 6 else 60
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        centers = walk("hill", count) + rng.normal(0, 0.3, (count, 3))
+        fixes = rng.uniform(0, 111, (count, 3)) * [1, 1, 0.1]
+        believed += aligned(centers, fixes) is not None
+    assert believed <= trials // 20
+
+
+@pytest.mark.parametrize(("count", "least"), [(3, 12), (5, 17), (8, 20), (12, 20), (40, 20)])
+def test_noisy_fixes_are_believed(count: int, least: int) -> None:
+    """Fixes of 3 m along a path of a hundred; one of eight is far off."""
+    believed = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        centers = walk("hill", count)
+        fixes = ENU_FROM_UPRIGHT.apply(centers) + rng.normal(0, 3.0, (count, 3))
+        fixes[: count // 8] += [500.0, -200.0, 0.0]
+        believed += aligned(centers, fixes) is not None
+    assert believed >= least
+
+
+def test_what_speaks_against_the_fixes_is_said() -> None:
+    rng = np.random.default_rng(0)
+    centers = walk("hill")
+    found = gps_evidence(centers, rng.uniform(0, 111, (12, 3)))
+    assert not found.is_convincing and found.num_fixes == 12
+    assert "half of the 12 pictures lie" in found.in_words() and "% of the trials" in found.in_words()
+    same_place = gps_evidence(0 * centers, rng.uniform(0, 111, (12, 3)))
+    assert not same_place.is_convincing
+    few = gps_evidence(centers[:2], centers[:2])
+    assert not few.is_convincing and few.num_fixes == 2
+
+
 def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
     """Level cameras around a corner, which look down: up comes out of their x axes, whichever way the model lay."""
     views = courtyard_views(24)
@@ -156,6 +194,15 @@ def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, t
     again = reconstruct(photographs, tmp_path / "vague", vague)
     assert not again.summary["is_metric"]
     assert any("may be off by 5000 m" in w for w in again.warnings)
+    # Random fixes.
+    rng, random = np.random.default_rng(3), tmp_path / "random"
+    random.mkdir()
+    for path in sorted(photographs.iterdir())[:4]:
+        gps = (46.5 + rng.uniform(0, 1e-3), 7.25 + rng.uniform(0, 1.5e-3), 500.0)
+        write_jpeg_with_exif(random / path.name, read_rgb(path), focal_35mm=FOCAL_35MM, gps=gps)
+    lost = reconstruct(random, tmp_path / "lost")
+    assert not lost.summary["is_metric"] and lost.summary["median_gps_residual_m"] is None
+    assert any("GPS places do not fit the model: after the best fit" in w for w in lost.warnings)
     # Who asks for no GPS is not told of it.
     without = ReconstructConfig(mapper=MapperConfig(use_gps=False))
     assert reconstruct(folder, tmp_path / "without", without).warnings == ()

@@ -51,6 +51,13 @@ def test_frames_of_a_video_are_compared_with_the_next_ones_and_their_look_alikes
     assert found == following | {(0, 5), (1, 4)}
 
 
+def test_an_overlap_beyond_the_last_picture_is_all_pairs() -> None:
+    pictures = pictures_of([0, 1, 2, 3, 4])
+    found = chosen(pictures, places([None] * 5), method="sequential", overlap=10**9, neighbours=10**9)
+    assert found == set(combinations(range(5), 2))
+    assert chosen(pictures[:1], places([None]), method="sequential", overlap=10**9) == set()
+
+
 def test_look_alikes_are_compared() -> None:
     pictures, nowhere = pictures_of([0, 1, 2, 1, 0, 2, 2]), places([None] * 7)
     expected = {(0, 4), (1, 3), (2, 5), (2, 6), (5, 6)}

@@ -36,6 +36,7 @@ def test_every_frame_is_placed_in_order_with_its_time(result) -> None:
     assert result.model.is_registered().all() and result.reasons == {}
     np.testing.assert_allclose(result.model.frames.timestamp_s, np.arange(NUM_FRAMES) / FPS, atol=1e-3)
     assert not result.summary["is_metric"]
+    assert "<h1>courtyard</h1>" in (result.out / "report.html").read_text(encoding="utf-8")
 
 
 def test_cameras_stand_where_they_stood(result, film) -> None:

@@ -80,6 +80,8 @@ def test_rigs_that_cannot_be():
         rig_from_options(RigOptions(focal_px=800.0), (640, 480))
     with pytest.raises(ConfigError, match="focal_px is missing"):
         rig_from_options(RigOptions(baseline=0.1), (640, 480))
+    with pytest.raises(ConfigError, match=r"focal_px = 1e\+308 cannot be of pictures of 640x480"):
+        rig_from_options(RigOptions(focal_px=1e308, baseline=0.1), (640, 480))
     assert rig_from_options(RigOptions(), (640, 480)) is None
     assert rig_from_options(RigOptions(focal_px=800.0, baseline=0.12), (640, 480)) == RIG
 

@@ -44,7 +44,10 @@ def overload_options(
 @cache
 def cache_folder() -> Path:
     """The folder of the kernels that this process compiles."""
-    return storage.cache_folder(kernel_mode())
+    folder = storage.cache_folder(kernel_mode())
+    if kernel_mode() is KernelMode.PLAIN:  # linked kernels are checked one by one, by digests
+        storage.remove_damaged(folder)
+    return folder
 
 
 def is_compiled() -> bool:

@@ -7,15 +7,19 @@ linked so into its callers; what Python calls is optimised and translated once, 
 All that stands on the inside of Numba is in this file; `mode` says what happens where it has changed.
 """
 
+import io
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
 from numba import types
+from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import register_pass
@@ -27,6 +31,9 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
+
+
+_SEAL_BYTES = 16
 
 
 class Kernel(CPUDispatcher):
@@ -147,7 +154,7 @@ def linked_kernel(
         },
     )
     compiled.enable_caching()
-    _lock_saving(compiled, folder)
+    _seal_files(compiled, folder)
     return compiled
 
 
@@ -173,15 +180,57 @@ def _alone_in(folder: Path) -> Iterator[None]:
         yield
 
 
-def _lock_saving(compiled: Any, folder: Path) -> None:
-    file = compiled._cache._cache_file
-    save = file.save
+class _SealedFile(IndexDataCacheFile):
+    """Numba's files of one kernel, each with a digest of itself: one that is damaged is taken for missing."""
 
-    def save_alone(key: Any, data: Any) -> None:
-        with _alone_in(folder):
-            save(key, data)
+    folder: Path
 
-    file.save = save_alone
+    def save(self, key: Any, data: Any) -> None:
+        """Keep a kernel; where the disk is full, it is compiled again by the next process."""
+        try:
+            with _alone_in(self.folder):
+                super().save(key, data)
+        except OSError as error:
+            warnings.warn(
+                f"a compiled kernel cannot be kept in {self.folder}: {error.strerror}",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+
+    def _load_index(self) -> Any:
+        return super()._load_index() if _is_whole(self._index_path) else {}
+
+    def _load_data(self, name: str) -> Any:
+        if not _is_whole(self._data_path(name)):
+            raise FileNotFoundError(name)  # which Numba compiles again
+        return super()._load_data(name)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[Any]:
+        content = io.BytesIO()
+        yield content
+        with super()._open_for_write(filepath) as file:
+            file.write(content.getvalue() + _seal(content.getvalue()))  # a pickle ends before it does
+
+
+def _seal(content: bytes) -> bytes:
+    return blake2b(content, digest_size=_SEAL_BYTES).digest()
+
+
+def _is_whole(path: str) -> bool:
+    try:
+        content = Path(path).read_bytes()
+    except OSError:
+        return False
+    return _seal(content[:-_SEAL_BYTES]) == content[-_SEAL_BYTES:]
+
+
+def _seal_files(compiled: Any, folder: Path) -> None:
+    kept = compiled._cache
+    kept._cache_file = _SealedFile(
+        kept._cache_path, kept._impl.filename_base, kept._impl.locator.get_source_stamp()
+    )
+    kept._cache_file.folder = folder
 
 
 class _Row(NamedTuple):

@@ -4,10 +4,16 @@ The folder is named by a digest of all kernel sources, because Numba does not no
 changed.
 """
 
+import atexit
 import hashlib
+import io
 import os
+import pickletools
+import shutil
+import stat
 import sys
 import tempfile
+import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -32,19 +38,74 @@ def cache_folder(mode: str) -> Path:
         digest.update(f"{source.stat().st_mtime_ns}".encode())
         digest.update(source.read_bytes())
     name = digest.hexdigest()[:16]
+    refused = ""
     for base in (_users_cache(), Path(tempfile.gettempdir()) / f"epipole-{_user()}"):
         if base is None:
             continue
         folder = base / "kernels" / name
         try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            # Cached code is executed: the folder must belong to this user.
-            is_ours = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
-        except OSError:
-            continue
-        if is_ours and os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix="epipole-kernels-"))
+            _make_private(folder)
+            if why := why_not_trusted(folder):
+                refused = refused or why
+            elif os.access(folder, os.W_OK):
+                if refused and "EPIPOLE_CACHE_DIR" in os.environ:
+                    _warn(f"compiled kernels are kept in {folder}, for {refused}")
+                return folder
+        except OSError as error:
+            refused = refused or f"{folder}: {error.strerror}"
+    _warn(
+        f"compiled kernels are not kept, for {refused}: every run compiles them again. "
+        "$EPIPOLE_CACHE_DIR names another folder"
+    )
+    private = tempfile.mkdtemp(prefix="epipole-kernels-")
+    atexit.register(shutil.rmtree, private, ignore_errors=True)
+    return Path(private)
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, RuntimeWarning, stacklevel=3)
+
+
+def why_not_trusted(folder: Path) -> str:
+    """Why compiled code in a folder cannot be run: who may write to it, or to one above it; empty where nobody else.
+
+    Whoever can rename a folder on the way can put another in its place. Only in one with the sticky bit, such as
+    `/tmp`, can nobody touch what is another's.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    for part in (given := folder.resolve(), *given.parents):
+        state = part.stat()
+        if state.st_uid not in (os.getuid(), 0):
+            return f"{part} belongs to another user"
+        is_sticky = state.st_mode & stat.S_ISVTX and part != given
+        if state.st_mode & stat.S_IWOTH and not is_sticky:
+            return f"anyone may write to {part}"
+        if state.st_mode & stat.S_IWGRP and not is_sticky and not _is_own_group(state.st_gid):
+            return f"a group may write to {part}"
+    return ""
+
+
+def _is_own_group(group: int) -> bool:
+    """Whether a group is this user's alone, as many systems give to each user."""
+    import grp
+    import pwd
+
+    try:
+        found, user = grp.getgrgid(group), pwd.getpwuid(os.getuid())
+    except KeyError:
+        return False
+    return found.gr_name == user.pw_name and set(found.gr_mem) <= {user.pw_name}
+
+
+def _make_private(folder: Path) -> None:
+    """Make the folder and its parents, each for this user alone."""
+    for part in reversed([folder, *folder.parents]):
+        with suppress(FileExistsError):
+            part.mkdir(mode=0o700)
+    if not folder.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        with suppress(PermissionError):  # it is another's, and will be refused
+            folder.chmod(0o700)  # what is made in it may have any mode
 
 
 def _users_cache() -> Path | None:
@@ -60,6 +121,26 @@ def _users_cache() -> Path | None:
 
 def _user() -> int:
     return os.getuid() if hasattr(os, "getuid") else 0
+
+
+def remove_damaged(folder: Path) -> None:
+    """Remove files of kernels that were cut short: Numba would stop at each of them, in every run."""
+    for path in folder.rglob("*.nb[ic]"):
+        with suppress(OSError):
+            if not _is_pickled(path.read_bytes()):
+                path.unlink()
+
+
+def _is_pickled(content: bytes) -> bool:
+    """Whether bytes are pickles from end to end; nothing is unpickled."""
+    stream = io.BytesIO(content)
+    try:
+        while stream.tell() < len(content):
+            for _ in pickletools.genops(stream):
+                pass
+    except (ValueError, UnicodeDecodeError):
+        return False
+    return bool(content)
 
 
 def read_note(folder: Path, name: str) -> str | None:

@@ -13,7 +13,7 @@ from epipole.io.colmap_database import DatabaseContents as DatabaseContents
 from epipole.io.colmap_database import read_database as read_database
 from epipole.io.colmap_database import write_database as write_database
 from epipole.io.convert import ModelFormat as ModelFormat
-from epipole.io.convert import convert_model as convert_model
+from epipole.io.convert import read_model as read_model
 from epipole.io.g2o import G2oFile as G2oFile
 from epipole.io.g2o import read_g2o as read_g2o
 from epipole.io.g2o import write_g2o as write_g2o

@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+import os
+import re
 import secrets
 import shutil
+import socket
+import stat
+import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from hashlib import blake2b
 from pathlib import Path
 
 from epipole.errors import EpipoleError, WorkspaceError
+
+_PART = re.compile(
+    r"\.epipole-(?P<machine>[0-9a-f]{8})-(?P<process>\d{1,10})-(?P<life>[0-9a-f]{8})[0-9a-f]{8}\.part(\..*)?",
+    re.DOTALL,
+)
+_LIFE = secrets.token_hex(4)
+"""Of this process: another may have had its number."""
+_LONGEST_SUFFIX = 32
 
 
 @contextmanager
@@ -16,14 +30,21 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; what is written there replaces `path` when the block ends.
 
     The temporary name keeps the suffix, since some writers choose the format by it. If the block raises,
-    `path` is as it was. Missing parent folders are made; a link is followed, not replaced.
+    `path` is as it was. Missing parent folders are made; a link is followed, not replaced. Only a regular file is
+    replaced: to a device or a pipe (`/dev/null`, `/dev/stdout`) the content is written.
 
     Raises:
-        WorkspaceError: the place is not writable, or full.
+        WorkspaceError: the place is not writable, or full, or a folder or a socket.
     """
-    target = Path(path).resolve()
-    part = _name_beside(target)
     with reporting(path):
+        if _is_stream(Path(path)):
+            with tempfile.TemporaryDirectory(prefix="epipole-") as folder:
+                part = part_beside(Path(folder) / Path(path).name)
+                yield part
+                _pour(part, Path(path))
+            return
+        target = Path(path).resolve()
+        part = part_beside(target)
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield part
@@ -40,14 +61,15 @@ def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]
     other, and other files stay, for they may be the user's; only those named in `stale` are removed.
 
     Raises:
-        WorkspaceError: the place is not writable, or full, or `path` is a file.
+        WorkspaceError: the place is not writable, or full, `path` is a file, or something in it that is no file
+            has the name of a new one.
     """
     target = Path(path).resolve()
     if target.exists() and not target.is_dir():
         raise WorkspaceError(f"cannot write the folder {path}: there is a file of this name")
     exists = target.is_dir()
     # Inside a folder that exists: its parent may be read-only, or another disk.
-    part = _name_beside(target / "folder") if exists else _name_beside(target)
+    part = part_beside(target / "folder" if exists else target)
     with reporting(path):
         target.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -61,19 +83,104 @@ def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]
             shutil.rmtree(part, ignore_errors=True)
 
 
-def _name_beside(target: Path) -> Path:
-    return target.with_name(f".{target.stem[:60]}.{secrets.token_hex(4)}.part{target.suffix}")
+def part_beside(target: Path) -> Path:
+    """A new temporary name in the target's folder: it tells whose it is, keeps the suffix, and is never long."""
+    suffix = target.suffix if len(os.fsencode(target.suffix)) <= _LONGEST_SUFFIX else ""
+    own = f".epipole-{_machine()}-{os.getpid()}-{_LIFE}{secrets.token_hex(4)}.part"
+    return target.with_name(own + suffix)
+
+
+def remove_abandoned_parts(root: Path) -> None:
+    """Remove what processes of this machine that are gone (killed) have left half written, below a folder."""
+    for here, folders, files in os.walk(root):
+        for name in filter(_is_abandoned, files):
+            with suppress(OSError):
+                (Path(here) / name).unlink()
+        for name in filter(_is_abandoned, list(folders)):
+            folders.remove(name)
+            if not (Path(here) / name).is_symlink():
+                shutil.rmtree(Path(here) / name, ignore_errors=True)
+
+
+def _is_abandoned(name: str) -> bool:
+    found = _PART.fullmatch(name)
+    return (
+        found is not None
+        and found["machine"] == _machine()
+        and not _is_alive(found["process"], found["life"])
+    )
+
+
+def _machine() -> str:
+    return blake2b(socket.gethostname().encode(), digest_size=4).hexdigest()
+
+
+def _is_alive(process: str, life: str) -> bool:
+    """Whether the process that had this number, and this token, may still run."""
+    if int(process) == os.getpid():
+        return life == _LIFE
+    if os.name == "nt":  # there os.kill ends the process
+        return True
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether something stands there that is written to and not replaced.
+
+    Raises:
+        WorkspaceError: it is a folder, a socket or a disk.
+        OSError: the system does not tell.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return False
+    if stat.S_ISCHR(mode) or stat.S_ISFIFO(mode):
+        return True
+    if not stat.S_ISREG(mode):
+        raise WorkspaceError(
+            f"cannot write {path}: it is {'a folder' if stat.S_ISDIR(mode) else 'not a file'}"
+        )
+    return False
+
+
+def _pour(source: Path, stream: Path) -> None:
+    """Write a file into a device or a pipe; a pipe that nobody reads is an error, where it would wait for ever."""
+    opened = os.open(stream, os.O_WRONLY | getattr(os, "O_NONBLOCK", 0))
+    with source.open("rb") as content, os.fdopen(opened, "wb") as out:
+        os.set_blocking(opened, True)
+        shutil.copyfileobj(content, out)
 
 
 def _move_files(source: Path, target: Path, stale: Sequence[str]) -> None:
     moved = set()
-    for file in sorted(p for p in source.rglob("*") if p.is_file()):
+    files = sorted(p for p in source.rglob("*") if p.is_file())
+    for file in files:
+        refuse_other_kinds(target / file.relative_to(source))
+    for file in files:
         name = file.relative_to(source)
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         file.replace(target / name)
         moved.add(name.as_posix())
     for old in set(stale) - moved:
-        (target / old).unlink(missing_ok=True)
+        if (target / old).is_file():
+            (target / old).unlink(missing_ok=True)
+
+
+def refuse_other_kinds(path: Path) -> None:
+    """Refuse to replace what is neither a file nor a link to one.
+
+    Raises:
+        WorkspaceError: a folder, a device, a pipe or a socket stands there.
+    """
+    if os.path.lexists(path) and path.exists() and not path.is_file():
+        raise WorkspaceError(f"cannot write {path}: it is {'a folder' if path.is_dir() else 'not a file'}")
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -20,11 +20,16 @@ MAX_ASPECT_DIFFERENCE = 0.01
 _BUNDLER_AXES = np.array([1.0, -1.0, -1.0])
 
 
-def write_bundler(reconstruction: Reconstruction, path: str | Path) -> None:
+def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder: str = "") -> None:
     """Write the registered cameras and the points, with `list.txt` beside.
 
     A Bundler camera looks down -z, with y up, and has f, k1 and k2. Pixels count from the principal point,
     which the format takes to be the middle of the picture; that keeps the file consistent where it is not.
+
+    Args:
+        reconstruction: what to write.
+        path: the file.
+        image_folder: where the images are, seen from the file's folder.
 
     Raises:
         ConfigError: a camera has a distortion that the format cannot hold (undistort the pictures first).
@@ -47,8 +52,8 @@ def write_bundler(reconstruction: Reconstruction, path: str | Path) -> None:
         stream.writelines(f"{line}\n" for line in lines)
         stream.writelines(f"{line}\n" for line in _point_lines(reconstruction, is_written))
     with atomic_write(path.with_name(LIST_FILE)) as part:
-        names = "".join(f"{reconstruction.images.name[image]}\n" for image in registered)
-        part.write_text(names, encoding="utf-8", newline="\n")
+        names = (PurePosixPath(image_folder) / reconstruction.images.name[image] for image in registered)
+        part.write_text("".join(f"{name}\n" for name in names), encoding="utf-8", newline="\n")
 
 
 def _bundler_intrinsics(camera: Camera) -> np.ndarray:

@@ -25,6 +25,7 @@ from epipole.io._bytes import file_bytes
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
+from epipole.io.json_files import json_text
 from epipole.scene import StereoRig
 
 FORMAT = "epipole calibration"
@@ -169,7 +170,7 @@ def write_calibration(
         "about": dict(about or {}),
     }
     with atomic_write(path) as aside:
-        aside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
 
 def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:

@@ -18,8 +18,10 @@ from __future__ import annotations
 import io
 import os
 import shutil
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -57,6 +59,7 @@ from epipole.io.exif import (
     orientation_of,
     upright_exif,
 )
+from epipole.io.picture_names import name_problem, printable
 
 _OUTPUT_MARKERS = ("config.json", "database.db")
 _FORMAT_OF_SUFFIX = {
@@ -87,6 +90,9 @@ class PhotographList:
     """Pictures in formats that cannot be read here, where there is no readable one of the same name."""
     advice: str
     """What to do about the unreadable ones; empty when there are none."""
+    unusable: Mapping[str, str] = field(default_factory=dict)
+    """Files named as pictures that are not listed, and why: pipes, sockets and devices, which are never opened, and
+    names that no list of pictures can hold (written here with escapes)."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -111,6 +117,8 @@ class PhotographHeader:
     gps: GpsPosition | None
     capture_time: datetime | None
     """Local time on the camera's clock."""
+    is_deep_grey_png: bool = False
+    """A PNG of one channel of 16 bits, as depth is stored."""
 
 
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
@@ -132,12 +140,17 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
             folder, "is a file, not a folder of photographs" if folder.exists() else "no such folder"
         )
     readable_here = readable_suffixes()
-    names = sorted(_walk(folder, {Path(p).resolve() for p in ignore}))
+    known = readable_here | HEIF_SUFFIXES | AVIF_SUFFIXES | RAW_SUFFIXES
+    found = sorted(n for n in _walk(folder, {Path(p).resolve() for p in ignore}) if _suffix(n) in known)
+    unusable = {n: why for n in found if (why := _file_problem(folder / n) or name_problem(n))}
+    names = [n for n in found if n not in unusable]
     readable = [n for n in names if _suffix(n) in readable_here]
     stems = {PurePosixPath(n).with_suffix("") for n in readable}
-    known = (HEIF_SUFFIXES | AVIF_SUFFIXES | RAW_SUFFIXES) - readable_here
-    unreadable = [n for n in names if _suffix(n) in known and PurePosixPath(n).with_suffix("") not in stems]
-    return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable))
+    unreadable = [
+        n for n in names if _suffix(n) not in readable_here and PurePosixPath(n).with_suffix("") not in stems
+    ]
+    escaped = {printable(n): why for n, why in unusable.items()}
+    return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped)
 
 
 def read_header(path: Path | str) -> PhotographHeader:
@@ -149,10 +162,12 @@ def read_header(path: Path | str) -> PhotographHeader:
     """
     path = Path(path)
     with opened(path) as stream:
-        image = open_with_pillow(path, stream, format_of(path, stream.read(64)))
+        file_format = format_of(path, stream.read(64))
+        image = open_with_pillow(path, stream, file_format)
         exif = exif_of(image)
         orientation = orientation_of(exif)
         width, height = stored_size(image)
+        is_deep_grey_png = file_format == "PNG" and image.mode.startswith("I")
     if orientation >= 5:
         width, height = height, width
     focal, (make, model) = focal_of(exif, width, height), camera_of(exif)
@@ -166,6 +181,7 @@ def read_header(path: Path | str) -> PhotographHeader:
         focal.source if focal else None,
         gps_of(exif),
         capture_time_of(exif),
+        is_deep_grey_png,
     )
 
 
@@ -198,6 +214,21 @@ def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarr
     return decode(Path(path), False, max_size_px)
 
 
+def mask_of(mask_folder: Path | str, name: str) -> Path | None:
+    """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
+    for candidate in mask_names(name):
+        path = Path(mask_folder) / candidate
+        with suppress(OSError):  # NAME.png of the longest name possible is too long
+            if path.is_file():
+                return path
+    return None
+
+
+def mask_names(name: str) -> tuple[str, str]:
+    """What the mask of a picture can be called, in the order of preference."""
+    return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
+
+
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
@@ -214,8 +245,7 @@ def read_mask(
     Raises:
         FileFormatError: the mask is damaged or not of the picture's size.
     """
-    candidates = (Path(mask_folder) / f"{name}.png", (Path(mask_folder) / name).with_suffix(".png"))
-    path = next((c for c in candidates if c.is_file()), None)
+    path = mask_of(mask_folder, name)
     if path is None:
         return None
     data = read_bytes(path)
@@ -248,7 +278,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     if target_format is None:
         raise FileFormatError(target, "pictures are not written in this format; use .jpg, .png or .tif")
     if orientation_of(exif) == 1 and file_format == target_format:
-        _link_or_copy(source, target)
+        link_or_copy(source, target)
         return
     pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
     lossy: dict[str, Any] = {"quality": 97, "subsampling": 0}
@@ -280,6 +310,14 @@ def write_jpeg_with_exif(
 
 def _suffix(name: str) -> str:
     return PurePosixPath(name).suffix.lower()
+
+
+def _file_problem(path: Path) -> str:
+    """What a file is that may never end when it is read; empty for a regular one, or a link to nothing."""
+    with suppress(OSError):
+        if not stat.S_ISREG(path.stat().st_mode):
+            return "is no regular file but a pipe, a socket or a device"
+    return ""
 
 
 def _walk(folder: Path, ignored: set[Path]) -> Iterator[str]:
@@ -317,7 +355,12 @@ def _advice(unreadable: Sequence[str]) -> str:
     return " ".join(sentences)
 
 
-def _link_or_copy(source: Path, target: Path) -> None:
+def link_or_copy(source: Path, target: Path) -> None:
+    """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
+
+    Raises:
+        WorkspaceError: it cannot be written.
+    """
     if target.exists() and source.samefile(target):
         return
     with atomic_write(target) as part:

@@ -20,6 +20,8 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io._bytes import file_text
 from epipole.io._colmap_cameras import HALF_PIXEL
 from epipole.io.atomic import atomic_write
+from epipole.io.json_files import json_text
+from epipole.io.names import path_inside
 from epipole.io.ply import read_points_ply, write_points_ply
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
@@ -66,7 +68,7 @@ def write_transforms(reconstruction: Reconstruction, path: str | Path, image_fol
         frames.append(frame)
     content["frames"] = frames
     with atomic_write(path) as part:
-        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        part.write_text(json_text(content), encoding="utf-8")
 
 
 def _intrinsics(camera: Camera) -> dict[str, Any]:
@@ -152,7 +154,7 @@ def _camera(path: Path, values: dict[str, Any], name: str) -> Camera:
     if "w" in values and "h" in values:
         width, height = int(values["w"]), int(values["h"])
     else:
-        width, height = _picture_size(path.parent / name)
+        width, height = _picture_size(path_inside(path.parent, name))
     if "fl_x" in values:
         fx = float(values["fl_x"])
     else:
@@ -199,12 +201,12 @@ def _world_from_cam(frame: dict[str, Any]) -> np.ndarray:
 
 def _points(path: Path, content: dict[str, Any]) -> Points:
     name = content.get("ply_file_path")
-    file = path.parent / name if isinstance(name, str) else path.parent
     try:
-        is_there = file.is_file()
+        file = path_inside(path.parent, name) if isinstance(name, str) and name else None
+        is_there = file is not None and file.is_file()
     except OSError as error:
         raise FileFormatError(path, f"ply_file_path: {error.strerror}") from error
-    if not is_there:
+    if file is None or not is_there:
         return Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
     cloud = read_points_ply(file)
     rgb = cloud.rgb if cloud.rgb is not None else np.full((len(cloud), 3), 128, np.uint8)

@@ -108,7 +108,10 @@ def extract_frames(
     if not video.is_file():
         raise FileFormatError(video, "no such file")
     state = video.stat()
-    request = {"video": video.name, "bytes": state.st_size, "max_frames": max_frames, "every_s": every_s}
+    request = {
+        **{"video": video.name, "bytes": state.st_size, "modified_ns": state.st_mtime_ns},
+        **{"max_frames": max_frames, "every_s": every_s},
+    }
     folder.mkdir(parents=True, exist_ok=True)
     earlier = _read_manifest(folder)
     if earlier is not None and earlier[0] == request and all((folder / n).is_file() for n in earlier[1].name):

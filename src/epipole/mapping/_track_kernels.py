@@ -19,6 +19,8 @@ from epipole.robust._triangulation_kernels import (
     polish_point,
 )
 
+NEAREST_SQ = 1e-12  # squared share of the farthest view's distance
+
 
 @kernel
 def _root(parent, i):
@@ -142,16 +144,25 @@ def extend_components(rows, cams, offsets, components, start, stop, points, max_
 
 
 @kernel
+def _distance_sq(cams, i, x):
+    p, q, r = cams.center[i, 0] - x[0], cams.center[i, 1] - x[1], cams.center[i, 2] - x[2]
+    return p * p + q * q + r * r
+
+
+@kernel
 def filter_points(
     rows, cams, row_offsets, row_order, start, stop, points, max_error_sq, max_cosine, keep_row, errors
 ):
     """Mark rows of the points start..stop that stay; a point left with one row or a narrow angle loses all.
 
+    A camera in whose centre the point lies does not see it: adjustment can make any of its pixels fit there, and
+    rounding alone then decides depth and angle.
+
     row_order lists rows grouped by point. errors receives the mean error of what stays, NaN for a lost point.
     """
     for j in range(start, stop):
         first, last = row_offsets[j], row_offsets[j + 1]
-        kept, total, least = 0, 0.0, 1.0
+        kept, total, least, farthest_sq = 0, 0.0, 1.0, 0.0
         for n in range(first, last):
             k = row_order[n]
             e = error_sq(rows, cams, k, points[j, 0], points[j, 1], points[j, 2])
@@ -159,6 +170,13 @@ def filter_points(
             if keep_row[k]:
                 kept += 1
                 total += math.sqrt(e)
+                farthest_sq = max(farthest_sq, _distance_sq(cams, rows.image[k], points[j]))
+        for n in range(first, last):
+            k = row_order[n]
+            if keep_row[k] and _distance_sq(cams, rows.image[k], points[j]) <= NEAREST_SQ * farthest_sq:
+                keep_row[k] = False
+                kept -= 1
+                total -= math.sqrt(error_sq(rows, cams, k, points[j, 0], points[j, 1], points[j, 2]))
         if kept >= 2:
             for n in range(first, last):
                 for m in range(first, n):

@@ -9,19 +9,25 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 import shutil
+import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from epipole._version import __version__
-from epipole.errors import WorkspaceError
-from epipole.io.atomic import atomic_write, reporting
+from epipole.errors import FileFormatError, WorkspaceError
+from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts, reporting
+from epipole.io.json_files import json_text
+from epipole.io.names import is_inside_name, path_inside
+from epipole.runs.lock import LOCK, remove_free_locks
+from epipole.runs.source import content_digest, source_name
 
 MARK = "epipole.json"
 FORMAT = 2
+_LARGEST_MARK = 1 << 28
+"""Bytes: a million names of results."""
 
 
 class OutputFolder:
@@ -30,16 +36,19 @@ class OutputFolder:
     Attributes:
         root: the folder.
         kind: the command: reconstruct, stereo, ...
-        source: what its contents are made from.
+        source: paths of what its contents are made from.
+        content: digest of what is there; empty if not known.
         files: names of the results, by group; relative, with slashes.
         finished: digest of the settings of the finished run; empty until it finishes.
+        has_failed: the last run ended in an error, and none before had any result.
         timings_s: seconds of each stage.
     """
 
-    def __init__(self, root: Path, kind: str, source: str) -> None:
-        self.root, self.kind, self.source = root, kind, source
+    def __init__(self, root: Path, kind: str, source: str, content: str = "") -> None:
+        self.root, self.kind, self.source, self.content = root, kind, source, content
         self.files: dict[str, list[str]] = {}
         self.finished = ""
+        self.has_failed = False
         self.timings_s: dict[str, float] = {}
 
     @contextmanager
@@ -52,7 +61,7 @@ class OutputFolder:
         Raises:
             WorkspaceError: the disk is full, or a file of that name exists that no run has written.
         """
-        aside = self.root / f".{group}.{secrets.token_hex(4)}.part"
+        aside = part_beside(self.root / group)
         with reporting(self.root):
             try:
                 aside.mkdir()
@@ -63,6 +72,8 @@ class OutputFolder:
                         target = self.root / name
                         target.parent.mkdir(parents=True, exist_ok=True)
                         (aside / name).replace(target)
+            except WorkspaceError as error:
+                raise WorkspaceError(str(error).replace(str(aside), str(self.root))) from error
             finally:
                 shutil.rmtree(aside, ignore_errors=True)
 
@@ -71,14 +82,9 @@ class OutputFolder:
         """Record single files in the mark before they are written, and remove stale ones after.
 
         Raises:
-            WorkspaceError: a file of that name exists that no run has written.
+            WorkspaceError: a name leads out of the folder, or something of that name exists that no run has written.
         """
-        ours = {name for of_group in self.files.values() for name in of_group}
-        for name in names:
-            if os.path.lexists(self.root / name) and name not in ours:
-                raise WorkspaceError(
-                    f"{self.root} holds {name}, which no earlier run has written: choose another folder"
-                )
+        self._refuse_what_is_not_ours(names)
         before = self.files.get(group, [])
         self.files[group] = sorted({*before, *names})
         self.save()
@@ -93,14 +99,16 @@ class OutputFolder:
             (aside / name).write_text(text, encoding="utf-8")
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
-        """Write one JSON file of the results."""
-        self.write_text(name, json.dumps(content, indent=2, default=str) + "\n")
+        """Write one JSON file of the results; numbers that are not finite become null."""
+        self.write_text(name, json_text(content))
 
-    def give_up(self) -> None:
-        """Remove mark and folder of a run that failed before it wrote any result."""
-        if not self.files and [path.name for path in self.root.iterdir()] == [MARK]:
+    def give_up(self, *, has_failed: bool) -> None:
+        """After a run that ended early: remove the mark if there is nothing else, else note whether it has failed."""
+        left = {path.name for path in self.root.iterdir()} - {MARK, LOCK}
+        if not self.files and not left:
             (self.root / MARK).unlink()
-            self.root.rmdir()
+        else:
+            self.has_failed = has_failed and set(self.files) <= BY_PRODUCTS
 
     def save(self) -> None:
         """Write the mark."""
@@ -108,35 +116,64 @@ class OutputFolder:
             "format": FORMAT,
             "kind": self.kind,
             "source": self.source,
+            "content": self.content,
             "version": __version__,
             "finished": self.finished,
+            "has_failed": self.has_failed,
             "timings_s": self.timings_s,
             "files": self.files,
         }
         with atomic_write(self.root / MARK) as aside:
-            aside.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            aside.write_text(json_text(content, indent=1), encoding="utf-8")
+
+    def take_over(self, kind: str, source: str, content: str) -> OutputFolder:
+        """The folder for another job, without what was written here."""
+        for names in self.files.values():
+            self._remove(names)
+        return OutputFolder(self.root, kind, source, content)
+
+    def _refuse_what_is_not_ours(self, names: Sequence[str]) -> None:
+        ours = {name for of_group in self.files.values() for name in of_group}
+        parents = set()
+        for name in names:
+            parent = name.rpartition("/")[0]
+            if parent not in parents or not is_inside_name(name):
+                try:
+                    path_inside(self.root, name)
+                except FileFormatError as error:
+                    raise WorkspaceError(str(error)) from None
+                parents.add(parent)
+            with suppress(FileNotFoundError):
+                is_file = stat.S_ISREG((self.root / name).lstat().st_mode)
+                if name not in ours or not is_file:
+                    raise WorkspaceError(
+                        f"{self.root} holds {name}, which no earlier run has written: choose another folder"
+                    )
 
     def _remove(self, names: Iterable[str]) -> None:
+        """Remove results, and folders that they leave empty; what is no file any more is not ours."""
         for name in names:
-            path = self.root / name
-            path.unlink(missing_ok=True)
+            try:
+                path = path_inside(self.root, name)
+                if stat.S_ISREG(path.lstat().st_mode):
+                    path.unlink()
+            except (FileNotFoundError, FileFormatError):
+                continue
             folder = path.parent
             while folder != self.root and folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
                 folder = folder.parent
 
 
-def claim(root: Path, kind: str, source: str, inputs: Sequence[Path] = ()) -> OutputFolder:
-    """Make the output folder, or open it again if it belongs to the same job on the same source.
+BY_PRODUCTS = frozenset({"database"})
+"""Groups that a run writes before it knows whether there will be a result."""
 
-    Args:
-        root: the folder.
-        kind: the command that makes its contents.
-        source: what they are made from, in words or paths; a folder that holds results of another is refused.
-        inputs: files and folders that are read; none of them may be the output folder.
+
+def check_place(root: Path, inputs: Sequence[Path]) -> None:
+    """Refuse a file as the output folder, and the folder of the inputs.
 
     Raises:
-        WorkspaceError: it is a file, holds something else, or is not writable.
+        WorkspaceError: it is one.
     """
     with reporting(root, "use the output folder"):
         if root.exists() and not root.is_dir():
@@ -145,22 +182,68 @@ def claim(root: Path, kind: str, source: str, inputs: Sequence[Path] = ()) -> Ou
             if root.resolve() == (path.resolve() if path.is_dir() else path.resolve().parent):
                 what = "the pictures" if path.is_dir() else path.name
                 raise WorkspaceError(f"{root} is the folder of {what}: choose another for the results")
+
+
+def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
+    """Make the output folder, or open it again if it belongs to the same job on the same source.
+
+    The source is the same if its paths are, or if nothing is at the old ones and the same files are at the new. A folder
+    in which a run failed is taken over by the next, whatever it is.
+
+    Args:
+        root: the folder.
+        kind: the command that makes its contents.
+        inputs: files and folders that are read; none of them may be the output folder.
+
+    Raises:
+        WorkspaceError: it is a file, holds something else, or is not writable.
+    """
+    check_place(root, inputs)
+    source, content = source_name(inputs), content_digest(inputs, root)
+    with reporting(root, "use the output folder"):
         held = read_mark(root)
         if held is None and root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
             raise WorkspaceError(
                 f"{root} is not empty and was not made by epipole; choose another output folder"
             )
-        if held is not None and held.files and (held.kind, held.source) != (kind, source):
-            raise WorkspaceError(
-                f"{root} holds the results of `epipole {held.kind}` of {held.source}; choose another output folder"
-            )
         root.mkdir(parents=True, exist_ok=True)
         if not os.access(root, os.W_OK):
             raise WorkspaceError(f"{root} is not writable")
-        is_same = held is not None and (held.kind, held.source) == (kind, source)
-        folder = held if held is not None and is_same else OutputFolder(root, kind, source)
+        if held is None:
+            folder = OutputFolder(root, kind, source, content)
+        elif held.kind == kind and _is_same_source(held, source, content):
+            folder = held
+            folder.source, folder.content = source, content
+        elif held.has_failed or _is_bare(root, held):
+            folder = held.take_over(kind, source, content)
+        else:
+            raise WorkspaceError(_whose(held))
+        remove_abandoned_parts(root)
+        remove_free_locks(root)
         folder.save()
         return folder
+
+
+def _is_same_source(held: OutputFolder, source: str, content: str) -> bool:
+    return held.source == source or (
+        bool(content)
+        and held.content == content
+        and not any(Path(path).exists() for path in held.source.split(", "))
+    )
+
+
+def _is_bare(root: Path, held: OutputFolder) -> bool:
+    """Whether the folder holds neither results nor work of a run."""
+    return not held.files and {path.name for path in root.iterdir()} <= {MARK, LOCK}
+
+
+def _whose(held: OutputFolder) -> str:
+    what = "results" if set(held.files) - BY_PRODUCTS else "work"
+    gone = "" if Path(held.source.split(", ")[0]).exists() else ", which is gone"
+    return (
+        f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}{gone}; "
+        "choose another output folder"
+    )
 
 
 def read_mark(root: Path) -> OutputFolder | None:
@@ -173,14 +256,26 @@ def read_mark(root: Path) -> OutputFolder | None:
     if not mark.is_file():
         return None
     try:
+        if mark.stat().st_size > _LARGEST_MARK:
+            raise ValueError
         content = json.loads(mark.read_text(encoding="utf-8"))
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
-            folder = OutputFolder(root, str(content["kind"]), str(content["source"]))
-            folder.files = {str(group): [str(name) for name in names] for group, names in files.items()}
+            folder = OutputFolder(
+                root, str(content["kind"]), str(content["source"]), str(content.get("content", ""))
+            )
+            folder.files = {str(group): [_inside(name) for name in names] for group, names in files.items()}
             folder.finished = str(content["finished"])
-            folder.timings_s = {str(stage): float(seconds) for stage, seconds in timings.items()}
+            folder.has_failed = content.get("has_failed", False) is True
+            folder.timings_s = {str(stage): float(seconds or 0.0) for stage, seconds in timings.items()}
             return folder
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")
+
+
+def _inside(name: object) -> str:
+    """The name of a result, which may be removed one day: a mark may come from anyone."""
+    if not isinstance(name, str) or not is_inside_name(name):
+        raise ValueError
+    return name

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from epipole._version import __version__
+from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice
-from epipole.runs.folder import OutputFolder, claim, read_mark
+from epipole.runs.folder import MARK, OutputFolder, check_place, claim, read_mark
+from epipole.runs.lock import alone_in
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import thread_scope
 from epipole.runs.units import Unit, digest, run_units
@@ -44,7 +46,7 @@ class Run:
         # Seconds of a stopped run are added; those of a finished run only where its units are used again.
         self._earlier_s = {} if folder.finished else folder.timings_s
         self._finished_s = folder.timings_s if folder.finished else {}
-        folder.finished, folder.timings_s = "", {}
+        folder.finished, folder.has_failed, folder.timings_s = "", False, {}
         folder.save()
 
     @property
@@ -85,7 +87,7 @@ class Run:
 
     def close(self) -> None:
         """Save the timings for a run that continues this one."""
-        if self.root.is_dir():
+        if (self.root / MARK).is_file():
             self.folder.timings_s = {**self._earlier_s, **self.timings_s}
             self.folder.save()
 
@@ -103,19 +105,19 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
     """Claim the output folder and set the threads; what is finished inside stays there whatever happens.
 
     Raises:
-        WorkspaceError: the folder belongs to another job, or cannot be written.
+        WorkspaceError: the folder belongs to another job, another run works in it, or it cannot be written.
     """
-    source = ", ".join(str(path.resolve()) for path in job.inputs)
-    folder = claim(out, job.kind, source, job.inputs)
-    run = Run(job, folder)
-    with thread_scope(job.threads, opencv_alone=job.opencv_alone):
+    check_place(out, job.inputs)
+    with alone_in(out), thread_scope(job.threads, opencv_alone=job.opencv_alone):
+        run = Run(job, claim(out, job.kind, job.inputs))
         try:
             yield run
-        except BaseException:
-            folder.give_up()
+        except BaseException as error:
+            with suppress(WorkspaceError, OSError):  # of the two the first error tells more
+                run.folder.give_up(has_failed=isinstance(error, Exception))
+                run.close()
             raise
-        finally:
-            run.close()
+        run.close()
 
 
 def is_finished(out: Path, settings: Mapping[str, Any]) -> bool:

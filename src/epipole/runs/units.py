@@ -1,8 +1,8 @@
 """Units of work: each makes one file from its inputs, and is skipped when that file is already there.
 
-A unit's key is a digest of everything its result depends on. The file holds the key, and is written under
-another name and then renamed: a killed run leaves complete files only, and a changed option repeats only what
-depends on it.
+A unit's key is a digest of everything its result depends on. The file (an npz archive) holds the key, and ends with a
+digest of its own bytes. It is written under another name and then renamed. So a killed run leaves complete files only, a
+changed option repeats only what depends on it, and a damaged file is made again.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
+from typing import Any, BinaryIO
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from epipole import _parallel
 from epipole.errors import WorkspaceError
+from epipole.io.atomic import atomic_write
 from epipole.runs.executors import ExecutorChoice, opened
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
 Arrays = dict[str, np.ndarray]
+_SEAL_BYTES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,8 @@ class Unit:
     work: Callable[[Any], Arrays]
     """A module-level function, so that another process can call it."""
     payload: Any
+    size: int = 1
+    """What it counts in the progress: the pairs of a block, for one."""
 
 
 def digest(*parts: object) -> str:
@@ -67,23 +70,23 @@ def run_units(
     Raises:
         WorkspaceError: a result cannot be written, or the executor's workers have died.
     """
-    waiting = [unit for unit in units if stored_key(unit.path) != unit.key]
-    done, total = len(units) - len(waiting), len(units)
+    waiting = [unit for unit in units if not is_done(unit.path, unit.key)]
+    total = sum(unit.size for unit in units)
+    done = total - sum(unit.size for unit in waiting)
     progress(Progress(stage, done, total))
     with opened(executor if len(waiting) > 1 else "inline") as pool:
-        for _ in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
-            done += 1
+        for size in map(do_unit, waiting) if pool is None else _shared_out(pool, waiting):
+            done += size
             progress(Progress(stage, done, total))
     return len(waiting)
 
 
-def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
-    """Yields once for each unit that is done."""
+def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
+    """The size of each unit when it is done."""
     futures = [pool.submit(do_unit_as_worker, unit) for unit in units]
     try:
         for future in as_completed(futures):
-            future.result()
-            yield
+            yield future.result()
     except BrokenExecutor as error:
         raise WorkspaceError(
             "the processes that share the work ended early: out of memory, or a script that starts them "
@@ -94,15 +97,16 @@ def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[None]:
             future.cancel()
 
 
-def do_unit(unit: Unit) -> None:
-    """Run one unit and store its result."""
+def do_unit(unit: Unit) -> int:
+    """Run one unit and store its result; returns its size."""
     store(unit.path, unit.key, unit.work(unit.payload))
+    return unit.size
 
 
-def do_unit_as_worker(unit: Unit) -> None:
+def do_unit_as_worker(unit: Unit) -> int:
     """`do_unit` in one of many workers: parallel work inside it runs inline, libraries use one thread."""
     with _parallel.inline_here(), opencv_in_one_thread(), _parallel.single_threaded_blas():
-        do_unit(unit)
+        return do_unit(unit)
 
 
 def store(path: Path, key: str, arrays: Arrays) -> None:
@@ -111,16 +115,15 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
     Raises:
         WorkspaceError: the folder is not writable or the disk is full.
     """
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as aside:
         with aside.open("wb") as file:
             np.savez(file, key=np.array(key), **arrays)  # type: ignore[arg-type]
-        aside.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            aside.unlink()
-        raise WorkspaceError(f"cannot write {path}: {error.strerror or error}") from error
+        with ZipFile(aside, "a") as archive:
+            archive.comment = bytes(_SEAL_BYTES)  # stands at the end of the file
+        with aside.open("r+b") as file:
+            seal = _digest_of_file(file)
+            file.seek(-_SEAL_BYTES, os.SEEK_END)
+            file.write(seal)
 
 
 def load(path: Path, *names: str) -> Arrays:
@@ -136,10 +139,37 @@ def load(path: Path, *names: str) -> Arrays:
         raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
 
+def is_done(path: Path, key: str) -> bool:
+    """Whether a file holds the result of this key, every byte as it was written."""
+    return stored_key(path) == key and _is_whole(path)
+
+
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
+        if not path.is_file():
+            return ""
         with np.load(path, allow_pickle=False) as file:
             return str(file["key"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, RuntimeError, BadZipFile):
         return ""
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            seal = _digest_of_file(file)
+            return file.read() == seal
+    except OSError:
+        return False
+
+
+def _digest_of_file(file: BinaryIO) -> bytes:
+    """Of all bytes but the last, which are left to be read: the place of the seal."""
+    state = hashlib.blake2b(digest_size=_SEAL_BYTES)
+    left = file.seek(0, os.SEEK_END) - _SEAL_BYTES
+    file.seek(0)
+    while left > 0 and (chunk := file.read(min(left, 1 << 20))):
+        state.update(chunk)
+        left -= len(chunk)
+    return state.digest()

@@ -57,7 +57,10 @@ class Reconstruction:
         return out
 
     def reprojection_errors_px(self) -> Float64[np.ndarray, " k"]:
-        """Distance between keypoint and projected point for every observation, in track order."""
+        """Distance between keypoint and projected point for every observation, in track order.
+
+        NaN where the camera cannot see the point, for one behind it.
+        """
         cams_from_world, camera_of_image = self.cams_from_world(), self.camera_of_image
         points, pixels = self.points.xyz_in_world[self.tracks.point_of_observation()], self.observed_pixels()
         out = np.full(len(pixels), np.nan)
@@ -69,8 +72,9 @@ class Reconstruction:
         return out
 
     def mean_reprojection_error_px(self) -> float:
-        """Mean over all observations; NaN for a model without points."""
+        """Mean over all observations but those that the camera cannot see; NaN for a model without points."""
         errors = self.reprojection_errors_px()
+        errors = errors[np.isfinite(errors)]
         return float(errors.mean()) if len(errors) else float("nan")
 
     def transformed(self, target_from_world: Similarity3) -> Reconstruction:

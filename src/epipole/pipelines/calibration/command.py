@@ -11,6 +11,7 @@ import tyro
 from epipole.pipelines.calibration.config import CalibrationConfig
 
 if TYPE_CHECKING:
+    from epipole.cameras import Camera
     from epipole.pipelines.calibration.files import CalibrationRun
 
 DEFAULTS = CalibrationConfig()
@@ -25,7 +26,9 @@ def calibrate(
 ) -> None:
     """Calibrate a camera, or a pair of cameras, from pictures of a chessboard, ChArUco board or AprilTag grid.
 
-    A pair's pictures lie in sub-folders left and right, or are named left01.jpg and right01.jpg.
+    A pair's pictures lie in sub-folders left and right, or are named left01.jpg and right01.jpg. The principal
+    point (cx, cy) is printed and written with the centre of the first pixel at 0, 0, as OpenCV has it; the line for
+    `epipole reconstruct --camera-params` counts it from the picture's corner, half a pixel more.
 
     Args:
         images: Folder of pictures.
@@ -45,6 +48,14 @@ def calibrate(
         sys.exit(ANSWER_IS_NO)
 
 
+def camera_options(camera: Camera) -> str:
+    """The camera as options of `epipole reconstruct`, whose principal point counts from the picture's corner."""
+    from epipole.io.colmap import params_to_colmap
+
+    params = ",".join(f"{p:.8g}" for p in params_to_colmap(camera.model, camera.params))
+    return f"--camera-model {camera.model.name} --camera-params {params}"
+
+
 def show_calibration(run: CalibrationRun) -> None:
     """Print the verdict, the cameras, and where the report is."""
     from rich.console import Console
@@ -62,6 +73,11 @@ def show_calibration(run: CalibrationRun) -> None:
         for name, value, sigma in zip(camera.model.param_names, camera.params, found.params_sigma(c)):
             table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
         console.print(table)
+    console.print(
+        "for `epipole reconstruct`, with the principal point from the picture's corner:", markup=False
+    )
+    for camera in found.cameras:
+        console.print(f"  {camera_options(camera)}", highlight=False, markup=False, soft_wrap=True)
     if len(found.cameras) == 2:
         console.print(
             f"baseline {found.rig().baseline:.6g}, standard deviation {found.baseline_sigma():.2g}"

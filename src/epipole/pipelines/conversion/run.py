@@ -2,18 +2,94 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from epipole._checks import as_path
-from epipole.io.colmap import find_model
-from epipole.io.convert import convert_model
+from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
+from epipole.io.names import path_inside
+from epipole.io.photographs import link_or_copy
+from epipole.io.ply import write_scene_ply
+from epipole.runs import Job, open_run
+from epipole.scene import Reconstruction
+
+_WITH_PICTURES = ("transforms", "bundler")
+_SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db")
 
 
-def convert(source: str | Path, target: str | Path, format: str) -> Path:
-    """Write a model, or that of a reconstruction's output folder, in another format; all else as `io.convert_model`.
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """Result of `convert`."""
+
+    out: Path
+    """The folder, or the PLY file."""
+    num_pictures: int
+    """Pictures that lie in `images/` beside the model."""
+    missing: tuple[str, ...]
+    """Images of the model whose pictures were not found."""
+
+
+def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
+    """Write a model in another format.
+
+    Args:
+        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json.
+        target: for `ply` a file; for the other formats, which are of several files, a new folder, or that of an earlier
+            conversion of the same model. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
+            where the disk is the same): the paths in these files are then right.
+        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler or ply.
 
     Raises:
-        EpipoleError: as it does.
+        ConfigError: unknown format, or one that cannot hold the cameras.
+        FileFormatError: there is no readable model.
+        WorkspaceError: the target cannot be written, or holds something else.
     """
     source, target = as_path(source), as_path(target)
-    return convert_model(source if source.is_file() else find_model(source), target, format)
+    if format not in get_args(ModelFormat):
+        raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
+    if not source.exists():
+        raise FileFormatError(source, "there is no such file or folder")
+    model = read_model(source)
+    if format == "ply":
+        return _convert_to_ply(model, target)
+    if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
+        raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
+    names = _names_with_place(model) if format in _WITH_PICTURES else []
+    found = {name: path for name in names if (path := _picture(source, name)) is not None}
+    with open_run(Job(kind="convert", inputs=(source,), settings={"format": format}), target) as run:
+        with run.folder.publish("model") as aside:
+            FOLDER_WRITERS[format](model, aside)
+        with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
+            for name, path in found.items():
+                link_or_copy(path, run.root / IMAGE_FOLDER / name)
+        run.finish()
+    return Conversion(target, len(found), tuple(name for name in names if name not in found))
+
+
+def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
+    if target.is_dir():
+        target = target / "scene.ply"
+        if os.path.lexists(target):
+            raise WorkspaceError(f"{target} is there already; give a file's name, which is replaced")
+    write_scene_ply(target, model)
+    return Conversion(target, 0, ())
+
+
+def _names_with_place(model: Reconstruction) -> list[str]:
+    return [name for name, has_place in zip(model.images.name, model.is_registered()) if has_place]
+
+
+def _picture(source: Path, name: str) -> Path | None:
+    """The picture of an image: in `images/` of the output folder that the model is, or lies in, or beside its file.
+
+    Raises:
+        FileFormatError: the name leads out of the folder.
+    """
+    roots = [source.parent / IMAGE_FOLDER, source.parent]
+    if source.is_dir():
+        at = source.resolve()
+        roots = [folder / IMAGE_FOLDER for folder in (at, at.parent, at.parent.parent)]
+    return next((path for root in roots if (path := path_inside(root, name)).is_file()), None)

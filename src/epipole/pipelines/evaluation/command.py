@@ -26,9 +26,9 @@ def evaluate(
 
     result = run(out, truth)
     if json:
-        from json import dumps
+        from epipole.io.json_files import json_text
 
-        print(dumps(asdict(result), indent=2))
+        print(json_text(asdict(result)), end="")
     else:
         show_evaluation(result)
 

@@ -27,7 +27,7 @@ STAGES = {
 def reconstruct(
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    config: Annotated[ReconstructConfig, tyro.conf.arg(name="")] = DEFAULTS,
+    config: Annotated[ReconstructConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
     """Make a 3D model from photographs. A new user needs no option.
 
@@ -56,8 +56,11 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     table = Table(box=None, show_header=False)
     table.add_row("images placed", f"{summary['num_registered']} of {summary['num_images']}")
     table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
-    table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px")
-    scale = "metres, from GPS" if summary["is_metric"] else "unknown: pictures alone cannot tell"
+    error_px = summary["mean_reprojection_error_px"]
+    table.add_row("reprojection error", "unknown" if error_px is None else f"{error_px:.2f} px")
+    scale = "unknown: pictures alone cannot tell"
+    if summary["is_metric"]:
+        scale = f"metres, from GPS ({summary['median_gps_residual_m']:.1f} m from the fixes, median)"
     table.add_row("scale", scale)
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())
     table.add_row("time", f"{summary['seconds']:.1f} s ({times})")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 from epipole.config import FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
+
+MAX_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +106,8 @@ class MapperConfig:
             raise ConfigError("error bounds must be positive")
         if not self.global_growth > 1:
             raise ConfigError("global_growth must be greater than 1")
+        if not 0 <= self.seed <= MAX_SEED:
+            raise ConfigError(f"mapper.seed must be from 0 to {MAX_SEED}, got {self.seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +117,21 @@ class ReconstructConfig:
     camera_model: str | None = None
     """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
     camera_params: str | None = None
-    """Known intrinsics, comma separated, in COLMAP's order and pixel convention; one camera took all
-    pictures."""
+    """Known intrinsics, comma separated, in COLMAP's order; one camera took all pictures. The principal point
+    is counted from the top-left corner of the picture, as COLMAP does (the centre of the first pixel is 0.5,
+    0.5)."""
+    calibration: Path | None = None
+    """Calibration file of the camera that took all pictures, as `epipole calibrate` writes it (OpenCV's, ROS' and
+    Kalibr's too)."""
     refine_known: bool = False
     """Refine known intrinsics too."""
     single_camera: bool = False
     """One camera took all pictures."""
+    include: tuple[str, ...] = ()
+    """Take only pictures whose name, relative to the folder, fits one of these patterns, such as
+    "*.color.jpg"."""
+    exclude: tuple[str, ...] = ()
+    """Leave out pictures whose name fits one of these patterns, such as "depth/*"."""
     masks: Path | None = None
     """Folder of masks: MASKS/NAME.png; features where the mask is black are dropped."""
     pairs: Path | None = None
@@ -141,25 +155,41 @@ class ReconstructConfig:
         """Check what can be checked without looking at the pictures.
 
         Raises:
-            ConfigError: camera parameters are not numbers, or threads is not positive.
+            ConfigError: camera parameters are not numbers, options exclude each other, or threads is not positive.
         """
         self.known_params()
+        if isinstance(self.include, str) or isinstance(self.exclude, str):
+            raise ConfigError("include and exclude are tuples of patterns, not one string")
+        if self.calibration is not None and (self.camera_params or self.camera_model):
+            raise ConfigError(
+                "calibration tells model and parameters: give it, or camera_model and camera_params"
+            )
+        if self.masks is not None and self.database is not None:
+            raise ConfigError("masks have no say over the features of a database: give one of the two")
         if self.max_frames < 2:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
 
+    @property
+    def has_known_camera(self) -> bool:
+        """The intrinsics are given, as numbers or as a file."""
+        return self.camera_params is not None or self.calibration is not None
+
     def known_params(self) -> tuple[float, ...] | None:
         """The numbers of `camera_params`; None when not given.
 
         Raises:
-            ConfigError: not numbers.
+            ConfigError: not numbers, or not finite.
         """
         if self.camera_params is None:
             return None
         try:
-            return tuple(float(p) for p in self.camera_params.replace(",", " ").split())
+            known = tuple(float(p) for p in self.camera_params.replace(",", " ").split())
         except ValueError:
             raise ConfigError(
                 f"camera_params must be numbers separated by commas, got {self.camera_params!r}"
             ) from None
+        if not all(math.isfinite(p) for p in known):
+            raise ConfigError(f"camera_params must be finite numbers, got {self.camera_params!r}")
+        return known

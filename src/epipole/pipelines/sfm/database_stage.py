@@ -143,7 +143,7 @@ def match_units(source: DatabaseSource, matches: Matches, folder: Path) -> list[
     for number, block in enumerate(pair_blocks(sorted(matches))):
         payload = GivenMatches(block, tuple(matches[p] for p in block))
         key = digest("database matches", FORMAT, block, source.fingerprint)
-        units.append(Unit(folder / f"block_{number:05d}.npz", key, given_matches, payload))
+        units.append(Unit(folder / f"block_{number:05d}.npz", key, given_matches, payload, len(block)))
     return units
 
 

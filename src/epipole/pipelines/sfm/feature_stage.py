@@ -12,7 +12,7 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
-from epipole.io.photographs import read_header, read_mask, read_rgb
+from epipole.io.photographs import mask_of, read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
 
@@ -45,10 +45,8 @@ def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: 
 
 
 def _mask_fingerprint(masks: Path | None, name: str) -> list[str]:
-    if masks is None:
-        return []
-    candidates = (masks / f"{name}.png", (masks / name).with_suffix(".png"))
-    return [f"{p}-{p.stat().st_size}-{p.stat().st_mtime_ns}" for p in candidates if p.is_file()]
+    path = None if masks is None else mask_of(masks, name)
+    return [] if path is None else [f"{path}-{path.stat().st_size}-{path.stat().st_mtime_ns}"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

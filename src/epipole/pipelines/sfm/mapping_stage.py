@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from epipole.io.exif import gps_to_enu
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.gps_evidence import gps_evidence
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import MIN_FIXES, align_to_gps, upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
@@ -32,6 +33,10 @@ class Mapped:
     agreements: tuple[float, ...]
     """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
 
+    def num_placed(self) -> int:
+        """Images that have a place in any model."""
+        return sum(int(model.is_registered().sum()) for model in self.models)
+
 
 def map_images(
     images: ImageSet,
@@ -52,7 +57,7 @@ def map_images(
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
-        if not mapper.run(remaining, lambda done, total: progress(Progress("map", done, total))):
+        if not mapper.run(remaining, _counting(progress, remaining)):
             break
         residuals = _put_in_place(mapper, positions, config)
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
@@ -61,9 +66,22 @@ def map_images(
         agreement = mapper.consistency.overall(builder)
         found.append((builder.freeze(images.names, colors, images.timestamps_s), residuals, agreement))
         remaining &= ~builder.registered
+    progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
     models, residuals_m, agreements = zip(*found) if found else ((), (), ())
     return Mapped(tuple(models), rejections, tuple(residuals_m), tuple(agreements))
+
+
+def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
+    """Progress over all pictures: those of earlier models, and of the best attempt at this one."""
+    earlier, best = int((~remaining).sum()), 0
+
+    def report(done: int, _: int) -> None:
+        nonlocal best
+        best = max(best, done)
+        progress(Progress("map", earlier + best, len(remaining)))
+
+    return report
 
 
 def _put_in_place(
@@ -101,7 +119,10 @@ def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
     )
     if extent_m < reach_m:
         return f"the scale is unknown: the GPS places lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
-    return "the scale is unknown: the GPS places do not fit the model"
+    found = gps_evidence(
+        mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt), config.seed
+    )
+    return f"the scale is unknown: the GPS places do not fit the model: {found.in_words()}"
 
 
 def reasons_in_words(

@@ -89,7 +89,7 @@ def _units(
             *configs,
             match_units[number].path if match_units is not None else None,
         )
-        units.append(Unit(folder / f"block_{number:05d}.npz", key, work, payload))
+        units.append(Unit(folder / f"block_{number:05d}.npz", key, work, payload, len(block)))
     return units
 
 

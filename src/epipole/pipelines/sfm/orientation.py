@@ -9,6 +9,7 @@ import numpy as np
 from epipole.config import RansacConfig
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
+from epipole.pipelines.sfm.gps_evidence import gps_evidence
 from epipole.robust import estimate_upright_similarity
 
 MIN_FIXES = 3
@@ -63,6 +64,8 @@ def align_to_gps(
 ) -> GpsAlignment | None:
     """The similarity from the model to the GPS positions of its cameras; None where they do not determine it.
 
+    None also where positions like these would fit any model as well (`gps_evidence`).
+
     Robust over samples of two images (the model is upright already, so that two fixes give scale, heading and
     place), refined on the agreeing ones: with the full similarity where the path spans a plane, else upright.
 
@@ -80,6 +83,8 @@ def align_to_gps(
         return None
     source, target = upright.apply(centers_in_world[usable]), positions_enu[usable]
     if np.linalg.norm(np.ptp(target[:, :2], axis=0)) < max_error_m:
+        return None
+    if not gps_evidence(source, target, seed).is_convincing:
         return None
     config = RansacConfig(max_error_px=max_error_m, min_inliers=2, min_inlier_ratio=0.0, seed=seed)
     found = estimate_upright_similarity(source, target, config)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from epipole._jit import compile_seconds
+from epipole.pipelines.sfm.notes import pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
@@ -104,16 +105,13 @@ def page_content(
     scale_note = "unknown scale: pictures alone cannot tell"
     if residuals is not None:
         scale_note = f"metres from GPS (median distance of the cameras from their fixes {np.nanmedian(residuals):.2f} m)"
-    sources = images.focal_sources
     return ReportContent(
-        title=images.folder.name or str(images.folder),
+        title=title_of(run.job.inputs[0]),
         reconstruction=model,
         view_graph=solution.view_graph,
         image_rows=tuple(rows),
         other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
-        camera_lines=tuple(
-            f"{model.cameras[c]!r}; focal length first: {sources[c]}" for c in range(len(sources))
-        ),
+        camera_lines=tuple(_camera_line(solution, c) for c in range(len(images.focal_sources))),
         timings=dict(run.timings_s),
         compile_seconds=compile_seconds(),
         warnings=tuple(run.warnings),
@@ -125,8 +123,20 @@ def page_content(
     )
 
 
+def _camera_line(solution: Solution, camera: int) -> str:
+    """Whose a camera is, what became of it, and where its focal length came from."""
+    first_px = solution.images.cameras[camera].focal_px
+    return (
+        f"{pictures_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
+        f"focal length first {first_px:.0f} px ({solution.images.focal_sources[camera]})"
+    )
+
+
 def _observations_per_image(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     n = len(model.images)
     counts = np.bincount(model.tracks.image, minlength=n)
-    sums = np.bincount(model.tracks.image, model.reprojection_errors_px(), n)
-    return counts, np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    errors = model.reprojection_errors_px()
+    is_seen = np.isfinite(errors)
+    image = model.tracks.image[is_seen]
+    sums, num_seen = np.bincount(image, errors[is_seen], n), np.bincount(image, minlength=n)
+    return counts, np.where(num_seen > 0, sums / np.maximum(num_seen, 1), np.nan)

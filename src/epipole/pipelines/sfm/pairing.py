@@ -46,7 +46,8 @@ def choose_pairs(
         )
     pairs = []
     if method == "sequential":
-        pairs += [(i, i + step) for i in range(n) for step in range(1, config.overlap + 1) if i + step < n]
+        reach = min(config.overlap, n - 1)
+        pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
     neighbours = min(config.neighbours, 10) if method == "sequential" else config.neighbours
     return sorted_pairs([*pairs, *_look_alikes(descriptors, neighbours)])
 

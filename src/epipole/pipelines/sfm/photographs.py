@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError, NoModelError
-from epipole.io.colmap import params_from_colmap
-from epipole.io.photographs import PhotographHeader, list_photographs, read_header
+from epipole.io.photographs import PhotographHeader, list_photographs, mask_names, mask_of, read_header
+from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.lenses import group_cameras
 from epipole.runs import Progress, ProgressCallback
 from epipole.scene import Cameras
 
-PRIOR_FOCAL = 1.2
-"""Focal length assumed where nothing is known, in units of the longer side."""
 MIN_SIZE_PX = 32
+NAMES_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +39,10 @@ class ImageSet:
     left_out: dict[str, str]
     """Pictures that cannot take part, and why."""
     is_video: bool = False
+    num_masked: int = 0
+    """Pictures that have a mask."""
+    notes: tuple[str, ...] = ()
+    """What was noticed about the choice of pictures and masks, in words."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -69,34 +73,33 @@ def read_image_set(
 ) -> ImageSet:
     """Read the headers of all pictures of a folder and group them by camera.
 
-    Pictures of the same make, model, size and focal length share a camera; so do all of one size where none of
-    this is recorded.
-
     Raises:
         NoModelError: there are no pictures that can be read.
-        ConfigError: the camera options do not fit.
+        ConfigError: the camera options do not fit, or patterns or masks fit no picture.
     """
     listed = list_photographs(folder, ignore=ignore)
     if not listed.names:
-        hint = f" {listed.advice}" if listed.advice else ""
-        raise NoModelError(f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP).{hint}")
-    headers: dict[str, PhotographHeader] = {}
-    left_out = dict.fromkeys(listed.unreadable, listed.advice)
-    for n, name in enumerate(listed.names):
-        try:
-            header = read_header(folder / name)
-            if min(header.width, header.height) < MIN_SIZE_PX:
-                left_out[name] = f"too small ({header.width}x{header.height}) to hold features"
-            else:
-                headers[name] = header
-        except (FileFormatError, MissingDependencyError) as error:
-            left_out[name] = str(error).removeprefix(f"{folder / name}: ")
-        progress(Progress("read", n + 1, len(listed.names)))
+        hints = [
+            listed.advice,
+            *(f"{name} {why}" for name, why in list(listed.unusable.items())[:NAMES_SHOWN]),
+        ]
+        raise NoModelError(
+            " ".join([f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP).", *filter(None, hints)])
+        )
+    names, notes = _chosen(listed.names, config)
+    headers, left_out = _read_headers(folder, names, progress)
+    unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
+    left_out = {**listed.unusable, **dict.fromkeys(unreadable, listed.advice), **left_out}
+    if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
+        notes.append(note)
+    if listed.unusable:
+        notes.append(f"{_counted(len(listed.unusable), 'file')} left out: {_some(listed.unusable)}")
     if not headers:
-        reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:3])
+        reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
-    cameras, camera_of_image, sources = _group_cameras(headers, config)
+    cameras, camera_of_image, sources = group_cameras(headers, config)
+    num_masked, mask_note = _masked(tuple(headers), config.masks)
     return ImageSet(
         folder,
         tuple(headers),
@@ -108,7 +111,101 @@ def read_image_set(
         tuple(_fingerprint(folder / n) for n in headers),
         left_out,
         bool(times),
+        num_masked,
+        tuple(filter(None, [*notes, mask_note])),
     )
+
+
+def _read_headers(
+    folder: Path, names: Sequence[str], progress: ProgressCallback
+) -> tuple[dict[str, PhotographHeader], dict[str, str]]:
+    """Headers of the pictures that can be used, and why the others cannot."""
+    headers: dict[str, PhotographHeader] = {}
+    left_out: dict[str, str] = {}
+    for n, name in enumerate(names):
+        try:
+            header = read_header(folder / name)
+            if min(header.width, header.height) < MIN_SIZE_PX:
+                left_out[name] = f"too small ({header.width}x{header.height}) to hold features"
+            else:
+                headers[name] = header
+        except (FileFormatError, MissingDependencyError) as error:
+            left_out[name] = str(error).removeprefix(f"{folder / name}: ")
+        progress(Progress("read", n + 1, len(names)))
+    return headers, left_out
+
+
+def _chosen(names: Sequence[str], config: ReconstructConfig) -> tuple[list[str], list[str]]:
+    """The names that the patterns take, and notes.
+
+    Raises:
+        ConfigError: a pattern to include fits no name, or no name is left.
+    """
+    there = f"there are {_some(names)}"
+    for pattern in config.include:
+        if not any(fits(name, pattern) for name in names):
+            raise ConfigError(f"include {pattern!r} fits none of the pictures: {there}")
+    kept = [name for name in names if _is_wanted(name, config)]
+    if not kept:
+        raise ConfigError(f"exclude {' '.join(map(repr, config.exclude))} leaves no picture: {there}")
+    idle = [pattern for pattern in config.exclude if not any(fits(name, pattern) for name in names)]
+    return kept, [f"exclude {pattern!r} fits none of the pictures: {there}" for pattern in idle]
+
+
+def _is_wanted(name: str, config: ReconstructConfig) -> bool:
+    is_included = not config.include or any(fits(name, pattern) for pattern in config.include)
+    return is_included and not any(fits(name, pattern) for pattern in config.exclude)
+
+
+def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
+    """Remove depth pictures from the headers; a note that says so, empty where there are none."""
+    deep_grey = frozenset(name for name, header in headers.items() if header.is_deep_grey_png)
+    depth = depth_among(tuple(headers), deep_grey)
+    if not depth:
+        return ""
+    note = (
+        f"{len(depth)} of {len(headers)} pictures are 16-bit grey PNGs beside colour pictures of like names "
+        f"({_some(depth)}): taken for depth and left out (--include '*' takes all)"
+    )
+    for name in depth:
+        del headers[name]
+    return note
+
+
+def _masked(names: Sequence[str], masks: Path | None) -> tuple[int, str]:
+    """How many pictures have a mask, and a note where some have none.
+
+    Raises:
+        ConfigError: no picture has one.
+    """
+    if masks is None:
+        return 0, ""
+    without = [name for name in names if mask_of(masks, name) is None]
+    if len(without) == len(names):
+        first, second = mask_names(names[0])
+        held = sorted(p.relative_to(masks).as_posix() for p in masks.rglob("*") if not p.is_dir())
+        there = f"there are {_some(held)}" if held else "it is empty"
+        raise ConfigError(
+            f"masks {masks} holds none for any of the {_counted(len(names), 'picture')}: looked for {first} or {second}, "
+            f"and so on; {there}"
+        )
+    if not without:
+        return len(names), ""
+    num_masked = len(names) - len(without)
+    return num_masked, (
+        f"masks for {num_masked} of {len(names)} images: the others are used whole ({_some(without)})"
+    )
+
+
+def _some(names: Iterable[str]) -> str:
+    """The first few of many names."""
+    listed = list(names)
+    more = len(listed) - NAMES_SHOWN
+    return ", ".join(listed[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _gps_row(header: PhotographHeader) -> tuple[float, float, float]:
@@ -120,56 +217,3 @@ def _gps_row(header: PhotographHeader) -> tuple[float, float, float]:
 def _fingerprint(path: Path) -> str:
     state = path.stat()
     return f"{state.st_size}-{state.st_mtime_ns}"
-
-
-def _group_cameras(
-    headers: dict[str, PhotographHeader], config: ReconstructConfig
-) -> tuple[Cameras, Int32[np.ndarray, " n"], tuple[str, ...]]:
-    known = config.known_params()
-    model = camera_model_named(config.camera_model or ("PINHOLE" if known else "SIMPLE_RADIAL"))
-    sizes = {(h.width, h.height) for h in headers.values()}
-    if known is not None or config.single_camera:
-        if len(sizes) > 1:
-            listed = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
-            raise ConfigError(f"a single camera needs pictures of one size, but there are {listed}")
-        width, height = next(iter(sizes))
-        one = np.zeros(len(headers), np.int32)
-        if known is not None:
-            camera = Camera(model, width, height, _known_params(model, known))
-            constant = not config.refine_known
-            return Cameras.from_list([camera], is_constant=[constant]), one, ("given",)
-        found = [h for h in headers.values() if h.focal_px]
-        camera, source = _camera_of(found[0] if found else next(iter(headers.values())), model)
-        return Cameras.from_list([camera], is_focal_trusted=[bool(found)]), one, (source,)
-    groups: dict[tuple, int] = {}
-    cameras: list[Camera] = []
-    sources: list[str] = []
-    rows: list[int] = []
-    for header in headers.values():
-        # A picture without camera and focal length in its EXIF may come from any camera: sizes decide.
-        key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
-        if key not in groups:
-            groups[key] = len(cameras)
-            camera, source = _camera_of(header, model)
-            cameras.append(camera)
-            sources.append(source)
-        rows.append(groups[key])
-    trusted = [not s.startswith("assumed") for s in sources]
-    return Cameras.from_list(cameras, is_focal_trusted=trusted), np.array(rows, np.int32), tuple(sources)
-
-
-def _known_params(model: CameraModel, known: tuple[float, ...]) -> np.ndarray:
-    if len(known) != model.num_params:
-        names = ",".join(model.param_names)
-        raise ConfigError(f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}")
-    if not np.isfinite(known).all():
-        raise ConfigError("camera_params must be finite numbers")
-    return params_from_colmap(model, np.array(known))
-
-
-def _camera_of(header: PhotographHeader, model: CameraModel) -> tuple[Camera, str]:
-    focal = header.focal_px or PRIOR_FOCAL * max(header.width, header.height)
-    source = f"EXIF, {header.focal_source}" if header.focal_px else f"assumed {PRIOR_FOCAL} x the longer side"
-    return Camera(
-        model, header.width, header.height, model.initial_params(focal, header.width, header.height)
-    ), source

@@ -46,7 +46,8 @@ class Solution:
     matches: tuple[Unit, ...]
     cameras: Cameras
     view_graph: ViewGraph
-    notes: tuple[str, ...]
+    guessed_cameras: tuple[int, ...]
+    """Cameras whose focal lengths were estimated from the pictures themselves; `cameras` has the estimates."""
     mapped: Mapped
 
     def worth(self) -> tuple[int, int]:
@@ -100,6 +101,7 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     if (corrected := _corrected_cameras(solution)) is not None:
         again = _match_and_map(replace(images, cameras=corrected), detected, run, config, "-again")
         solution = max(solution, again, key=Solution.worth)
+        run.report("map", solution.mapped.num_placed(), len(images))
     return solution
 
 
@@ -132,12 +134,9 @@ def _match_and_map(
             config.mapper,
             run.job.progress,
         )
-    notes = tuple(
-        f"camera {c + 1}: focal length {cameras[c].focal_px:.0f} px estimated from the pictures themselves"
-        for c in found
-    )
     return Solution(
-        *(images, detected.features, detected.keypoints, tuple(matches), cameras, view_graph, notes, mapped)
+        *(images, detected.features, detected.keypoints, tuple(matches), cameras, view_graph),
+        *(tuple(found), mapped),
     )
 
 
@@ -183,6 +182,8 @@ def _corrected_cameras(found: Solution) -> Cameras | None:
 
 def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
     if is_video(source):
+        if config.include or config.exclude:
+            raise ConfigError(f"include and exclude choose pictures of a folder; {source} is a video")
         folder = run.root / FRAMES
         frames = extract_frames(
             source,
@@ -206,7 +207,7 @@ def _open_database(
         return None, images
     if config.database.resolve() == (run.root / DATABASE).resolve():
         raise ConfigError(f"{config.database} is where this run writes its own; copy it elsewhere first")
-    return open_source(config.database, images, keep_cameras=config.camera_params is not None)
+    return open_source(config.database, images, keep_cameras=config.has_known_camera)
 
 
 def _detect(

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 
 from epipole.errors import NoModelError
+from epipole.io.atomic import atomic_write
 from epipole.io.colmap import write_colmap_model
 from epipole.io.colmap_database import DatabaseContents, write_database
+from epipole.io.json_files import json_text
 from epipole.io.photographs import copy_or_rotate
 from epipole.io.ply import write_scene_ply
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.match_stage import load_putative
-from epipole.pipelines.sfm.pipeline import DATABASE, Solution
+from epipole.pipelines.sfm.pipeline import DATABASE, UNITS, Solution
 from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
+
+COPIES = f"{UNITS}/copied_pictures.json"
+"""In the output folder: which state of each picture its copy was made of."""
 
 
 def write_results(solution: Solution, run: Run) -> None:
@@ -36,17 +44,30 @@ def write_results(solution: Solution, run: Run) -> None:
 
 
 def _write_pictures(solution: Solution, run: Run) -> None:
-    """Write the registered pictures, turned upright; those already there stay."""
-    images = solution.images
+    """Write the registered pictures, turned upright; copies of pictures that have not changed stay."""
+    images, record = solution.images, run.root / COPIES
     placed = np.zeros(len(images), bool)
     for model in solution.mapped.models:
         placed |= model.is_registered()
-    names = [images.names[i] for i in np.flatnonzero(placed)]
-    with run.folder.replacing("images", [f"images/{name}" for name in names]):
-        for name in names:
-            source, target = images.folder / name, run.root / "images" / name
-            if not target.is_file() or target.stat().st_mtime_ns < source.stat().st_mtime_ns:
-                copy_or_rotate(source, target)
+    rows = np.flatnonzero(placed)
+    copied = {images.names[i]: images.fingerprints[i] for i in rows}
+    before = _read_record(record)
+    with run.folder.replacing("images", [f"images/{name}" for name in copied]):
+        for name, fingerprint in copied.items():
+            target = run.root / "images" / name
+            if not target.is_file() or before.get(name) != fingerprint:
+                copy_or_rotate(images.folder / name, target)
+    with atomic_write(record) as aside:
+        aside.write_text(json_text(copied, indent=1), encoding="utf-8")
+
+
+def _read_record(path: Path) -> dict[str, str]:
+    """Of which state of its picture each copy was made; empty where that is not known."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
 
 
 def database_contents(solution: Solution) -> DatabaseContents:

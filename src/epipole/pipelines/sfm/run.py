@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ import numpy as np
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
-from epipole.errors import NoModelError
-from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
-from epipole.pipelines.sfm.mapping_stage import gps_note, reasons_in_words
+from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.mapping_stage import reasons_in_words
+from epipole.pipelines.sfm.notes import absences_of, notes_on_choice_and_lenses, warnings_of
 from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -69,10 +71,10 @@ def reconstruct(
         NoModelError: the pictures give no model; the message says why.
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option is unknown, or does not fit the pictures.
+        FileFormatError: a file that was named is missing or cannot be read.
     """
     config, out, source = options_of(ReconstructConfig, config, options), as_path(out), as_path(images)
-    if not source.exists():
-        raise NoModelError(f"{source} does not exist")
+    _check_inputs(source, config)
     settings = asdict(config)
     job = Job(
         kind="reconstruct",
@@ -88,15 +90,31 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
-        run.warnings += [*solution.notes, *_warnings(solution, reasons, config.mapper)]
+        run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)
             run.folder.write_text("report.html", render_report(content))
+        run.warnings += absences_of(solution, reasons)  # which the report tells in its own words
         summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)
         run.finish(summary)
     return ReconstructionResult(
         out, solution.mapped.models, reasons, tuple(run.warnings), run.timings_s, summary
     )
+
+
+def _check_inputs(source: Path, config: ReconstructConfig) -> None:
+    """Before any work: what was named is there."""
+    if not source.exists():
+        raise NoModelError(f"{source} does not exist")
+    if not (source.is_dir() or source.is_file()):
+        raise NoModelError(f"{source} is neither a folder of photographs nor a video, but a pipe or a device")
+    if config.masks is not None and not config.masks.is_dir():
+        what = "is a file" if config.masks.exists() else "does not exist"
+        raise ConfigError(f"masks must be a folder of masks: {config.masks} {what}")
+    for name in ("calibration", "pairs", "database"):
+        path = getattr(config, name)
+        if path is not None and not path.exists():
+            raise FileFormatError(path, f"no such file ({name})")
 
 
 def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
@@ -107,26 +125,6 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
         solution.keypoints,
         config.mapper.resection_min_inliers,
     )
-
-
-def _warnings(solution: Solution, reasons: dict[str, str], config: MapperConfig) -> list[str]:
-    out, mapped, images = [], solution.mapped, solution.images
-    for number, agreement in enumerate(mapped.agreements):
-        if agreement < config.min_final_agreement:
-            out.append(
-                f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
-                "parts of it are probably wrong (a wrong focal length, or things that look alike)"
-            )
-    if reasons:
-        out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
-    if note := gps_note(images, mapped, config):
-        out.append(note)
-    if len(mapped.models) > 1:
-        counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
-        out.append(
-            f"the pictures fall into {len(mapped.models)} models that do not connect ({counts} pictures)"
-        )
-    return out
 
 
 def _summary(
@@ -141,19 +139,20 @@ def _summary(
     return {
         "num_images": len(images) + len(images.left_out),
         "num_registered": int(model.is_registered().sum()),
+        "num_masked": images.num_masked,
         "models": [
             {
                 "num_registered": int(m.is_registered().sum()),
                 "num_points": len(m.points),
                 "num_observations": len(m.tracks.image),
-                "mean_reprojection_error_px": m.mean_reprojection_error_px(),
+                "mean_reprojection_error_px": _finite(m.mean_reprojection_error_px()),
                 "match_agreement": agreement,
             }
             for m, agreement in zip(models, solution.mapped.agreements)
         ],
         "num_points": len(model.points),
         "num_observations": len(model.tracks.image),
-        "mean_reprojection_error_px": model.mean_reprojection_error_px(),
+        "mean_reprojection_error_px": _finite(model.mean_reprojection_error_px()),
         "is_metric": residuals is not None,
         "median_gps_residual_m": None if residuals is None else float(np.nanmedian(residuals)),
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
@@ -164,3 +163,8 @@ def _summary(
         "compile_seconds": compile_seconds(),
         "timings_s": timings_s,
     }
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN."""
+    return value if math.isfinite(value) else None

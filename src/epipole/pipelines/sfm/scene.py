@@ -9,6 +9,7 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.viewer import ViewerHandle, view
 
@@ -28,7 +29,7 @@ def picture_loader(folder: Path) -> Callable[[str], np.ndarray | None]:
 
     def load_picture(name: str) -> np.ndarray | None:
         try:
-            return read_rgb(folder / name, 640)
+            return read_rgb(path_inside(folder, name), 640)
         except FileFormatError:
             return None
 

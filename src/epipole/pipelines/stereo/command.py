@@ -103,10 +103,11 @@ def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> boo
         from epipole.pipelines.stereo.run import examine_stereo
 
         found = examine_stereo(left, right, rig_of(left, right, options))
-    from epipole.pipelines.stereo.tables import json_of, show_diagnosis
+    from epipole.io.json_files import json_text
+    from epipole.pipelines.stereo.tables import show_diagnosis
 
     if as_json:
-        print(json_of(asdict(found) | {"calibration_error_px": found.calibration_error_px}))
+        print(json_text(asdict(found) | {"calibration_error_px": found.calibration_error_px}), end="")
     else:
         show_diagnosis(found)
     return found.is_healthy

@@ -14,6 +14,7 @@ from epipole.disparity_search.rectification import Rectification
 from epipole.errors import FileFormatError
 from epipole.io.atomic import atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
+from epipole.io.json_files import json_text
 from epipole.io.photographs import read_rgb
 from epipole.io.ply import write_points_ply
 from epipole.pipelines.stereo.pair import StereoResult
@@ -52,15 +53,15 @@ def write_stereo(result: StereoResult, folder: Path) -> None:
         write_picture(folder / "left.png", result.left_rgb)
         write_picture(folder / "right.png", result.right_rgb)
     if isinstance(result.rectification, UncalibratedRectification):
-        text = json.dumps(_homographies(result.rectification), indent=1)
-        (folder / "homographies.json").write_text(text + "\n", encoding="utf-8")
+        text = json_text(_homographies(result.rectification), indent=1)
+        (folder / "homographies.json").write_text(text, encoding="utf-8")
     if depths is not None and rig is not None:
         write_pfm(folder / "depth.pfm", depths.depth)
         write_pfm(folder / "sigma_depth.pfm", depths.sigma)
         cloud = depth_map_to_point_cloud(depths.depth, rig.K)
         write_points_ply(folder / "cloud.ply", cloud.points_in_cam, result.left_rgb[cloud.mask])
-        text = json.dumps(_described(rig, result.rectification), indent=1)
-        (folder / "rig.json").write_text(text + "\n", encoding="utf-8")
+        text = json_text(_described(rig, result.rectification), indent=1)
+        (folder / "rig.json").write_text(text, encoding="utf-8")
 
 
 def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:

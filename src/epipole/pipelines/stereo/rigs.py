@@ -16,6 +16,7 @@ from epipole.pipelines.stereo.config import RigOptions
 from epipole.scene import RectifiedRig, StereoRig
 
 _SIGMAS = ("focal_sigma_px", "baseline_sigma", "principal_offset_sigma_px")
+_MAX_FOCAL = 1000.0  # times the longer side; beyond, a number was mistyped
 _SAME = 1e-6  # relative: a thousandth of a pixel across a picture
 
 
@@ -69,13 +70,17 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
     """The rig of a rectified pair whose pictures have a width and height; None where nothing of it is known.
 
     Raises:
-        ConfigError: one of focal length and baseline is missing, or not positive.
+        ConfigError: one of focal length and baseline is missing, or no camera can have it.
     """
     if options.focal_px is None and options.baseline is None:
         return None
     if options.focal_px is None or options.baseline is None:
         missing = "focal_px" if options.focal_px is None else "baseline"
         raise ConfigError(f"depth needs both focal_px and baseline; {missing} is missing")
+    if options.focal_px > _MAX_FOCAL * max(size):
+        raise ConfigError(
+            f"focal_px = {options.focal_px:g} cannot be of pictures of {size[0]}x{size[1]} pixels: it is in pixels"
+        )
     cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     return RectifiedRig(
         options.focal_px,

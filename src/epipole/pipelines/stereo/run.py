@@ -14,6 +14,7 @@ from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
@@ -141,7 +142,7 @@ def stereo_of_model(
         rig, first, second = rig.swapped(), second, first
         note = (f"{first} stands left of {second}: the depth is that of its pixels",)
     pictures = workspace / "images"
-    found = stereo(pictures / first, pictures / second, out, config, rig)
+    found = stereo(path_inside(pictures, first), path_inside(pictures, second), out, config, rig)
     return replace(found, warnings=(*note, *found.warnings))
 
 

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from enum import Enum
-from typing import Any
-
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -89,23 +85,3 @@ def _add_rows(table: Table, found: Diagnosis) -> None:
         table.add_row("the part of the rig, likely in columns too", f"{found.calibration_error_px:.2f} px")
     for name, row in zip(("over the image, px: top", "middle", "bottom"), found.vertical_map_px):
         table.add_row(name, "  ".join(f"{value:+6.2f}" if value == value else "     -" for value in row))
-
-
-def json_of(content: dict[str, Any]) -> str:
-    """A diagnosis as JSON, with null for numbers that JSON does not know."""
-    return json.dumps(_plain(content), indent=2)
-
-
-def _plain(content: object) -> object:
-    """Dictionaries, lists, words and finite numbers."""
-    if isinstance(content, dict):
-        return {key: _plain(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_plain(value) for value in content]
-    if isinstance(content, np.ndarray):
-        return _plain(content.tolist())
-    if isinstance(content, Enum):
-        return content.value
-    if isinstance(content, float):
-        return float(content) if np.isfinite(content) else None
-    return content

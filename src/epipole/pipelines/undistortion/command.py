@@ -8,16 +8,22 @@ from typing import Annotated
 import tyro
 
 
-def undistort(out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]) -> None:
-    """Write OUT/undistorted: pictures without distortion and a PINHOLE model, for splat trainers and MVS.
+def undistort(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
+    model: int | None = None,
+) -> None:
+    """Write pictures without distortion and a PINHOLE model, for splat trainers and MVS.
 
     Args:
-        out: Output folder of a reconstruction.
+        out: Output folder of a reconstruction, or one of its models (OUT/sparse/1).
+        target: Where to write; OUT/undistorted if not given, OUT/undistorted-1 for model 1.
+        model: Number of the model in OUT/sparse, of several; the largest is 0.
     """
     from epipole.screen import progress_on_screen
 
     with progress_on_screen({"undistort": "Undistorting"}) as progress:
         from epipole.pipelines.undistortion.run import undistort as run
 
-        target = run(out, progress)
-    print(f"Undistorted pictures and model in {target}")
+        folder = run(out, progress, target=target, model=model)
+    print(f"Undistorted pictures and model in {folder}")

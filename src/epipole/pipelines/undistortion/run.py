@@ -15,39 +15,75 @@ from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 
-def undistort(out: str | Path, progress: ProgressCallback = ignore_progress) -> Path:
-    """Write `OUT/undistorted`: pictures without distortion and a PINHOLE model, as splat trainers and MVS read them.
+def undistort(
+    out: str | Path,
+    progress: ProgressCallback = ignore_progress,
+    *,
+    target: str | Path | None = None,
+    model: int | None = None,
+) -> Path:
+    """Write pictures without distortion and a PINHOLE model, as splat trainers and MVS read them.
+
+    Args:
+        out: output folder of a reconstruction, or a model in it (`OUT/sparse/1`).
+        progress: called with the progress.
+        target: where to write; None: `OUT/undistorted`, of a further model `OUT/undistorted-1` and so on.
+        model: number of the model in `OUT/sparse`; None: the largest, 0.
 
     Returns:
         The folder: `images/` and `sparse/0/`.
 
     Raises:
-        FileFormatError: there is no model, a picture is missing, or its format cannot be written.
+        FileFormatError: there is no such model, a picture is missing, or its format cannot be written.
         WorkspaceError: the folder holds something else, or cannot be written.
     """
-    workspace = as_path(out)
-    folder = find_model(workspace)
-    model = read_colmap_model(folder)
-    pinholes = [undistorted_camera(model.cameras[c]) for c in range(len(model.cameras))]
-    registered = np.flatnonzero(model.is_registered())
-    names = [model.images.name[image] for image in registered]
+    given = as_path(out)
+    folder = find_model(given) if model is None else _model_numbered(given, model)
+    workspace = _workspace_of(folder, given)
+    found = read_colmap_model(folder)
+    pinholes = [undistorted_camera(found.cameras[c]) for c in range(len(found.cameras))]
+    registered = np.flatnonzero(found.is_registered())
+    names = [found.images.name[image] for image in registered]
+    pictures = [path_inside(workspace / "images", name) for name in names]
+    is_further = folder.parent.name == "sparse" and folder.name != "0"
+    usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
-    with open_run(job, workspace / "undistorted") as run:
+    with open_run(job, usual if target is None else as_path(target)) as run:
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
-            for n, (image, name) in enumerate(zip(registered, names), 1):
-                c = int(model.camera_of_image[image])
-                rgb = undistort_image(read_rgb(workspace / "images" / name), model.cameras[c], pinholes[c])
+            for n, (image, name, picture) in enumerate(zip(registered, names, pictures), 1):
+                c = int(found.camera_of_image[image])
+                rgb = undistort_image(read_rgb(picture), found.cameras[c], pinholes[c])
                 write_picture(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
-            write_colmap_model(without_distortion(model, pinholes), aside / "sparse" / "0")
+            write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
         run.finish()
         return run.root
+
+
+def _model_numbered(workspace: Path, number: int) -> Path:
+    """The folder of one of several models."""
+    folder = workspace / "sparse" / str(number)
+    if not folder.is_dir():
+        there = sorted(path.name for path in (workspace / "sparse").glob("*") if path.is_dir())
+        raise FileFormatError(
+            workspace,
+            f"holds no model {number}; there are {', '.join(there)}" if there else "holds no models",
+        )
+    return find_model(folder)
+
+
+def _workspace_of(folder: Path, given: Path) -> Path:
+    """The folder with the pictures: what was given, or the one that the model lies in."""
+    at = folder.resolve()
+    places = (given, folder, at.parent, at.parent.parent)
+    return next((place for place in places if (place / "images").is_dir()), given)
 
 
 def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -56,15 +92,16 @@ def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     Raises:
         FileFormatError: it names none that can be written.
     """
+    try:
+        is_encoded, content = cv2.imencode(path.suffix, rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
+    except cv2.error:  # an unknown suffix, HEIC's for one
+        is_encoded = False
+    if not is_encoded:
+        raise FileFormatError(
+            path, "pictures are not written in this format; convert yours to JPEG or PNG first"
+        )
     with atomic_write(path) as aside:
-        try:
-            written = cv2.imwrite(str(aside), rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
-        except cv2.error:  # an unknown suffix, HEIC's for one
-            written = False
-        if not written:
-            raise FileFormatError(
-                path, "pictures are not written in this format; convert yours to JPEG or PNG first"
-            )
+        aside.write_bytes(content.tobytes())
 
 
 def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:

@@ -1,0 +1,128 @@
+"""Which camera took which picture, and what is known of its lens before anything is matched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int32
+
+from epipole.cameras import Camera, CameraModel, camera_model_named
+from epipole.errors import ConfigError
+from epipole.io.calibration_files import read_calibration
+from epipole.io.colmap import params_from_colmap
+from epipole.io.photographs import PhotographHeader
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.scene import Cameras
+
+PRIOR_FOCAL = 1.2
+"""Focal length assumed where nothing is known, in units of the longer side."""
+MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
+"""Known focal lengths in units of the longer side: beyond, a number was mistyped."""
+MAX_OFFSET = 10.0
+"""Largest distance of a known principal point from the picture's corner, in the same unit."""
+MAX_DISTORTION = 1e4
+
+
+def group_cameras(
+    headers: Mapping[str, PhotographHeader], config: ReconstructConfig
+) -> tuple[Cameras, Int32[np.ndarray, " n"], tuple[str, ...]]:
+    """Cameras, the camera of each picture, and where each camera's focal length comes from, in words.
+
+    Pictures of the same make, model, size and focal length share a camera; so do all of one size where none of
+    this is recorded.
+
+    Raises:
+        ConfigError: the camera options do not fit the pictures.
+        FileFormatError: the calibration cannot be read.
+    """
+    is_known = config.has_known_camera
+    model = camera_model_named(config.camera_model or ("PINHOLE" if is_known else "SIMPLE_RADIAL"))
+    if is_known or config.single_camera:
+        width, height = _only_size(headers)
+        one = np.zeros(len(headers), np.int32)
+        if is_known:
+            camera, source = _known_camera(config, model, width, height)
+            return Cameras.from_list([camera], is_constant=[not config.refine_known]), one, (source,)
+        found = [h for h in headers.values() if h.focal_px]
+        camera, source = _camera_of(found[0] if found else next(iter(headers.values())), model)
+        return Cameras.from_list([camera], is_focal_trusted=[bool(found)]), one, (source,)
+    groups: dict[tuple, int] = {}
+    cameras: list[Camera] = []
+    sources: list[str] = []
+    rows: list[int] = []
+    for header in headers.values():
+        # A picture without camera and focal length in its EXIF may come from any camera: sizes decide.
+        key = (header.make, header.model, header.width, header.height, round(header.focal_px or 0.0, 1))
+        if key not in groups:
+            groups[key] = len(cameras)
+            camera, source = _camera_of(header, model)
+            cameras.append(camera)
+            sources.append(source)
+        rows.append(groups[key])
+    trusted = [not s.startswith("assumed") for s in sources]
+    return Cameras.from_list(cameras, is_focal_trusted=trusted), np.array(rows, np.int32), tuple(sources)
+
+
+def _only_size(headers: Mapping[str, PhotographHeader]) -> tuple[int, int]:
+    sizes = {(h.width, h.height) for h in headers.values()}
+    if len(sizes) > 1:
+        listed = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
+        raise ConfigError(f"a single camera needs pictures of one size, but there are {listed}")
+    return next(iter(sizes))
+
+
+def _known_camera(
+    config: ReconstructConfig, model: CameraModel, width: int, height: int
+) -> tuple[Camera, str]:
+    if config.calibration is not None:
+        camera = _calibrated_camera(config.calibration, width, height)
+        _refuse_impossible(camera, str(config.calibration))
+        return camera, f"given by {config.calibration.name}"
+    known = config.known_params() or ()
+    if len(known) != model.num_params:
+        names = ",".join(model.param_names)
+        raise ConfigError(f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}")
+    camera = Camera(model, width, height, params_from_colmap(model, np.array(known)))
+    _refuse_impossible(camera, "camera_params")
+    return camera, "given"
+
+
+def _calibrated_camera(path: Path, width: int, height: int) -> Camera:
+    found = read_calibration(path, size=(width, height)).cameras
+    if len(found) != 1:
+        raise ConfigError(
+            f"calibration {path} holds {len(found)} cameras; one that took all pictures is needed"
+        )
+    if (found[0].width, found[0].height) != (width, height):
+        raise ConfigError(
+            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {width}x{height}"
+        )
+    return found[0]
+
+
+def _refuse_impossible(camera: Camera, where: str) -> None:
+    """Raises ConfigError for numbers that no lens has."""
+    longer = max(camera.width, camera.height)
+    names, params = camera.model.param_names, camera.params
+    for index, (name, value) in enumerate(zip(names, params)):
+        if index in camera.model.focal_indices:
+            low, high = MIN_FOCAL * longer, MAX_FOCAL * longer
+        elif index in camera.model.principal_point_indices:
+            low, high = -MAX_OFFSET * longer, MAX_OFFSET * longer
+        else:
+            low, high = -MAX_DISTORTION, MAX_DISTORTION
+        if not low <= value <= high:
+            raise ConfigError(
+                f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
+                f"({low:g} to {high:g} is possible)"
+            )
+
+
+def _camera_of(header: PhotographHeader, model: CameraModel) -> tuple[Camera, str]:
+    focal = header.focal_px or PRIOR_FOCAL * max(header.width, header.height)
+    source = f"EXIF, {header.focal_source}" if header.focal_px else f"assumed {PRIOR_FOCAL} x the longer side"
+    return Camera(
+        model, header.width, header.height, model.initial_params(focal, header.width, header.height)
+    ), source

@@ -1,0 +1,132 @@
+"""One model through every format, with its pictures, and nothing of anyone's overwritten."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.io import read_colmap_model, read_points_ply, read_transforms, write_colmap_model
+from epipole.pipelines.conversion.run import convert
+from epipole.scene import Reconstruction
+from io_models import mappable_model
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
+
+
+def output_folder(root: Path, model: Reconstruction) -> Path:
+    """A model and its pictures, laid out as `reconstruct` does."""
+    write_colmap_model(model, root / "sparse" / "0")
+    for name in model.images.name:
+        (root / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / "images" / name).write_text(f"{root.name} {name}")
+    return root
+
+
+def test_every_format(tmp_path: Path) -> None:
+    model = mappable_model()
+    expected = model.cams_from_world().as_matrix()
+    write_colmap_model(model, tmp_path / "bin")
+    assert convert(tmp_path / "bin", tmp_path / "txt", "txt").out == tmp_path / "txt"
+    back = convert(tmp_path / "txt", tmp_path / "back", "bin").out
+    for name in ("cameras", "rigs", "frames", "images", "points3D"):
+        assert (tmp_path / "txt" / f"{name}.txt").is_file()
+    np.testing.assert_allclose(read_colmap_model(back).cams_from_world().as_matrix(), expected, atol=1e-12)
+    cloud = convert(tmp_path / "bin", tmp_path / "deep" / "my.ply", "ply").out
+    assert len(read_points_ply(cloud)) == len(model.points) + 5 * len(model.images)
+    nerf = convert(tmp_path / "bin", tmp_path / "nerf", "transforms").out / "transforms.json"
+    np.testing.assert_allclose(read_transforms(nerf).cams_from_world().as_matrix(), expected, atol=1e-12)
+    bundler = convert(nerf, tmp_path / "bundler", "bundler").out
+    assert (bundler / "bundle.out").read_text().startswith("# Bundle file v0.3\n6 200\n")
+
+
+@pytest.mark.parametrize("given", ["out", "out/sparse/0"])
+def test_paths_in_the_files_lead_to_pictures(tmp_path: Path, given: str) -> None:
+    model = mappable_model()
+    output_folder(tmp_path / "out", model)
+    done = convert(tmp_path / given, tmp_path / "away" / "nerf", "transforms")
+    content = json.loads((done.out / "transforms.json").read_text())
+    paths = [done.out / frame["file_path"] for frame in content["frames"]]
+    assert [p.read_text() for p in paths] == [f"out {name}" for name in model.images.name]
+    assert (done.out / content["ply_file_path"]).is_file()
+    assert (done.num_pictures, done.missing) == (len(paths), ())
+    bundler = convert(tmp_path / given, tmp_path / "away" / "bundler", "bundler").out
+    listed = (bundler / "list.txt").read_text().splitlines()
+    assert all((bundler / line).is_file() for line in listed) and len(listed) == len(paths)
+    assert sorted(p.name for p in (tmp_path / "away").iterdir()) == ["bundler", "nerf"]  # nothing beside
+
+
+def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
+    model = mappable_model()
+    output_folder(tmp_path / "out", model)
+    (tmp_path / "out" / "images" / model.images.name[2]).unlink()
+    done = convert(tmp_path / "out", tmp_path / "nerf", "transforms")
+    assert done.missing == (model.images.name[2],) and done.num_pictures == len(model.images) - 1
+
+
+def test_two_models_do_not_mix(tmp_path: Path) -> None:
+    """The second conversion to a folder replaces the first if it is of the same model, and is refused if not."""
+    model = mappable_model()
+    one, two = (output_folder(tmp_path / name, model) for name in ("one", "two"))
+    target = tmp_path / "target"
+    convert(one, target, "transforms")
+    before = names_in(target)
+    with pytest.raises(WorkspaceError, match=r"holds the results of `epipole convert` of .*one"):
+        convert(two, target, "transforms")
+    assert names_in(target) == before
+    convert(one, target, "txt")
+    assert names_in(target) == sorted(
+        [
+            "config.json",
+            "epipole.json",
+            *(f"{n}.txt" for n in ("cameras", "rigs", "frames", "images", "points3D")),
+        ]
+    )
+
+
+def test_what_is_there_is_kept(tmp_path: Path) -> None:
+    model = mappable_model()
+    out = output_folder(tmp_path / "out", model)
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for name in ("cameras.txt", "cameras.bin", "transforms.json", "scene.ply"):
+        (mine / name).write_text("mine")
+    for form in ("txt", "bin", "transforms", "bundler", "ply"):
+        with pytest.raises(WorkspaceError):
+            convert(out, mine, form)
+    with pytest.raises(WorkspaceError, match="is the folder of"):
+        convert(out, out, "txt")
+    assert {(mine / name).read_text() for name in names_in(mine)} == {"mine"}
+    assert names_in(out) == sorted([*(f"images/{n}" for n in model.images.name), *model_files("sparse/0")])
+
+
+def model_files(folder: str) -> list[str]:
+    return [f"{folder}/{name}.bin" for name in ("cameras", "rigs", "frames", "images", "points3D")]
+
+
+@pytest.mark.parametrize("name", ["../secret.jpg", "/etc/passwd", "a/../../../secret.jpg"])
+def test_names_that_lead_out_are_refused(tmp_path: Path, name: str) -> None:
+    model = mappable_model()
+    (tmp_path / "secret.jpg").write_text("mine")
+    names = (name, *model.images.name[1:])
+    write_colmap_model(replace(model, images=replace(model.images, name=names)), tmp_path / "bin")
+    with pytest.raises(FileFormatError, match="no name of a file inside"):
+        convert(tmp_path / "bin", tmp_path / "nerf", "transforms")
+    assert not (tmp_path / "nerf").exists()
+
+
+def test_misuse_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="one of txt, bin, ply, transforms, bundler"):
+        convert(tmp_path, tmp_path / "out", "obj")
+    with pytest.raises(FileFormatError, match="no such file or folder"):
+        convert(tmp_path / "nothing", tmp_path / "out", "ply")
+    with pytest.raises(FileFormatError, match="holds no model"):
+        convert(tmp_path, tmp_path / "out", "ply")
+    write_colmap_model(mappable_model(), tmp_path / "bin")
+    with pytest.raises(WorkspaceError, match="several files; give the name of a folder"):
+        convert(tmp_path / "bin", tmp_path / "nerf.json", "transforms")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bin"]

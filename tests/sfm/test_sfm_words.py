@@ -1,0 +1,70 @@
+"""What a run says while it works and when it is done."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from photographs import CAMERA, HEIGHT, WIDTH
+
+from epipole import reconstruct
+from epipole.io.photographs import read_rgb
+from epipole.pipelines.sfm import match_stage
+from epipole.pipelines.sfm.notes import title_of
+
+
+@pytest.fixture(scope="module")
+def told(rendered, tmp_path_factory):
+    """Five pictures without EXIF, and two of noise; with few blocks of pairs. Result, progress, folder."""
+    folder = tmp_path_factory.mktemp("words") / "garden" / "images"
+    folder.mkdir(parents=True)
+    for path in sorted(rendered.iterdir())[:5]:
+        cv2.imwrite(str(folder / path.name), read_rgb(path)[..., ::-1])
+    for n in range(2):
+        noise = np.random.default_rng(n).integers(0, 255, (HEIGHT // 4, WIDTH // 4, 3)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"z{n}.png"), cv2.resize(noise, (WIDTH, HEIGHT // 2)))
+    reports = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(match_stage, "MOST_BLOCKS", 2)
+        result = reconstruct(folder, folder.parent.parent / "out", progress=reports.append)
+    return result, reports, folder
+
+
+def last(reports, stage):
+    return [(r.done, r.total) for r in reports if r.stage == stage][-1]
+
+
+def test_progress_counts_pairs_and_pictures_to_the_end(told):
+    result, reports, _ = told
+    assert last(reports, "match") == last(reports, "verify") == (21, 21)
+    assert last(reports, "features") == (7, 7)
+    assert last(reports, "map") == (sum(m.is_registered().sum() for m in result.models), 7)
+    for r in reports:
+        assert 0 <= r.done <= r.total
+
+
+def test_focal_lengths_are_said_of_pictures_with_their_final_values(told):
+    result, _, _ = told
+    (note,) = [w for w in result.warnings if "focal length" in w]
+    final_px = result.model.cameras[0].focal_px
+    assert note.startswith("focal length of view_00.jpg and 4 others: ")
+    assert f"px estimated from the pictures themselves, {final_px:.0f} px in the model" in note
+    assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
+
+
+def test_the_report_has_the_name_of_the_source_and_says_things_once(told):
+    _, _, folder = told
+    page = (folder.parent.parent / "out" / "report.html").read_text(encoding="utf-8")
+    assert "<h1>garden</h1>" in page
+    assert page.count("2 of 7 pictures") == 1
+    assert "view_00.jpg and 4 others: " in page
+    summary = json.loads((folder.parent.parent / "out" / "summary.json").read_text())
+    assert "2 of 7 pictures are in no model" in summary["warnings"]
+
+
+def test_names_of_sources(tmp_path):
+    for name in ("house", "tower/images", "lake/rgb/frames"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "ride.mp4").write_bytes(b"")
+    found = [title_of(tmp_path / name) for name in ("house", "tower/images", "lake/rgb/frames", "ride.mp4")]
+    assert found == ["house", "tower", "lake", "ride"]
