@@ -10,7 +10,6 @@ from epipole.cameras import CameraModel as CameraModel
 from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.config import RansacConfig as RansacConfig
-from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3 as Rigid3
 from epipole.pipelines.calibration.config import BoardConfig as BoardConfig
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
@@ -60,7 +59,5 @@ def view(
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     path = as_path(out)
-    if not path.exists():
-        raise FileFormatError(path, "there is no such folder")
     scene = _stereo_scene if _stereo_scene.is_mine(path) else _sfm_scene
     return scene.show(path, port=port, host=host, block=block)

@@ -87,6 +87,11 @@ def test_wrong_words(given, parts, capsys):
             "reconstruct a b --verification.max_error_px 0",
             "--verification.max-error-px must be positive, got 0.0",
         ),
+        (
+            "reconstruct a b --mapper.max-error-px nan",
+            "--mapper.max-error-px, --mapper.resection-max-error-px and --mapper.gps-sigma-m must be positive,"
+            " got nan, 12.0 and 3.0",
+        ),
         ("stereo a b c --window 4 5", "--window must have odd sides and at most 121 pixels, is (4, 5)"),
     ],
 )
@@ -236,3 +241,10 @@ def test_help_as_a_command(given, words, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(given.split())
     assert stopped.value.code == 0 and words in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["view", "undistort", "evaluate --truth .", "convert x --format ply"])
+def test_a_folder_that_is_not_there(command, capsys, tmp_path):
+    name, *rest = command.split()
+    said = refused(" ".join([name, str(tmp_path / "nothing"), *rest]), capsys, 1)
+    assert "nothing: there is no such f" in said

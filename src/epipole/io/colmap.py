@@ -192,4 +192,6 @@ def find_model(path: str | Path) -> Path:
     for folder in (path, path / "sparse" / "0", path / "sparse"):
         if (folder / "cameras.bin").is_file() or (folder / "cameras.txt").is_file():
             return folder
+    if not path.exists():
+        raise FileFormatError(path, "there is no such folder")
     raise FileFormatError(path, "holds no model (no cameras.bin or cameras.txt, nor sparse/0)")

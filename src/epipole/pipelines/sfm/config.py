@@ -107,7 +107,10 @@ class MapperConfig:
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")
         if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
-            raise ConfigError("error bounds must be positive")
+            raise ConfigError(
+                "max_error_px, resection_max_error_px and gps_sigma_m must be positive, got "
+                f"{self.max_error_px}, {self.resection_max_error_px} and {self.gps_sigma_m}"
+            )
         if not self.global_growth > 1:
             raise ConfigError("global_growth must be greater than 1")
         if not 0 <= self.seed <= MAX_SEED:
