@@ -165,6 +165,25 @@ def test_a_list_of_frames_that_names_other_files_removes_none(folder: Path, vide
     assert (out / "own.jpg").read_bytes() == (folder / "own.jpg").read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize("change", [lambda rows: [], lambda rows: rows * 2, lambda rows: 3 * rows[:1]])
+def test_a_list_of_no_frames_or_of_one_twice_is_made_anew(folder: Path, video: bytes, change: object) -> None:
+    path, out = folder / "valid.avi", folder / "again"
+    names = extract_frames(path, out, max_frames=2).name
+    content = json.loads((out / "frames.json").read_text())
+    (out / "frames.json").write_text(json.dumps(content | {"frames": change(content["frames"])}))
+    assert extract_frames(path, out, max_frames=2).name == names
+
+
+@pytest.mark.parametrize(
+    "text", ["#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n", "ffconcat version 1.0\nfile a.avi\n"]
+)
+def test_a_list_of_videos_is_no_video(folder: Path, text: str) -> None:
+    """FFmpeg would follow the addresses and names in it."""
+    (folder / "list.mp4").write_text(text)
+    with pytest.raises(FileFormatError, match="not a video: it is text"):
+        extract_frames(folder / "list.mp4", folder / "none", max_frames=2)
+
+
 def lying_png(width: int, height: int) -> bytes:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
