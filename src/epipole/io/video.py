@@ -191,7 +191,7 @@ def opened_video(video: Path) -> cv2.VideoCapture:
         head = stream.read(_HEAD)
     # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
-        raise FileFormatError(video, f"is not a video: it is {'it is text' if head else 'it is empty'}")
+        raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")
     try:
         capture = cv2.VideoCapture(str(video))
     except cv2.error as error:
