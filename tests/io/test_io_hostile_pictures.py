@@ -18,7 +18,7 @@ from PIL import Image
 from epipole.errors import FileFormatError
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
-from epipole.io.photographs import read_grey, read_header, read_mask, read_rgb
+from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import extract_frames, frame_size
 from hostile_bytes import read_or_refuse, spoilt
@@ -102,6 +102,17 @@ def test_an_exif_block_that_is_put_back_is_read(folder: Path) -> None:
     (folder / "again.jpg").write_bytes(spoilt_exif(encoded("JPEG"), block))
     header = read_header(folder / "again.jpg")
     assert header.make == "Canon" and header.gps.alt_m == 512.0
+
+
+def test_a_picture_is_turned_where_its_exif_cannot_be_written_again(folder: Path) -> None:
+    """Its maker is two numbers: Pillow reads them, and fails to write them."""
+    entries = struct.pack(">HHIHHHHII", 0x010F, 3, 2, 1, 2, 0x0112, 3, 1, 6 << 16)
+    block = b"MM\0*" + struct.pack(">IH", 8, 2) + entries + bytes(4)
+    (folder / "two.jpg").write_bytes(spoilt_exif(encoded("JPEG"), block))
+    assert read_header(folder / "two.jpg").orientation == 6
+    copy_or_rotate(folder / "two.jpg", folder / "turned.jpg")
+    assert read_header(folder / "turned.jpg").orientation == 1
+    assert read_rgb(folder / "turned.jpg").shape == read_rgb(folder / "two.jpg").shape
 
 
 @pytest.fixture(scope="module")

@@ -107,6 +107,8 @@ def problem_of_name(name: object) -> str | None:
     """Why what a file gives as a picture's name cannot be one; None where it can."""
     if not isinstance(name, str):
         return f"a name is text, not {type(name).__name__}"
+    if not name:
+        return "a name is empty"
     if any(mark in name for mark in "\0\r\n"):
         return f"the name {name[:60]!r} holds a zero or a line break"
     try:
