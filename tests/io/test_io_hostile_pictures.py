@@ -105,9 +105,10 @@ def test_an_exif_block_that_is_put_back_is_read(folder: Path) -> None:
 
 
 def test_a_picture_is_turned_where_its_exif_cannot_be_written_again(folder: Path) -> None:
-    """Its maker is two numbers: Pillow reads them, and fails to write them."""
-    entries = struct.pack(">HHIHHHHII", 0x010F, 3, 2, 1, 2, 0x0112, 3, 1, 6 << 16)
-    block = b"MM\0*" + struct.pack(">IH", 8, 2) + entries + bytes(4)
+    """Its north or south is two numbers: Pillow reads them, and fails to write them."""
+    entries = struct.pack(">HHIHHHHII", 0x0112, 3, 1, 6, 0, 0x8825, 4, 1, 38)
+    place = struct.pack(">HHHIHHI", 1, 1, 3, 2, 1, 2, 0)
+    block = b"MM\0*" + struct.pack(">IH", 8, 2) + entries + bytes(4) + place
     (folder / "two.jpg").write_bytes(spoilt_exif(encoded("JPEG"), block))
     assert read_header(folder / "two.jpg").orientation == 6
     copy_or_rotate(folder / "two.jpg", folder / "turned.jpg")
