@@ -1,6 +1,7 @@
 """What everything stands on: errors, options, and the run-time type checks of this test run."""
 
 import dataclasses
+import pickle
 import typing
 from pathlib import Path
 
@@ -135,3 +136,14 @@ def test_options_of_another_kind_are_refused(tmp_path):
         options_of(StereoConfig, FeatureConfig())
     with pytest.raises(ConfigError, match="path is empty"):
         epipole.calibrate("", tmp_path / "out")
+
+
+def test_an_error_about_a_file_comes_whole_out_of_another_process() -> None:
+    error = pickle.loads(pickle.dumps(FileFormatError("folder/a.jpg", "is cut short")))
+    assert str(error) == "folder/a.jpg: is cut short" and error.path == Path("folder/a.jpg")
+
+
+def test_what_an_error_quotes_of_a_file_has_an_end_and_can_be_printed() -> None:
+    error = FileFormatError("a.json", "the name \ud800 " + "x" * 100_000)
+    assert len(str(error)) < 5000 and "\\ud800" in str(error)
+    str(error).encode()

@@ -34,6 +34,11 @@ class FileFormatError(EpipoleError, ValueError):
         problem = problem.encode(errors="backslashreplace").decode()
         super().__init__(f"{path}: {problem}")
         self.path = Path(path)
+        self._problem = problem
+
+    def __reduce__(self) -> tuple[type["FileFormatError"], tuple[Path, str]]:
+        """Both arguments, so that the error comes whole out of another process."""
+        return type(self), (self.path, self._problem)
 
 
 class WorkspaceError(EpipoleError, OSError):

@@ -71,6 +71,8 @@ class Format:
     """Share of the cases."""
     must_name: bool = True
     """Whether an error names the folder."""
+    may_ask: bool = False
+    """Whether it may ask for memory that it does not come to use."""
 
 
 def _put(name: str, data: bytes) -> Callable[[Path], None]:
@@ -379,7 +381,7 @@ FORMATS: dict[str, Format] = {
         _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
         *("summary.json", "json", _summary, ("read_summary",)),
     ),
-    "unit": Format(_write_unit, "unit.npz", "zip", _unit, ("load", "stored_key")),
+    "unit": Format(_write_unit, "unit.npz", "zip", _unit, ("load", "stored_key"), may_ask=True),
     "mark": Format(_marked, "epipole.json", "json", _mark, ("read_mark",)),
     "pairs": Format(
         _put("pairs.txt", b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n"),

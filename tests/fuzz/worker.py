@@ -55,7 +55,11 @@ def outcome(form: Format, folder: Path) -> str | None:
     except EpipoleError as error:
         message = str(error)
         text = "".join(f"{type(e).__name__}: {e}" for e in _causes(error))
-        if "MemoryError" in text or "Insufficient memory" in text or "OutOfMemory" in text:
+        if (
+            ("MemoryError" in text and not form.may_ask)
+            or "Insufficient memory" in text
+            or "OutOfMemory" in text
+        ):
             said = f"the memory ran out: {text[:500]}"
         elif len(message) > LONGEST_MESSAGE:
             said = f"a message of {len(message)} letters"

@@ -204,6 +204,7 @@ TRANSFORMS = {
     "a lone surrogate": transforms(file_path="\ud800.png"),
     "a zero": transforms(file_path="a\0.png"),
     "a line break": transforms(file_path="a\nb.png"),
+    "no name": transforms(file_path=""),
     "a name of lists": transforms(file_path=[[["a"]]]),
     "a name that is a number": transforms(file_path=7),
     "no text": b'{"frames": "\xff\xfe"}',
@@ -266,6 +267,7 @@ DATABASES = {
     "a name with a line break": database(
         "UPDATE images SET name = 'a' || char(10) || 'b' WHERE image_id = 1"
     ),
+    "an empty name": database("UPDATE images SET name = '' WHERE image_id = 1"),
     "a name of a megabyte": database("UPDATE images SET name = printf('%01000000d', 1) WHERE image_id = 1"),
     "a width that is text": database("UPDATE cameras SET width = 'wide'"),
     "a width of 2^63 - 1": database("UPDATE cameras SET width = 9223372036854775807"),

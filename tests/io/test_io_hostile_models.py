@@ -230,8 +230,14 @@ def refused(folder: Path, name: str, content: bytes, read: Any) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [f"{DIGITS} {DIGITS} {DIGITS}", "-1 1 1 0", "1099511627776 0 0", "1 1 1 0.5 0 1 2" + 12 * " 1"],
-    ids=["endless counts", "a negative count", "a count of 2^40", "half an index"],
+    [
+        f"{DIGITS} {DIGITS} {DIGITS}",
+        "-1 1 1 0",
+        "1099511627776 0 0",
+        "1 1 1 0.5 0 1 2" + 12 * " 1",
+        "1 1 1 0 0 1 2 1e160" + 11 * " 1",
+    ],
+    ids=["endless counts", "a negative count", "a count of 2^40", "half an index", "an endless turn"],
 )
 def test_impossible_bundle_problems(folder: Path, text: str) -> None:
     refused(folder, "impossible.txt", text.encode(), read_bal)

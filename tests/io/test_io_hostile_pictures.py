@@ -18,7 +18,7 @@ from PIL import Image
 from epipole.errors import FileFormatError
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
-from epipole.io.photographs import read_grey, read_header, read_mask, read_rgb
+from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import extract_frames, frame_size
 from hostile_bytes import read_or_refuse, spoilt
@@ -104,6 +104,18 @@ def test_an_exif_block_that_is_put_back_is_read(folder: Path) -> None:
     assert header.make == "Canon" and header.gps.alt_m == 512.0
 
 
+def test_a_picture_is_turned_where_its_exif_cannot_be_written_again(folder: Path) -> None:
+    """Its north or south is two numbers: Pillow reads them, and fails to write them."""
+    entries = struct.pack(">HHIHHHHII", 0x0112, 3, 1, 6, 0, 0x8825, 4, 1, 38)
+    place = struct.pack(">HHHIHHI", 1, 1, 3, 2, 1, 2, 0)
+    block = b"MM\0*" + struct.pack(">IH", 8, 2) + entries + bytes(4) + place
+    (folder / "two.jpg").write_bytes(spoilt_exif(encoded("JPEG"), block))
+    assert read_header(folder / "two.jpg").orientation == 6
+    copy_or_rotate(folder / "two.jpg", folder / "turned.jpg")
+    assert read_header(folder / "turned.jpg").orientation == 1
+    assert read_rgb(folder / "turned.jpg").shape == read_rgb(folder / "two.jpg").shape
+
+
 @pytest.fixture(scope="module")
 def video(folder: Path) -> bytes:
     path = folder / "valid.avi"
@@ -163,6 +175,25 @@ def test_a_list_of_frames_that_names_other_files_removes_none(folder: Path, vide
     (out / "frames.json").write_text(json.dumps(content))
     assert len(extract_frames(path, out, max_frames=3)) == 3
     assert (out / "own.jpg").read_bytes() == (folder / "own.jpg").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("change", [lambda rows: [], lambda rows: rows * 2, lambda rows: 3 * rows[:1]])
+def test_a_list_of_no_frames_or_of_one_twice_is_made_anew(folder: Path, video: bytes, change: object) -> None:
+    path, out = folder / "valid.avi", folder / "again"
+    names = extract_frames(path, out, max_frames=2).name
+    content = json.loads((out / "frames.json").read_text())
+    (out / "frames.json").write_text(json.dumps(content | {"frames": change(content["frames"])}))
+    assert extract_frames(path, out, max_frames=2).name == names
+
+
+@pytest.mark.parametrize(
+    "text", ["#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1/a.ts\n", "ffconcat version 1.0\nfile a.avi\n"]
+)
+def test_a_list_of_videos_is_no_video(folder: Path, text: str) -> None:
+    """FFmpeg would follow the addresses and names in it."""
+    (folder / "list.mp4").write_text(text)
+    with pytest.raises(FileFormatError, match="not a video: it is text"):
+        extract_frames(folder / "list.mp4", folder / "none", max_frames=2)
 
 
 def lying_png(width: int, height: int) -> bytes:

@@ -165,7 +165,7 @@ class DatabaseReader:
         names = columns.split(", ")
         missing = next((name for name in names if name.isidentifier() and name not in there), None)
         if missing is not None:
-            raise self.fail(f"table {table}", f"has no column {missing}")
+            raise self.fail(f"table {table}", f"not a readable database: no column {missing}")
         found: list[tuple] = []
         size = 0
         for row in self._connection.execute(f"SELECT {columns} FROM {table} ORDER BY {order}"):
@@ -178,7 +178,7 @@ class DatabaseReader:
                     size += len(cell) if isinstance(cell, str) else 0
                     is_sound = problem_of_name(cell) is None
                 else:
-                    is_sound = isinstance(cell, int) or not name.isidentifier()
+                    is_sound = isinstance(cell, int) or name in ("rows", "cols") or not name.isidentifier()
                 if not is_sound:
                     what = problem_of_name(cell) if name == "name" else f"{name} is {str(cell)[:40]!r}"
                     raise self.fail(f"table {table}", f"row {len(found) + 1}: {what}")

@@ -21,6 +21,7 @@ from epipole.optim import BundleProblem, free_params_mask
 
 _TURN = np.diag([1.0, -1.0, -1.0])
 _PER_CAMERA = 9
+_MOST_TURN = 1e6  # radians; of longer vectors nothing of the direction is left
 # Bytes of text to a byte of an archive (problems have about 4): up to so many bytes, and beyond.
 _MOST_UNPACKED, _SMALL, _MOST_UNPACKED_LARGE = 200, 1 << 24, 20
 
@@ -57,6 +58,8 @@ def read_bal(path: str | Path) -> BundleProblem:
     seen = values[: 4 * num_seen].reshape(-1, 4)
     cameras = values[4 * num_seen :][: _PER_CAMERA * num_cameras].reshape(-1, _PER_CAMERA)
     points = values[len(values) - 3 * num_points :].reshape(-1, 3)
+    if not (np.abs(cameras[:, :3]) < _MOST_TURN).all():
+        raise FileFormatError(path, "a camera's rotation vector is too long to be one")
     index = seen[:, :2]
     if not (index >= 0).all() or (index >= [num_cameras, num_points]).any() or (index % 1 != 0).any():
         raise FileFormatError(path, "an observation names a camera or a point that is not there")

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import io
-import json
 import stat
 from pathlib import Path
 from typing import Any
 
 from epipole.errors import FileFormatError
+from epipole.io._json_text import json_values
 
 MOST_JSON_BYTES = 1 << 28
 """Largest JSON file that is read."""
 
-_MOST_JSON_VALUES = 1 << 23
 _MOST_NAME_BYTES = 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -40,7 +39,7 @@ def require_file(path: Path) -> int:
         raise FileFormatError(path, f"is no name of a file: {error}") from error
     if not stat.S_ISREG(status.st_mode):
         kind = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
-        raise FileFormatError(path, f"is {kind}, not a file")
+        raise FileFormatError(path, f"cannot be opened: it is {kind}, not a file")
     return status.st_size
 
 
@@ -104,29 +103,12 @@ def read_json(path: Path, most_bytes: int = MOST_JSON_BYTES, *, allow_nan: bool 
         raise FileFormatError(path, f"not JSON: {error}") from error
 
 
-def json_values(text: str, *, allow_nan: bool = False) -> Any:
-    """What a JSON text holds.
-
-    Raises:
-        ValueError: it is none, is nested too deeply, or holds more values than any file of ours.
-    """
-    # Three bytes of text may become a hundred of memory.
-    if sum(text.count(mark) for mark in ",[{") > _MOST_JSON_VALUES:
-        raise ValueError(f"more than {_MOST_JSON_VALUES} values")
-    try:
-        return json.loads(text, parse_constant=None if allow_nan else _no_constant)
-    except RecursionError as error:
-        raise ValueError("nested too deeply") from error
-
-
-def _no_constant(word: str) -> float:
-    raise ValueError(f"{word} is no number of JSON")
-
-
 def problem_of_name(name: object) -> str | None:
     """Why what a file gives as a picture's name cannot be one; None where it can."""
     if not isinstance(name, str):
         return f"a name is text, not {type(name).__name__}"
+    if not name:
+        return "a name is empty"
     if any(mark in name for mark in "\0\r\n"):
         return f"the name {name[:60]!r} holds a zero or a line break"
     try:

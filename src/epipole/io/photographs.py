@@ -47,6 +47,7 @@ from epipole.io._photograph_pixels import (
 )
 from epipole.io.atomic import atomic_write
 from epipole.io.exif import (
+    EXIF_ERRORS,
     FocalSource,
     GpsPosition,
     camera_of,
@@ -286,7 +287,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         "WEBP": {"lossless": True},
     }.get(target_format, {})
     if target_format not in ("BMP", "PPM"):
-        options["exif"] = upright_exif(exif).tobytes()
+        options |= _kept_exif(exif)
     with atomic_write(target) as part:
         Image.fromarray(pixels).save(part, target_format, **options)
 
@@ -305,6 +306,14 @@ def write_jpeg_with_exif(
     exif = new_exif(make, model, focal_35mm, gps).tobytes()
     with atomic_write(path) as part:
         Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
+
+
+def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:
+    """What of a block can be written; none of it where values are of types that its tags cannot have."""
+    try:
+        return {"exif": upright_exif(exif).tobytes()}
+    except (*EXIF_ERRORS, AttributeError):
+        return {}
 
 
 def _suffix(name: str) -> str:

@@ -121,7 +121,12 @@ def extract_frames(
     }
     folder.mkdir(parents=True, exist_ok=True)
     earlier = _read_manifest(folder)
-    if earlier is not None and earlier[0] == request and all((folder / n).is_file() for n in earlier[1].name):
+    if (
+        earlier is not None
+        and earlier[0] == request
+        and len(earlier[1]) <= max_frames
+        and all((folder / n).is_file() for n in earlier[1].name)
+    ):
         return earlier[1]
     if earlier is not None:
         for name in earlier[1].name:
@@ -185,9 +190,9 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
-    # FFmpeg would follow a list of addresses; OpenCV would read pictures with numbers in their names.
+    # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
-        raise FileFormatError(video, "is not a video: it is text" if head else "is empty")
+        raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")
     try:
         capture = cv2.VideoCapture(str(video))
     except cv2.error as error:
@@ -263,7 +268,7 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], VideoFrames] | None:
     try:
         content = read_json(folder / _MANIFEST)
         rows = content["frames"]
-        if not rows or not all(
+        if len({row["name"] for row in rows}) < max(len(rows), 1) or not all(
             _FRAME.fullmatch(row["name"]) for row in rows
         ):  # these are read, and removed when stale
             return None

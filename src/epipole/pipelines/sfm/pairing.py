@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int32
 from epipole.errors import ConfigError, FileFormatError
 from epipole.features import describe_image, most_similar, train_vocabulary
 from epipole.io.exif import gps_to_enu
+from epipole.io.files import file_text
 from epipole.pipelines.sfm.config import PairingConfig
 
 
@@ -81,8 +82,8 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
     """
     row = {name: i for i, name in enumerate(names)}
     try:
-        lines = path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = file_text(path).splitlines()
+    except FileFormatError as error:
         raise FileFormatError(path, f"cannot be read as a list of pairs: {error}") from error
     pairs = []
     for number, line in enumerate(lines, 1):
