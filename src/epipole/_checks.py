@@ -59,6 +59,30 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
     return out
 
 
+def as_picture(picture: Any, name: str) -> np.ndarray:
+    """Return a picture as a C-contiguous array of whatever type it has.
+
+    Raises:
+        ShapeError: it is no array.
+    """
+    try:
+        return np.ascontiguousarray(picture)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ShapeError(f"{name} must be a picture: {error}") from error
+
+
+def as_vector(vector: Any, name: str) -> np.ndarray:
+    """Return one vector (3,) of finite numbers.
+
+    Raises:
+        ShapeError: it is not one, or not finite.
+    """
+    out = as_float_array(vector, name, 3, finite=True)
+    if out.ndim != 1:
+        raise ShapeError(f"{name} must be (3,), got {out.shape}")
+    return out
+
+
 def as_directions(rays: np.ndarray, name: str) -> np.ndarray:
     """Rays (n, 3) scaled to unit length.
 
@@ -176,8 +200,10 @@ def as_path(given: str | Path) -> Path:
     """The path given; an empty string, which would mean the current folder, is refused.
 
     Raises:
-        ConfigError: it is empty.
+        ConfigError: it is empty, or holds a null character, which no name does.
     """
+    if "\0" in str(given):
+        raise ConfigError("a path holds a null character")
     if str(given) == "":
         raise ConfigError("a path is empty")
     return Path(given)
