@@ -97,6 +97,15 @@ def test_matches_join_keypoints_that_are_there(keypoint):
         connect_matches(replace(valid["view_graph"], keypoint1=wrong), valid["keypoint_offsets"])
 
 
+def test_a_component_is_triangulated_once():
+    """Twice in a list it left observations of points that were not there."""
+    builder = call_named("ModelBuilder.triangulate").function.__self__
+    rows = builder.row_point.copy()
+    with pytest.raises(ShapeError, match="components must be different, got 1 twice"):
+        builder.triangulate(np.array([1, 0, 1]), 4.0, 0.01)
+    np.testing.assert_array_equal(builder.row_point, rows)
+
+
 def test_every_keypoint_has_a_descriptor():
     many = np.zeros((5000, 2), np.float32)
     with pytest.raises(ShapeError, match="descriptors must be"):

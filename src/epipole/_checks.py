@@ -132,6 +132,17 @@ def check_indices(index: np.ndarray, name: str, size: int) -> None:
         raise ShapeError(f"{name} must be within 0 and {size - 1}, got {index.min()} to {index.max()}")
 
 
+def check_different(index: np.ndarray, name: str, size: int) -> None:
+    """Check that indices name each of `size` things at most once.
+
+    Raises:
+        ShapeError: one names none, or two the same.
+    """
+    check_indices(index, name, size)
+    if len(index) and np.bincount(index).max() > 1:
+        raise ShapeError(f"{name} must be different, got {np.bincount(index).argmax()} twice")
+
+
 def check_index(index: int, name: str, size: int) -> None:
     """Check that an index names one of `size` things; negative ones do not.
 

@@ -13,7 +13,7 @@ from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.sift import detect_sift
 
-_MOST_OF_ORB = 2**31 - 1
+_MANY = 1 << 20
 _opencv: Any = cv2  # its stubs lack ORB
 
 
@@ -45,7 +45,7 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
 
 def _orb(grey: np.ndarray, config: FeatureConfig) -> Features:
     keypoints, descriptors = _opencv.ORB_create(
-        nfeatures=min(config.max_features, _MOST_OF_ORB)
+        nfeatures=min(config.max_features, max(grey.size, _MANY))
     ).detectAndCompute(grey, None)
     if not keypoints:
         return _none(32)
