@@ -12,9 +12,10 @@ import epipole
 from epipole import config, errors
 from epipole.config import FeatureConfig, MatchConfig, RansacConfig, options_of
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
-from epipole.geometry import Rigid3, Rotation3, triangulate_two_view
+from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 from epipole.pipelines.stereo.config import StereoConfig
+from epipole.robust.estimate import random_order
 
 OPTIONS = [c for c in vars(config).values() if dataclasses.is_dataclass(c)]
 
@@ -118,8 +119,8 @@ def test_this_run_checks_the_arrays_of_data(rotation: object, translation: objec
 
 
 def test_this_run_checks_the_arguments_of_functions() -> None:
-    with pytest.raises(Exception, match=r"(?i)type-check error.*\n?.*triangulate_two_view"):
-        triangulate_two_view(Rotation3.identity(), np.ones((2, 3)), np.ones((2, 3)))  # type: ignore[arg-type]
+    with pytest.raises(Exception, match=r"(?i)type-check error.*\n?.*random_order"):
+        random_order(np.ones(3, bool), StereoConfig())  # type: ignore[arg-type]
 
 
 def test_random_numbers_are_the_same_in_every_test(rng: np.random.Generator) -> None:

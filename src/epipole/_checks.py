@@ -63,6 +63,30 @@ def as_table(array: Any, name: str, rows: int, columns: int) -> np.ndarray:
     return out
 
 
+def as_picture(picture: Any, name: str) -> np.ndarray:
+    """Return a picture as a C-contiguous array of whatever type it has.
+
+    Raises:
+        ShapeError: it is no array.
+    """
+    try:
+        return np.ascontiguousarray(picture)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ShapeError(f"{name} must be a picture: {error}") from error
+
+
+def as_vector(vector: Any, name: str) -> np.ndarray:
+    """Return one vector (3,) of finite numbers.
+
+    Raises:
+        ShapeError: it is not one, or not finite.
+    """
+    out = as_float_array(vector, name, 3, finite=True)
+    if out.ndim != 1:
+        raise ShapeError(f"{name} must be (3,), got {out.shape}")
+    return out
+
+
 def as_directions(rays: np.ndarray, name: str) -> np.ndarray:
     """Rays (n, 3) scaled to unit length.
 
@@ -110,6 +134,17 @@ def check_indices(index: np.ndarray, name: str, size: int) -> None:
     """
     if index.size and not (index.min() >= 0 and index.max() < size):
         raise ShapeError(f"{name} must be within 0 and {size - 1}, got {index.min()} to {index.max()}")
+
+
+def check_different(index: np.ndarray, name: str, size: int) -> None:
+    """Check that indices name each of `size` things at most once.
+
+    Raises:
+        ShapeError: one names none, or two the same.
+    """
+    check_indices(index, name, size)
+    if len(index) and np.bincount(index).max() > 1:
+        raise ShapeError(f"{name} must be different, got {np.bincount(index).argmax()} twice")
 
 
 def check_index(index: int, name: str, size: int) -> None:
@@ -182,6 +217,8 @@ def as_path(given: str | Path) -> Path:
     Raises:
         ConfigError: it is empty, or cannot be a path.
     """
+    if "\0" in str(given):
+        raise ConfigError("a path holds a null character")
     if str(given) == "":
         raise ConfigError("a path is empty")
     path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know

@@ -16,6 +16,7 @@ from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
+_LARGEST = 1e100
 
 
 def options_of(kind: type[Options], given: Options | None, named: Mapping[str, Any] | None = None) -> Options:
@@ -167,6 +168,8 @@ class RansacConfig:
         check_fields(self)
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
+        if _LARGEST < self.max_error_px < math.inf:
+            raise ConfigError(f"max_error_px is too large to be calculated with: {self.max_error_px:g}")
         if not 0 < self.confidence < 1:
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
         if not 0 <= self.min_inlier_ratio <= 1:

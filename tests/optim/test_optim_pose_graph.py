@@ -177,9 +177,69 @@ def test_g2o_files_come_back_as_they_were(rng, kind, tmp_path):
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE3:QUAT 1 0 0 0 0 0 0 1", "in a graph of SE2"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 7 0 0 0 1 0 0 1 0 1", "vertex 7"),
         ("VERTEX_XY 0 0 0", "none of the known kinds"),
+        (f"VERTEX_SE2 {10**20} 0 0 0", "line 1: a name must be a number of 64 bits"),
+        (f"VERTEX_SE2 {'9' * 5000} 0 0 0", "line 1"),
+        (
+            f"VERTEX_SE2 0 0 0 0\nEDGE_SE2 0 -{10**20} 0 0 0 1 0 0 1 0 1",
+            "line 2: a name must be a number of 64 bits",
+        ),
     ],
 )
 def test_broken_g2o_files_say_where(text, says, tmp_path):
     (tmp_path / "broken.g2o").write_text(text)
     with pytest.raises(FileFormatError, match=says):
         read_g2o(tmp_path / "broken.g2o")
+
+
+def _file_with(tmp_path, *weights):
+    """A chain whose edges have these diagonals as information."""
+    lines = [f"VERTEX_SE2 {i} {i} 0 0" for i in range(len(weights) + 1)]
+    lines += [f"EDGE_SE2 {i} {i + 1} 1 0 0 {a} 0 0 {b} 0 {c}" for i, (a, b, c) in enumerate(weights)]
+    path = tmp_path / "chain.g2o"
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_edges_with_indefinite_information_are_named(tmp_path):
+    path = _file_with(tmp_path, (1, 1, 1), (1, -1, 1), *[(2, 3, 0)] * 6)
+    with pytest.raises(
+        FileFormatError, match=r"7 of 8 edges are not positive definite: 1 2, 2 3, 3 4, 4 5, 5 6 and 2 more"
+    ):
+        read_g2o(path)
+    with pytest.raises(ConfigError, match="indefinite must be one of refuse, nearest"):
+        read_g2o(path, indefinite="ignore")
+
+
+def test_nearest_definite_information_takes_the_place(tmp_path):
+    path = _file_with(tmp_path, (1, 1, 1), (4, -1, 2), (2, 3, 0))
+    found = read_g2o(path, indefinite="nearest")
+    np.testing.assert_array_equal(found.mended_edges, [1, 2])
+    np.testing.assert_array_equal(found.graph.information[0], np.eye(3))
+    # The nearest semidefinite matrix in the Frobenius norm has no negative eigenvalues; of a diagonal one it is plain.
+    np.testing.assert_allclose(found.graph.information[1], np.diag([4.0, 4e-9, 2.0]), atol=1e-12)
+    np.testing.assert_allclose(found.graph.information[2], np.diag([2.0, 3.0, 3e-9]), atol=1e-12)
+    assert optimize_pose_graph(found.graph).converged
+    sound = _file_with(tmp_path, (1, 1, 1))
+    assert len(read_g2o(sound).mended_edges) == 0
+    with pytest.raises(FileFormatError, match="measures nothing"):
+        read_g2o(_file_with(tmp_path, (0, 0, 0)), indefinite="nearest")
+
+
+def test_indefinite_information_is_named_by_the_optimiser(rng):
+    _, graph = ring(Rigid2, rng, noise=0.1)
+    information = graph.information.copy()
+    information[[2, 5]] = -np.eye(3)
+    with pytest.raises(
+        DegenerateGeometryError, match=rf"2 of {len(graph.first)} edges are not positive definite: 2, 5"
+    ):
+        optimize_pose_graph(replace(graph, information=information))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_measurements_that_are_no_numbers_are_refused(rng, bad):
+    """They would spread over the graph, which then looked as if it had converged."""
+    _, graph = ring(Rigid3, rng, noise=0.1)
+    shifted = graph.first_from_second.translation.copy()
+    shifted[1, 1] = bad
+    with pytest.raises(ShapeError, match=r"first_from_second\.translation must be finite"):
+        replace(graph, first_from_second=Rigid3(graph.first_from_second.rotation, shifted))

@@ -9,7 +9,7 @@ from report_ring import empty_model, graph_of, ring_model
 
 from epipole.geometry import ray_angles_rad
 from epipole.pipelines.sfm.page_statistics import num_low_parallax_pairs, statistics_of, widest_angles_rad
-from epipole.scene import Reconstruction
+from epipole.scene import Points, Reconstruction
 
 
 def test_widest_angle_is_the_greatest_over_all_pairs(model: Reconstruction) -> None:
@@ -28,7 +28,10 @@ def test_a_point_seen_once_has_no_angle(model: Reconstruction) -> None:
         image=model.tracks.image[:1],
         keypoint=model.tracks.keypoint[:1],
     )
-    assert np.isnan(widest_angles_rad(replace(model, tracks=tracks))).all()
+    own = model.points
+    points = Points(own.xyz_in_world[:1], own.rgb[:1], own.error_px[:1])
+    angles = widest_angles_rad(replace(model, points=points, tracks=tracks))
+    assert len(angles) == 1 and np.isnan(angles).all()
 
 
 def test_counts_and_errors() -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32
 
+from epipole._checks import check_pixels
 from epipole._declared import checked
 from epipole.errors import ShapeError
 
@@ -43,10 +44,12 @@ def tiles_of(
 
     Raises:
         ShapeError: a picture is empty.
+        ConfigError: it is too large.
     """
     height, width = shape
     if coarse_px.size == 0 or min(shape) < 1:
         raise ShapeError(f"pictures must not be empty, got {coarse_px.shape} and {shape}")
+    check_pixels(width, height)
     rows, columns = -(-height // TILE_PX), -(-width // TILE_PX)
     scale = width / coarse_px.shape[1]
     low = np.full((rows, columns), np.inf)

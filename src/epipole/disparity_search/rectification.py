@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from epipole._checks import check_pixels
+from epipole._checks import as_picture, check_pixels
 from epipole._declared import Declared, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
@@ -69,7 +69,7 @@ class Rectification(Declared):
             ("left", left, self.left_map_px),
             ("right", right, self.right_map_px),
         ):
-            array = np.ascontiguousarray(picture)
+            array = as_picture(picture, name)
             is_picture = array.ndim in (2, 3) and array.size > 0 and array.dtype in _PICTURES
             if not is_picture or (array.ndim == 3 and array.shape[2] > 4):
                 raise ShapeError(f"{name} must be a picture, is {array.shape} of {array.dtype}")

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Int16, UInt8, UInt16
 
 from epipole import _parallel
+from epipole._checks import as_picture
 from epipole.config import options_of
 from epipole.disparity_search import _block_kernels as block_kernels
 from epipole.disparity_search import _consistency_kernels as consistency
@@ -121,14 +122,11 @@ def _grey_pair(left: Any, right: Any) -> tuple[UInt16[np.ndarray, "h w"], UInt16
     """Both pictures with one channel; a grey one may go with a coloured one."""
     greys = []
     for name, picture in (("left", left), ("right", right)):
-        try:
-            array = np.asarray(picture)
-        except (TypeError, ValueError) as error:
-            raise ShapeError(f"{name} must be a picture: {error}") from error
+        array = as_picture(picture, name)
         if array.size == 0:
             raise ShapeError(f"{name} is empty: {array.shape}")
         if array.ndim == 3 and array.shape[2] == 3 and array.dtype in (np.uint8, np.uint16):
-            array = cv2.cvtColor(np.ascontiguousarray(array), cv2.COLOR_RGB2GRAY)
+            array = cv2.cvtColor(array, cv2.COLOR_RGB2GRAY)
         if array.ndim != 2 or array.dtype not in (np.uint8, np.uint16):
             raise ShapeError(
                 f"{name} must be (h, w) or (h, w, 3) of 8 or 16 bits, is {array.shape} of {array.dtype}"

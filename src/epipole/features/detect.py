@@ -13,6 +13,7 @@ from epipole.config import FeatureConfig, options_of
 from epipole.features.features import Features, in_order
 from epipole.features.sift import detect_sift
 
+_MANY = 1 << 20
 _opencv: Any = cv2  # its stubs lack ORB
 
 
@@ -43,7 +44,9 @@ def detect_features(grey: UInt8[np.ndarray, "h w"], config: FeatureConfig | None
 
 
 def _orb(grey: np.ndarray, config: FeatureConfig) -> Features:
-    keypoints, descriptors = _opencv.ORB_create(nfeatures=config.max_features).detectAndCompute(grey, None)
+    keypoints, descriptors = _opencv.ORB_create(
+        nfeatures=min(config.max_features, max(grey.size, _MANY))
+    ).detectAndCompute(grey, None)
     if not keypoints:
         return _none(32)
     columns = np.array([(*k.pt, k.size, np.deg2rad(k.angle)) for k in keypoints], np.float32)

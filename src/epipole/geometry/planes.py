@@ -58,6 +58,8 @@ def decompose_homography(homography: Any, K1: Any, K2: Any, pixels1: Any = None)
     if not max(np.linalg.cond(K1), np.linalg.cond(K2)) < 1e15:
         raise DegenerateGeometryError("K1 or K2 is singular")
     G = np.linalg.solve(K2, H @ K1)
+    if not np.isfinite(G).all():
+        raise ShapeError("homography, K1 or K2 has numbers too large to be calculated with")
     singular = np.linalg.svd(G, compute_uv=False)
     if not singular[2] > 1e-12 * singular[0]:
         raise DegenerateGeometryError("the homography is singular")

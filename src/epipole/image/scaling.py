@@ -19,7 +19,7 @@ def downscaled(
     Raises:
         ConfigError: the picture is empty, or the side not positive.
     """
-    if image.ndim > 3 or image.size == 0 or max_side_px < 1:
+    if image.ndim > 3 or (image.ndim == 3 and image.shape[2] > 4) or image.size == 0 or max_side_px < 1:
         raise ConfigError(f"a picture of {image.shape} has no form of {max_side_px} pixels")
     height, width = image.shape[:2]
     factor = max_side_px / max(height, width)

@@ -20,12 +20,11 @@ from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
-from epipole.io._json_text import json_values
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
-from epipole.io.json_files import json_text
+from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
 
 FORMAT = "epipole calibration"

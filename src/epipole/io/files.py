@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from epipole.errors import FileFormatError
-from epipole.io._json_text import json_values
+from epipole.io.json_files import json_values
 
 MOST_JSON_BYTES = 1 << 28
 """Largest JSON file that is read."""

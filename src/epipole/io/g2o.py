@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Int64
 
+from epipole._checks import as_path
 from epipole._declared import checked
 from epipole._declared.arrays import as_array
 from epipole.errors import FileFormatError, ShapeError
@@ -56,7 +57,7 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
         FileFormatError: the file cannot be read, mixes kinds, names a vertex that is not there, has a broken line, or an
             information matrix that no measurement has; the message names the line, or the edges.
     """
-    path = Path(path)
+    path = as_path(path)
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
@@ -120,7 +121,7 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
     information = graph.information[:, upper[0], upper[1]]
     for i, j, row, weights in zip(names[graph.first], names[graph.second], measured, information):
         lines.append(f"EDGE_{name} {i} {j} {_text(row)} {_text(weights)}")
-    with atomic_write(path) as temporary:
+    with atomic_write(as_path(path)) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -1,4 +1,7 @@
-"""JSON that every reader takes: NaN and infinity, which JSON does not have, are written as null."""
+"""JSON: what is read may be nested without end, or hold more than fits; what is written every reader takes.
+
+NaN and infinity, which JSON does not have, are refused, and written as null.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,27 @@ from enum import Enum
 from typing import Any
 
 import numpy as np
+
+_MOST_VALUES = 1 << 23
+
+
+def json_values(text: str, *, allow_nan: bool = False) -> Any:
+    """What a JSON text holds.
+
+    Raises:
+        ValueError: it is none, is nested too deeply, or holds more values than any file of ours.
+    """
+    # Three bytes of text may become a hundred of memory.
+    if sum(text.count(mark) for mark in ",[{") > _MOST_VALUES:
+        raise ValueError(f"more than {_MOST_VALUES} values")
+    try:
+        return json.loads(text, parse_constant=None if allow_nan else _no_constant)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def _no_constant(word: str) -> float:
+    raise ValueError(f"{word} is not a finite number")
 
 
 def json_text(content: Any, indent: int = 2) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from epipole import _parallel
-from epipole._checks import check_index, check_indices, check_squarable
+from epipole._checks import check_different, check_index, check_indices, check_squarable
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
@@ -211,8 +211,8 @@ class ModelBuilder:
         self, components: Int64[np.ndarray, " k"], max_error_px: float, min_angle_rad: float
     ) -> int:
         """Make new points from rows without one; returns the number of new observations."""
-        check_indices(components, "components", len(self.components))
         check_squarable(max_error_px, "max_error_px")
+        check_different(components, "components", len(self.components))
         limit = np.cos(min_angle_rad)
 
         def work(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -242,8 +242,8 @@ class ModelBuilder:
     @checked
     def extend(self, components: Int64[np.ndarray, " k"], max_error_px: float) -> int:
         """Give rows without a point to points of their component; returns the number of new observations."""
-        check_indices(components, "components", len(self.components))
         check_squarable(max_error_px, "max_error_px")
+        check_different(components, "components", len(self.components))
         given = np.full(len(self.row_image), -1, np.int32)
         counts = _parallel.map_chunks(
             lambda a, b, _: kernels.extend_components(

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from epipole import _parallel
 from epipole._declared import checked
+from epipole._declared.arrays import as_array
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.optim import _bundle_arrays as arrays
@@ -74,13 +75,14 @@ def bundle_covariance(
     found = with_result(problem, result)
     if noise_px is not None and not 0 <= noise_px < 1e150:
         raise ConfigError(f"noise_px must be within 0 and 1e150, got {noise_px}")
-    if np.shape(result.used_mask) != (len(problem.pixels),):
+    used = as_array(result.used_mask, "result.used_mask", np.dtype(bool))
+    if used.shape != (len(problem.pixels),):
         raise ShapeError("the result is not one of this problem")
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )
     layout = system.layout
-    layout.observations.used[:] = result.used_mask  # what was adjusted, not what is visible now
+    layout.observations.used[:] = used  # what was adjusted, not what is visible now
     if noise_px is None:
         noise_px = _residual_noise(layout, result)
     with _parallel.single_threaded_blas():

@@ -105,7 +105,7 @@ class PoseGraphConfig:
         check_fields(self)
         if self.max_iterations < 1 or not self.relative_tolerance >= 0:
             raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
-        if not 0 < self.confidence < 1:
+        if not 1e-9 < self.confidence < 1:  # below, no residual would lie within
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
 
 

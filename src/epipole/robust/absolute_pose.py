@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from epipole._checks import as_float_array, as_points, check_indices, require_same_length
 from epipole._declared import checked
+from epipole._declared.arrays import as_array
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
 from epipole.errors import ShapeError
@@ -85,9 +86,9 @@ def estimate_rig_pose(
     points, pixels = as_points(points_in_world, "points_in_world", 3), as_points(pixels, "pixels", 2)
     if len(cams_from_rig.batch_shape()) != 1:
         raise ShapeError(f"cams_from_rig must have a batch of one axis, got {cams_from_rig.batch_shape()}")
-    index = np.asarray(camera_index)
-    if index.dtype.kind not in "iu" or index.ndim != 1:
-        raise ShapeError(f"camera_index must be (n,) whole numbers below {len(cameras)}")
+    index = as_array(camera_index, "camera_index", np.dtype(np.int64))
+    if index.ndim != 1:
+        raise ShapeError(f"camera_index must be (n,), got {index.shape}")
     n = require_same_length(points_in_world=points, pixels=pixels, camera_index=index)
     if len(cameras) != len(cams_from_rig):
         raise ShapeError(f"{len(cameras)} cameras need as many cams_from_rig, got {len(cams_from_rig)}")

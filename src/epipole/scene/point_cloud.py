@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from epipole._checks import as_float_array
+from epipole._checks import as_float_array, as_table
 from epipole._declared import Declared
 from epipole.errors import ShapeError
 
@@ -40,7 +40,7 @@ def depth_map_to_point_cloud(depth: Any, K: Any) -> PointCloud:
         ShapeError: the arrays do not fit.
     """
     z = as_float_array(depth, "depth")
-    matrix = as_float_array(K, "K", 3, 3, finite=True)
+    matrix = as_table(K, "K", 3, 3)
     if z.ndim != 2:
         raise ShapeError(f"depth must be (h, w), got {z.shape}")
     with np.errstate(invalid="ignore"):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_float_array, check_count
+from epipole._checks import as_vector, check_count
 from epipole._declared import checked
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
@@ -17,11 +17,12 @@ def look_at(center: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> Rigid3:
     """cam_from_world of a camera at `center` that looks at `target` and holds `up` upwards in the picture.
 
     Raises:
+        ShapeError: one is no vector (3,).
         DegenerateGeometryError: centre and target coincide, or lie one above the other along `up`.
     """
-    center = as_float_array(center, "center", 3)
-    forward = as_float_array(target, "target", 3) - center
-    right = np.cross(forward, as_float_array(up, "up", 3))
+    center = as_vector(center, "center")
+    forward = as_vector(target, "target") - center
+    right = np.cross(forward, as_vector(up, "up"))
     if np.linalg.norm(forward) == 0 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
         raise DegenerateGeometryError("the viewing direction must be neither zero nor along `up`")
     z, x = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
