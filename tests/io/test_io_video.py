@@ -94,6 +94,23 @@ def test_a_second_call_reads_nothing_and_other_options_replace_the_frames(tmp_pa
     assert json.loads((out / "frames.json").read_text())["request"]["max_frames"] == 3
 
 
+def test_frames_appear_whole_or_not_at_all(tmp_path):
+    """What a stopped call has taken is not mixed with what another number of frames takes."""
+    video, out = write_video(tmp_path / "v.avi"), tmp_path / "out"
+
+    def stop(done, total):
+        if done > 30:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        extract_frames(video, out, max_frames=8, progress=stop)
+    assert [p.name for p in tmp_path.iterdir()] == ["v.avi"]
+    frames = extract_frames(video, out, max_frames=3)
+    with pytest.raises(KeyboardInterrupt):
+        extract_frames(video, out, max_frames=8, progress=stop)
+    assert {p.name for p in out.iterdir()} == {*frames.name, "frames.json"}
+
+
 def test_damaged_videos(tmp_path):
     (tmp_path / "text.mp4").write_text("this is no video " * 50)
     (tmp_path / "empty.mp4").write_bytes(b"")

@@ -117,6 +117,19 @@ def test_stereo_video_in_two_files_and_in_one(tmp_path, pair):
         api.stereo_many(tmp_path / "broken.avi", tmp_path / "r.avi", tmp_path / "x", CONFIG)
 
 
+def test_another_video_of_the_same_name_is_measured_again(tmp_path, pair):
+    both = tmp_path / "both.avi"
+    written_video(both, [np.hstack([pair.left, pair.right])] * 3)
+    first = api.stereo_many(both, both, tmp_path / "out", CONFIG)
+    assert len(first.done) == 3 and len(api.stereo_many(both, both, tmp_path / "out", CONFIG).earlier) == 3
+    written_video(both, [np.hstack([255 - pair.left, 255 - pair.right])] * 3)
+    again = api.stereo_many(both, both, tmp_path / "out", CONFIG)
+    assert again.done == first.done
+    picture = pair.left if pair.left.ndim == 3 else pair.left[..., None]
+    frame = np.asarray(Image.open(next((tmp_path / "out" / "frames" / "left").iterdir())))
+    assert np.abs(frame.astype(int) - (255 - picture)).mean() < 8
+
+
 def written_model(folder, pair, camera: Camera):
     """A workspace with the pair's two pictures, the right one first."""
     saved(folder / "images" / "a.png", pair.right)

@@ -52,8 +52,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
                 pictures = [pictures[0][:, :half], pictures[0][:, half : 2 * half]]
             paths = tuple(folder / side / f"frame_{index:06d}.png" for side in ("left", "right"))
             for path, picture in zip(paths, pictures):
-                if not path.is_file():
-                    _write(path, picture)
+                _write(path, picture)
             pairs.append((paths[0], paths[1]))
         index += 1
     if not pairs:
@@ -62,8 +61,11 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
 
 
 def _write(path: Path, picture: np.ndarray) -> None:
+    """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(picture))
     if not encoded:
         raise WorkspaceError(f"a frame cannot be written to {path}")
+    if path.is_file() and path.read_bytes() == data.tobytes():
+        return
     with atomic_write(path) as aside:
         aside.write_bytes(data.tobytes())

@@ -7,7 +7,6 @@ compressed video is not exact.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,8 +18,9 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.atomic import atomic_write
+from epipole.io.atomic import atomic_folder
 from epipole.io.files import open_file, read_json, require_file
+from epipole.io.json_files import json_text
 
 VIDEO_SUFFIXES = frozenset(
     {
@@ -93,8 +93,8 @@ def extract_frames(
 ) -> VideoFrames:
     """Write evenly spaced sharp frames of a video as frame_000123.jpg (numbered as in the video).
 
-    The folder also gets `frames.json`. Called again with the same video and options it does not read the
-    video again; with other options the frames listed there are replaced.
+    The folder also gets `frames.json`, and appears whole or not at all. Called again with the same video and options
+    it does not read the video again; with other options the frames listed there are replaced.
 
     Args:
         video: the file.
@@ -119,7 +119,6 @@ def extract_frames(
         "max_frames": max_frames,
         "every_s": every_s,
     }
-    folder.mkdir(parents=True, exist_ok=True)
     earlier = _read_manifest(folder)
     if (
         earlier is not None
@@ -128,12 +127,9 @@ def extract_frames(
         and all((folder / n).is_file() for n in earlier[1].name)
     ):
         return earlier[1]
-    if earlier is not None:
-        for name in earlier[1].name:
-            (folder / name).unlink(missing_ok=True)
-        (folder / _MANIFEST).unlink()
-    frames = _extract(video, folder, max_frames, every_s, progress)
-    _write_manifest(folder, request, frames)
+    with atomic_folder(folder, stale=earlier[1].name if earlier is not None else ()) as part:
+        frames = _extract(video, part, max_frames, every_s, progress)
+        _write_manifest(part, request, frames)
     return frames
 
 
@@ -172,8 +168,7 @@ def _extract(
     for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
         name = f"frame_{index:06d}.jpg"
         encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-        with atomic_write(folder / name) as part:
-            part.write_bytes(encoded.tobytes())
+        (folder / name).write_bytes(encoded.tobytes())
         names.append(name)
         indices.append(index)
         times.append(time_s)
@@ -287,5 +282,5 @@ def _write_manifest(folder: Path, request: dict[str, Any], frames: VideoFrames) 
         {"name": name, "index": int(index), "time_s": float(time_s) if np.isfinite(time_s) else None}
         for name, index, time_s in zip(frames.name, frames.index, frames.timestamp_s)
     ]
-    with atomic_write(folder / _MANIFEST) as part:
-        part.write_text(json.dumps({"request": request, "frames": rows}, indent=1), encoding="utf-8")
+    text = json_text({"request": request, "frames": rows}, indent=1)
+    (folder / _MANIFEST).write_text(text, encoding="utf-8")
