@@ -104,8 +104,6 @@ class MapperConfig:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
-        if self.seed < 0:
-            raise ConfigError(f"seed must not be negative, got {self.seed}")
         if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
             raise ConfigError(
                 "max_error_px, resection_max_error_px and gps_sigma_m must be positive, got "
@@ -114,7 +112,7 @@ class MapperConfig:
         if not self.global_growth > 1:
             raise ConfigError("global_growth must be greater than 1")
         if not 0 <= self.seed <= MAX_SEED:
-            raise ConfigError(f"mapper.seed must be from 0 to {MAX_SEED}, got {self.seed}")
+            raise ConfigError(f"seed must be from 0 to {MAX_SEED}, got {self.seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
