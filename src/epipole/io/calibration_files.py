@@ -240,7 +240,9 @@ def _parse(path: Path) -> dict[str, Any]:
             return lines
         # OpenCV's version line and its matrices are not standard YAML.
         text = _OPENCV_TAG.sub("", text.removeprefix("%YAML:1.0"))
-        content = json_values(text, allow_nan=True) if head.startswith(b"{") else yaml_values(text)
+        content = json_values(path, text, allow_nan=True) if head.startswith(b"{") else yaml_values(text)
+    except FileFormatError:
+        raise
     except ValueError as error:
         raise FileFormatError(path, f"it is neither JSON nor YAML: {str(error).split(chr(10))[0]}") from error
     if not isinstance(content, dict):

@@ -96,11 +96,7 @@ def read_json(path: Path, most_bytes: int = MOST_JSON_BYTES, *, allow_nan: bool 
     Raises:
         FileFormatError: there is none, it is too large, nested too deeply, or not JSON.
     """
-    text = file_text(path, most_bytes)
-    try:
-        return json_values(text, allow_nan=allow_nan)
-    except ValueError as error:
-        raise FileFormatError(path, f"not JSON: {error}") from error
+    return json_values(path, file_text(path, most_bytes), allow_nan=allow_nan)
 
 
 def problem_of_name(name: object) -> str | None:

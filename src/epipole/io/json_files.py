@@ -9,26 +9,36 @@ import json
 import math
 from collections.abc import Mapping
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from epipole.errors import FileFormatError
+
 _MOST_VALUES = 1 << 23
 
 
-def json_values(text: str, *, allow_nan: bool = False) -> Any:
-    """What a JSON text holds.
+def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
+    """What the JSON text of a file holds.
+
+    Args:
+        path: the file, for the message.
+        text: its text.
+        allow_nan: whether NaN and Infinity are read as numbers.
 
     Raises:
-        ValueError: it is none, is nested too deeply, or holds more values than any file of ours.
+        FileFormatError: it is none, is nested too deeply, or holds more values than any file of ours.
     """
     # Three bytes of text may become a hundred of memory.
     if sum(text.count(mark) for mark in ",[{") > _MOST_VALUES:
-        raise ValueError(f"more than {_MOST_VALUES} values")
+        raise FileFormatError(path, f"not JSON of ours: more than {_MOST_VALUES} values")
     try:
         return json.loads(text, parse_constant=None if allow_nan else _no_constant)
     except RecursionError as error:
-        raise ValueError("nested too deeply") from error
+        raise FileFormatError(path, "not JSON: nested too deeply") from error
+    except ValueError as error:
+        raise FileFormatError(path, f"not JSON: {error}") from error
 
 
 def _no_constant(word: str) -> float:
