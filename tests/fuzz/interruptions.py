@@ -2,6 +2,7 @@
 
     python -m tests.fuzz.interruptions                          # every job, every file operation
     python -m tests.fuzz.interruptions --job undistort --every 5
+    python -m tests.fuzz.interruptions --random 100             # and killed at random moments, with two threads
 
 After kill -9 the same command must end with the files that it makes without one, and leave nothing else. With a full
 disk it must say so in one sentence, and the same command must finish once there is room again.
@@ -12,15 +13,18 @@ from __future__ import annotations
 import argparse
 import hashlib
 import os
+import random
 import resource
 import shutil
 import signal
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +41,8 @@ CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.trun
 WITH_TIMES = ("epipole.json", "summary.json", "report.html")
 """Files that hold times, which differ from run to run."""
 ALL_WELL, SAID_WHY, CRASHED = 0, 3, 4
+THREADS: dict[str, Any] = {"threads": 1, "executor": "inline"}
+"""Of this process; children are forked, and threads that wait would be missing there."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,7 @@ def _model(folder: Path) -> None:
 
 
 def _reconstruct(folder: Path) -> object:
-    config = api.ReconstructConfig(threads=1, executor="inline", single_camera=True)
+    config = api.ReconstructConfig(single_camera=True, **THREADS)
     return api.reconstruct(folder / "photographs", folder / "out", config)
 
 
@@ -103,7 +109,9 @@ class Trials:
         self.place = folder / "trial"  # of the same name each time: paths stand in results
         self.job.prepare(self.prepared)
         shutil.copytree(self.prepared, self.place, copy_function=shutil.copy2)
+        begin = time.perf_counter()
         self.job.run(self.place)
+        self.seconds = time.perf_counter() - begin
         self.expected = tree(self.place / self.job.out)
         self.num_operations = self._count()
 
@@ -121,6 +129,14 @@ class Trials:
         ended = self._in_child(operation, _fill_the_disk)
         wrong = [] if ended in (SAID_WHY, ALL_WELL) else [f"on a full disk it ended with {ended}"]
         return [*wrong, *self._do_again()]
+
+    def kill_at_random(self, seed: int) -> list[str]:
+        """Kill the job, which works with threads, at some moment, and do it again."""
+        self._set_up()
+        after_s = random.Random(seed).uniform(0.0, self.seconds)
+        child = self._fork(lambda: _interrupt_after(after_s), num_threads=2)
+        os.waitpid(child, 0)
+        return self._do_again()
 
     def _set_up(self) -> None:
         shutil.rmtree(self.place)
@@ -146,22 +162,29 @@ class Trials:
 
     def _in_child(self, operation: int, act: Callable[[], None], report_to: int | None = None) -> int:
         """Exit code of the job done in a child, or -9 if it was killed."""
-        child = os.fork()
-        if child == 0:
-            try:
-                count = _interrupt(self.place, operation, act)
-                self.job.run(self.place)
-                if report_to is not None:
-                    os.write(report_to, f"{count()}".encode())
-                os._exit(ALL_WELL)
-            except EpipoleError as error:
-                is_clear = "cannot" in str(error) and ".part" not in str(error)
-                os._exit(SAID_WHY if is_clear else CRASHED)
-            except BaseException:  # noqa: BLE001 - the child ends here, whatever it was
-                traceback.print_exc()
-                os._exit(CRASHED)
+        child = self._fork(lambda: _interrupt(self.place, operation, act), report_to)
         status = os.waitpid(child, 0)[1]
         return -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
+
+    def _fork(
+        self, prepare: Callable[[], Callable[[], int]], report_to: int | None = None, num_threads: int = 1
+    ) -> int:
+        """Do the job in a child; its process id."""
+        if child := os.fork():
+            return child
+        try:
+            count = prepare()
+            THREADS.update(threads=num_threads, executor="inline" if num_threads == 1 else "threads")
+            self.job.run(self.place)
+            if report_to is not None:
+                os.write(report_to, f"{count()}".encode())
+            os._exit(ALL_WELL)
+        except EpipoleError as error:
+            is_clear = "cannot" in str(error) and ".part" not in str(error)
+            os._exit(SAID_WHY if is_clear else CRASHED)
+        except BaseException:  # noqa: BLE001 - the child ends here, whatever it was
+            traceback.print_exc()
+            os._exit(CRASHED)
 
 
 def tree(root: Path) -> dict[str, str]:
@@ -194,29 +217,39 @@ def _interrupt(root: Path, operation: int, act: Callable[[], None]) -> Callable[
     return lambda: seen
 
 
+def _interrupt_after(seconds: float) -> Callable[[], int]:
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # which ends the process at once, as a kill does
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-3))
+    return lambda: 0
+
+
 def _fill_the_disk() -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
 
 
 def main() -> None:
-    """Try every file operation of every job."""
+    """Try every file operation of every job, or random moments."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--job", choices=JOBS, nargs="*", default=list(JOBS))
     parser.add_argument("--every", type=int, default=1, help="try every so-manieth operation")
+    parser.add_argument("--random", type=int, default=0, help="instead, kill so many times at random moments")
     given = parser.parse_args()
     num_wrong = 0
     for name in given.job:
         with tempfile.TemporaryDirectory() as folder:
             trials = Trials(name, Path(folder))
-            for operation in range(1, trials.num_operations + 1, given.every):
-                for what in (trials.kill, trials.fill):
-                    for problem in what(operation):
-                        num_wrong += 1
-                        print(f"{name}, {what.__name__} at {operation}: {problem}", flush=True)
-            print(f"{name}: {trials.num_operations} file operations", flush=True)
+            operations = range(1, trials.num_operations + 1, given.every)
+            trial = [(what, n) for n in operations for what in (trials.kill, trials.fill)]
+            if given.random:
+                trial = [(trials.kill_at_random, seed) for seed in range(given.random)]
+            for what, n in trial:
+                for problem in what(n):
+                    num_wrong += 1
+                    print(f"{name}, {what.__name__} {n}: {problem}", flush=True)
+            print(f"{name}: {trials.num_operations} file operations, {len(trial)} trials", flush=True)
     sys.exit(1 if num_wrong else 0)
 
 
