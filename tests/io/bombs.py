@@ -144,9 +144,16 @@ def many_scans(count: int) -> bytes:
     return valid[:last] + valid[last:-2] * count + b"\xff\xd9"
 
 
+ANIMATION = png_chunk(b"acTL", struct.pack(">II", 2, 0)) + png_chunk(
+    b"fcTL", struct.pack(">IIIIIHHBB", 0, 20000, 12000, 0, 0, 1, 1, 0, 0)
+)
 PICTURES: dict[str, Callable[[], bytes]] = {
     "PNG of 3.5 GB": lambda: png(30000, 30000, 16, 2),
     "PNG of 144 megapixels in 143 bytes": lambda: png(12000, 12000, 16, 6),
+    "PNG with a chunk of 640 MB": lambda: (
+        (d := png(4, 3, 16, 0, rows=bytes(5)))[:33] + struct.pack(">I", 640 << 20) + d[37:]
+    ),
+    "PNG whose frames are huge": lambda: png(4, 3, 16, 0, extra=ANIMATION),
     "PNG of 1-bit pixels": lambda: png(12000, 12000, 1, 0),
     "zTXt": lambda: text_chunks(b"zTXt", b"key\0\0", 20),
     "iTXt": lambda: text_chunks(b"iTXt", b"key\0\1\0\0\0", 20),

@@ -19,6 +19,7 @@ PNG_SCALE = 256.0
 """KITTI's: a stored number is 256 times the value; 0 stands for unknown."""
 _MOST_PIXELS = 1 << 28
 _LONGEST_HEADER = 1 << 16
+_SIGNATURE = 8
 
 
 def write_pfm(path: str | Path, values: Any) -> None:
@@ -104,7 +105,24 @@ def _is_png16(data: bytes) -> bool:
     if not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR" or len(data) < 26:
         return False
     width, height, depth, color = struct.unpack_from(">IIBB", data, 16)
-    return (depth, color) == (16, 0) and 2 * width * height <= min(1032 * len(data), 2 * _MOST_PIXELS)
+    return (
+        (depth, color) == (16, 0)
+        and 2 * width * height <= min(1032 * len(data), 2 * _MOST_PIXELS)
+        and _is_one_picture(data)
+    )
+
+
+def _is_one_picture(data: bytes) -> bool:
+    """Whether all chunks are as long as they say, and none is of an animation: OpenCV takes memory for what they claim."""
+    at = _SIGNATURE
+    while at + 12 <= len(data):
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        at += 12 + length
+        if at > len(data) or kind in (b"acTL", b"fcTL", b"fdAT"):
+            return False
+        if kind == b"IEND":
+            return True
+    return False
 
 
 def _map(values: Any) -> np.ndarray:
