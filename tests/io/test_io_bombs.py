@@ -126,6 +126,7 @@ FILES = {
     "rgb": "a.jpg",
     "copy": "a.jpg",
     "bal": "a.txt",
+    "g2o": "a.g2o",
     "colmap": "cameras.bin",
     "database": "a.db",
     "ply": "a.ply",

@@ -19,6 +19,7 @@ from epipole._declared.arrays import as_array
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
 from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes
 from epipole.optim import PoseGraph
 from epipole.optim.pose_graph import not_definite
 
@@ -58,10 +59,7 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
             information matrix that no measurement has; the message names the line, or the edges.
     """
     path = as_path(path)
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise FileFormatError(path, f"cannot be read: {error.strerror}") from error
+    lines = file_bytes(path).decode("utf-8", "replace").splitlines()
     kind: str | None = None
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int]] = []

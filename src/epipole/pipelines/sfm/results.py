@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from epipole.errors import NoModelError
+from epipole.errors import FileFormatError, NoModelError
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap import write_colmap_model
 from epipole.io.colmap_database import DatabaseContents, write_database
+from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.photographs import copy_or_rotate
 from epipole.io.ply import write_scene_ply
@@ -52,6 +52,7 @@ def _write_pictures(solution: Solution, run: Run) -> None:
     rows = np.flatnonzero(placed)
     copied = {images.names[i]: images.fingerprints[i] for i in rows}
     before = _read_record(record)
+    record.unlink(missing_ok=True)  # a stopped run leaves no record that is half true
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
         for name, fingerprint in copied.items():
             target = run.root / "images" / name
@@ -64,8 +65,8 @@ def _write_pictures(solution: Solution, run: Run) -> None:
 def _read_record(path: Path) -> dict[str, str]:
     """Of which state of its picture each copy was made; empty where that is not known."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        content = read_json(path)
+    except FileFormatError:
         return {}
     return content if isinstance(content, dict) else {}
 
