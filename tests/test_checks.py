@@ -97,7 +97,7 @@ def test_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("", "a path is empty"),
         (tmp_path / "loop", "symbolic links"),
         ("x" * 5000, "too long"),
-        ("a\0b", "Invalid"),
+        ("a\0b", "null character"),
     ):
         with pytest.raises(ConfigError, match=words):
             as_path(wrong)

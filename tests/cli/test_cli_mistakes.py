@@ -89,8 +89,7 @@ def test_wrong_words(given, parts, capsys):
         ),
         (
             "reconstruct a b --mapper.max-error-px nan",
-            "--mapper.max-error-px, --mapper.resection-max-error-px and --mapper.gps-sigma-m must be positive,"
-            " got nan, 12.0 and 3.0",
+            "--mapper.max-error-px must be a number, got NaN",
         ),
         ("stereo a b c --window 4 5", "--window must have odd sides and at most 121 pixels, is (4, 5)"),
     ],

@@ -19,7 +19,6 @@ from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
 from epipole.io import (
-    convert_model,
     read_bal,
     read_colmap_model,
     read_database,
@@ -44,6 +43,7 @@ from epipole.io.exif import new_exif
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import extract_frames, frame_size
+from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
@@ -91,7 +91,8 @@ def _truth(folder: Path) -> None:
 
 
 def _converted(folder: Path) -> None:
-    assert convert_model(folder, folder / "out", "ply").is_file()
+    done = convert(folder, folder / "nerf", "transforms")
+    assert (done.out / "transforms.json").is_file()
 
 
 def _database(folder: Path) -> None:
@@ -325,7 +326,7 @@ FORMATS: dict[str, Format] = {
     ),
     "convert": Format(
         *(lambda folder: write_colmap_model(small_model(), folder), "images.bin", "binary", _converted),
-        readers=("convert_model",),
+        readers=("read_model",),
         weight=0.3,
     ),
     "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),

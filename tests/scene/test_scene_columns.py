@@ -133,5 +133,5 @@ def test_single_cameras_are_no_columns() -> None:
     for wrong in ("PINHOLE", [camera], camera):
         with pytest.raises(ConfigError, match=r"Cameras\.from_list\(\[Camera\(\.\.\.\)\]\) makes one"):
             Cameras(wrong, 64, 48, camera.params, True, False)
-    with pytest.raises(ConfigError, match="cameras must be Camera objects, got str"):
+    with pytest.raises(ConfigError, match=r"cameras\[0\] must be a Camera, got 'PINHOLE'"):
         Cameras.from_list(["PINHOLE"])

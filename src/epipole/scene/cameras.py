@@ -32,8 +32,14 @@ class Cameras:
 
         Raises:
             ShapeError: an array is of another kind or shape.
-            ConfigError: there is no such camera model.
+            ConfigError: there is no such camera model, or they are single values or a list of cameras.
         """
+        for name in self.__slots__:
+            if not isinstance(column := getattr(self, name), np.ndarray):
+                raise ConfigError(
+                    f"{name} of Cameras must be an array with a row per camera, got {type(column).__name__};"
+                    " Cameras.from_list([Camera(...)]) makes one"
+                )
         check_fields(self)
         known = [int(model) for model in CameraModel]
         if not np.isin(self.model, known).all():

@@ -63,6 +63,7 @@ def find_board(grey: UInt8[np.ndarray, "h w"], board: BoardConfig) -> BoardView:
     """The corners that OpenCV's detectors find; empty where there is no board."""
     if min(grey.shape) < _LEAST_SIDE:
         return _nothing()
+    cv2.setRNGSeed(0)  # OpenCV's detectors guess; what they find must not depend on the pictures before
     find = {"chessboard": _find_chessboard, "charuco": _find_charuco, "apriltag": _find_tags}
     found = find[board.kind](np.ascontiguousarray(grey), board)
     return found if len(found) >= _LEAST_CORNERS else _nothing()
@@ -107,6 +108,7 @@ def whole_chessboard(
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     seen: list[tuple[int, int]] = []
     for grey in pictures:
+        cv2.setRNGSeed(0)  # as in find_board
         found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (board.columns, board.rows), flags)
         if not found or meta is None:
             continue
