@@ -25,12 +25,16 @@ test-numba: .venv-oldest/.installed .venv-newest/.installed
 	.venv-oldest/bin/python -m pytest $(NUMBA_TESTS)
 	.venv-newest/bin/python -m pytest $(NUMBA_TESTS)
 
-# Damaged files for every reader and wrong arguments for every function; what is found is printed with its seed and case.
+# Damaged files for every reader, wrong arguments for every function, jobs that are killed or out of space, two at once; what is
+# found is printed with its seed and case.
 CASES ?= 100000
 SEED ?= 0
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.fuzz.run --cases $(CASES) --seed $(SEED)
-	test ! -f tests/fuzz/wrong_calls.py || $(BIN)/python -m tests.fuzz.wrong_calls --cases $(CASES)
+	$(BIN)/python -m tests.fuzz.wrong_calls --cases $(CASES)
+	$(BIN)/python -m tests.fuzz.interruptions
+	$(BIN)/python -m tests.fuzz.interruptions --random 40
+	$(BIN)/python -m tests.fuzz.two_processes
 
 .venv-oldest/.installed: CHOICE := numba==0.61.*
 .venv-newest/.installed: CHOICE := --upgrade numba
