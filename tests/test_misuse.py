@@ -47,7 +47,7 @@ def test_no_option_is_nan_or_of_another_kind(kind):
 
 @pytest.mark.parametrize("kind", [RansacConfig, MapperConfig])
 def test_seeds_are_not_negative(kind):
-    with pytest.raises(ConfigError, match="seed must not be negative, got -1"):
+    with pytest.raises(ConfigError, match=r"seed must .*, got -1"):
         kind(seed=-1)
 
 
