@@ -2,6 +2,7 @@
 
 import errno
 import os
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -217,6 +218,8 @@ def as_path(given: str | Path) -> Path:
     Raises:
         ConfigError: it is empty, or cannot be a path.
     """
+    if not isinstance(given, str | PathLike) or not isinstance(os.fspath(given), str):
+        raise ConfigError(f"a path must be text or a Path, got {given!r:.60}")
     if "\0" in str(given):
         raise ConfigError("a path holds a null character")
     if str(given) == "":

@@ -77,7 +77,7 @@ def test_wrong_words(given, parts, capsys):
     ("given", "said"),
     [
         ("calibrate a b --columns 0", "a chessboard needs at least 3 --columns and rows, got 0 x 6"),
-        ("calibrate a b --square nan", "--square must be positive and finite, got nan"),
+        ("calibrate a b --square nan", "--square must be a number, got NaN"),
         (
             "reconstruct a b --features.max-features 0",
             "--features.max-features must be at least 1 and --features.max-size-px at least 16",

@@ -6,6 +6,7 @@ leaves the file.
 
 import argparse
 import json
+import math
 import os
 import select
 import signal
@@ -122,10 +123,10 @@ def search(tasks: list[list], keep: Path | None = None) -> list[Finding]:
 
 
 def tasks_of(cases: int, seed: int, only: str | None = None) -> list[list]:
-    """So many cases, shared out to the formats."""
+    """So many cases at least, shared out to the formats."""
     known = {name: weight for name, (weight, _) in formats().items() if only in (None, name)}
     total = sum(known.values())
-    return [[name, seed, 0, max(1, round(cases * weight / total))] for name, weight in known.items()]
+    return [[name, seed, 0, math.ceil(cases * weight / total)] for name, weight in known.items()]
 
 
 def main() -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from epipole._declared import check_fields
 from epipole.errors import ConfigError
 
 _DICTIONARIES = ("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11", "ARUCO_ORIGINAL")
@@ -35,6 +36,7 @@ class BoardConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -82,5 +84,6 @@ class CalibrationConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if not (self.outlier_factor > 1 and self.max_view_factor > 1):
             raise ConfigError("outlier_factor and max_view_factor must be greater than 1")

@@ -34,6 +34,7 @@ class PairingConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
+        check_fields(self)
         if min(self.neighbours, self.overlap, self.exhaustive_limit) < 1:
             raise ConfigError("neighbours, overlap and exhaustive_limit must be at least 1")
 
@@ -162,9 +163,10 @@ class ReconstructConfig:
         Raises:
             ConfigError: camera parameters are not numbers, options exclude each other, or threads is not positive.
         """
-        self.known_params()
         if isinstance(self.include, str) or isinstance(self.exclude, str):
             raise ConfigError("include and exclude are tuples of patterns, not one string")
+        check_fields(self)
+        self.known_params()
         if self.calibration is not None and (self.camera_params or self.camera_model):
             raise ConfigError(
                 "calibration tells model and parameters: give it, or camera_model and camera_params"
