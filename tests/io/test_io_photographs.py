@@ -514,3 +514,17 @@ def test_a_header_tells_deep_grey(tmp_path):
         name for name in ("depth", "grey", "deep") if read_header(tmp_path / f"{name}.png").is_deep_grey_png
     ]
     assert deep == ["depth"]
+
+
+def test_a_folder_that_cannot_be_listed_is_not_passed_over(tmp_path, monkeypatch):
+    (tmp_path / "closed").mkdir()
+    real = os.scandir
+
+    def scandir(path):
+        if str(path).endswith("closed"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(FileFormatError, match="closed: the folder cannot be listed: Permission denied"):
+        list_photographs(tmp_path)

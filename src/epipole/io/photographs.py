@@ -132,7 +132,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
         ignore: further folders to skip (masks, the output folder).
 
     Raises:
-        FileFormatError: there is no such folder.
+        FileFormatError: there is no such folder, or it or one in it cannot be listed.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -328,10 +328,15 @@ def _file_problem(path: Path) -> str:
     return ""
 
 
+def _refuse_folder(error: OSError) -> None:
+    """A folder that cannot be listed may hold half of the pictures: not to be passed over."""
+    raise FileFormatError(Path(error.filename), f"the folder cannot be listed: {error.strerror}")
+
+
 def _walk(folder: Path, ignored: set[Path]) -> Iterator[str]:
     """Names of all files below a folder; each real folder is entered once (links may form circles)."""
     entered: set[Path] = set()
-    for here, sub_folders, files in os.walk(folder, followlinks=True):
+    for here, sub_folders, files in os.walk(folder, followlinks=True, onerror=_refuse_folder):
         at = Path(here)
         real = at.resolve()
         is_output = real in ignored or any(marker in files for marker in _OUTPUT_MARKERS)

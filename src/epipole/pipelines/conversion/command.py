@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,14 +20,14 @@ def convert(
         target: For PLY a file, otherwise a new folder; transforms and bundler get their pictures, too.
         format: COLMAP txt or bin, PLY, nerfstudio transforms.json, or Bundler.
     """
-    from epipole.pipelines.conversion.run import convert as run
+    from rich.console import Console
 
-    done = run(source, target, format)
+    from epipole.pipelines.conversion.run import convert as run
+    from epipole.screen import print_warnings
+
+    done, console = run(source, target, format), Console()
     pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
-    print(f"Written {done.out}{pictures}")
+    console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
     if done.missing:
-        print(
-            f"note: {len(done.missing)} pictures were not found ({done.missing[0]} first): "
-            f"{done.out} names them in images/, put them there",
-            file=sys.stderr,
-        )
+        note = f"{len(done.missing)} pictures were not found ({done.missing[0]} first): put them into {done.out}/images"
+        print_warnings(console, [note])
