@@ -9,7 +9,7 @@ import pytest
 
 from epipole.errors import ConfigError, WorkspaceError
 from epipole.io import atomic_folder, atomic_write
-from epipole.io.atomic import part_beside, remove_abandoned_parts
+from epipole.io.atomic import part_beside, remove_abandoned_parts, remove_abandoned_parts_below
 
 
 def names_in(folder: Path) -> list[str]:
@@ -152,5 +152,7 @@ def test_parts_of_a_process_that_is_gone_are_removed(tmp_path: Path) -> None:
     folder = tmp_path / "sub" / gone.name
     folder.mkdir()
     (folder / "x").write_text("half")
-    remove_abandoned_parts(tmp_path)
+    remove_abandoned_parts(tmp_path / "sub")
+    assert names_in(tmp_path / "sub") == [] and gone.exists()
+    remove_abandoned_parts_below(tmp_path)
     assert names_in(tmp_path) == sorted([own.name, elsewhere.name, mine.name, "sub"])

@@ -90,16 +90,27 @@ def part_beside(target: Path) -> Path:
     return target.with_name(own + suffix)
 
 
-def remove_abandoned_parts(root: Path) -> None:
-    """Remove what processes of this machine that are gone (killed) have left half written, below a folder."""
+def remove_abandoned_parts(folder: Path) -> None:
+    """Remove what processes of this machine that are gone (killed) have left half written in a folder."""
+    with suppress(OSError):
+        for path in [path for path in folder.iterdir() if _is_abandoned(path.name)]:
+            _remove(path)
+
+
+def remove_abandoned_parts_below(root: Path) -> None:
+    """The same for a folder and all below it."""
     for here, folders, files in os.walk(root):
-        for name in filter(_is_abandoned, files):
-            with suppress(OSError):
-                (Path(here) / name).unlink()
-        for name in filter(_is_abandoned, list(folders)):
-            folders.remove(name)
-            if not (Path(here) / name).is_symlink():
-                shutil.rmtree(Path(here) / name, ignore_errors=True)
+        for name in filter(_is_abandoned, [*folders, *files]):
+            _remove(Path(here) / name)
+        folders[:] = [name for name in folders if not _is_abandoned(name)]
+
+
+def _remove(part: Path) -> None:
+    if part.is_dir() and not part.is_symlink():
+        shutil.rmtree(part, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            part.unlink()
 
 
 def _is_abandoned(name: str) -> bool:

@@ -17,7 +17,7 @@ from typing import Any
 
 from epipole._version import __version__
 from epipole.errors import FileFormatError, WorkspaceError
-from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts, reporting
+from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts_below, reporting
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
@@ -216,7 +216,7 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
             folder = held.take_over(kind, source, content)
         else:
             raise WorkspaceError(_whose(held))
-        remove_abandoned_parts(root)
+        remove_abandoned_parts_below(root)
         remove_free_locks(root)
         folder.save()
         return folder

@@ -9,6 +9,7 @@ from typing import get_args
 
 from epipole._checks import as_path
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
@@ -74,6 +75,7 @@ def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
         target = target / "scene.ply"
         if os.path.lexists(target):
             raise WorkspaceError(f"{target} is there already; give a file's name, which is replaced")
+    remove_abandoned_parts(target.parent)
     write_scene_ply(target, model)
     return Conversion(target, 0, ())
 
