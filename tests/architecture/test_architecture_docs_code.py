@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
+from board_pictures import board_pictures
 from epipole import api
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
@@ -47,25 +47,6 @@ def photographs(folder: Path) -> dict[str, Any]:
         lines = [" ".join(map(str, row)) for row in rows]
         (folder / "DIR" / f"{name}.camera").write_text("\n".join([*lines, "480 320"]))
     return two_views()
-
-
-def board_pictures(folder: Path) -> dict[str, Any]:
-    """A chessboard of 9 x 6 inner corners before a pinhole camera, as files in IMAGES and as arrays."""
-    square_px, pictures = 40, []
-    rows, columns = np.indices((7 * square_px, 10 * square_px)) // square_px
-    board = np.pad(np.where((rows + columns) % 2, 255, 0).astype(np.uint8), square_px, constant_values=255)
-    metres_from_pixel = np.array([[0.025 / square_px, 0, -0.15], [0, 0.025 / square_px, -0.11], [0, 0, 1]])
-    K = np.array([[600.0, 0, 319.5], [0, 600.0, 239.5], [0, 0, 1]])
-    (folder / "IMAGES").mkdir()
-    rng = np.random.default_rng(4)
-    for number in range(12):
-        turn = Rotation3.exp(rng.uniform(-0.5, 0.5, 3)).matrix
-        at = np.array([*rng.uniform(-0.06, 0.06, 2), rng.uniform(0.45, 0.6)])
-        plane = K @ np.column_stack([turn[:, :2], at]) @ metres_from_pixel
-        grey = cv2.warpPerspective(board, plane, (640, 480), flags=cv2.INTER_AREA, borderValue=200)
-        pictures.append(np.ascontiguousarray(grey))
-        Image.fromarray(grey).save(folder / "IMAGES" / f"{number:02d}.png")
-    return {"pictures": pictures}
 
 
 def cameras(folder: Path) -> dict[str, Any]:

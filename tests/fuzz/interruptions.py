@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.board_pictures import board_pictures
 
 from epipole import api
 from epipole.errors import EpipoleError
@@ -90,6 +91,10 @@ def _stereo(folder: Path) -> object:
     return api.stereo_many(folder / "left", folder / "right", folder / "out", config, rig)
 
 
+def _calibrate(folder: Path) -> object:
+    return api.calibrate(folder / "IMAGES", folder / "out", columns=9, rows=6, square=0.025)
+
+
 JOBS = {
     "reconstruct": Job(_photographs, _reconstruct, "out"),
     "undistort": Job(_model, lambda folder: api.undistort(folder / "out"), "out"),
@@ -98,6 +103,7 @@ JOBS = {
     ),
     "ply": Job(_model, lambda folder: api.convert(folder / "out", folder / "ply" / "a.ply", "ply"), "ply"),
     "stereo": Job(_pairs, _stereo, "out"),
+    "calibrate": Job(lambda folder: board_pictures(folder, 6), _calibrate, "out"),
 }
 
 
