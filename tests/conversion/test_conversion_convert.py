@@ -130,3 +130,16 @@ def test_misuse_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WorkspaceError, match="several files; give the name of a folder"):
         convert(tmp_path / "bin", tmp_path / "nerf.json", "transforms")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bin"]
+
+
+def test_only_a_ply_file_is_replaced_by_one(tmp_path: Path) -> None:
+    """A picture of the model, or the model itself, as a mistyped target."""
+    model = mappable_model()
+    out = output_folder(tmp_path / "out", model)
+    for name in (f"images/{model.images.name[0]}", "sparse/0/points3D.bin"):
+        before = (out / name).read_bytes()
+        with pytest.raises(WorkspaceError, match="is no PLY file"):
+            convert(out, out / name, "ply")
+        assert (out / name).read_bytes() == before
+    for _ in range(2):
+        assert len(read_points_ply(convert(out, tmp_path / "a.ply", "ply").out))

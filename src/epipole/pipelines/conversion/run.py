@@ -11,6 +11,7 @@ from epipole._checks import as_path
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
+from epipole.io.files import open_file
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
@@ -75,9 +76,24 @@ def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
         target = target / "scene.ply"
         if os.path.lexists(target):
             raise WorkspaceError(f"{target} is there already; give a file's name, which is replaced")
+    _refuse_to_replace(target)
     remove_abandoned_parts(target.parent)
     write_scene_ply(target, model)
     return Conversion(target, 0, ())
+
+
+def _refuse_to_replace(target: Path) -> None:
+    """Only a PLY file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
+
+    Raises:
+        WorkspaceError: a file of another kind stands there.
+    """
+    if not target.is_file():
+        return
+    with open_file(target) as stream:
+        head = stream.read(4)
+    if head and not head.startswith(b"ply"):
+        raise WorkspaceError(f"{target} is there already and is no PLY file: give another name")
 
 
 def _names_with_place(model: Reconstruction) -> list[str]:
