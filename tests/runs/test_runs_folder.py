@@ -164,7 +164,7 @@ def test_what_is_no_file_any_more_is_not_replaced(folder: OutputFolder, tmp_path
     (folder.root / "b.bin").unlink()
     (folder.root / "b.bin").symlink_to(mine)
     for name in ("a.bin", "b.bin"):
-        with pytest.raises(WorkspaceError, match=rf"holds {name[0]}\.bin"):
+        with pytest.raises(WorkspaceError, match=rf"{name[0]}\.bin is no file any more: remove it"):
             publish(folder, "model", {name: "2"})
     publish(folder, "model", {"c.bin": "1"})  # stale now, and left alone
     assert (folder.root / "a.bin").is_dir() and (folder.root / "b.bin").is_symlink()

@@ -121,8 +121,8 @@ def _run(words: list[str]) -> None:
         logger.debug("where it was raised", exc_info=True)
         _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
     except KeyboardInterrupt:
-        note = "epipole: stopped. What was finished is kept; the same command continues from there."
-        print(f"\n{note}" if words[:1] == ["reconstruct"] else "", file=sys.stderr)
+        note = "epipole: stopped. What was finished is kept; the same command goes on from there or begins again."
+        print("" if words[:1] == ["view"] else f"\n{note}", file=sys.stderr)
         sys.exit(130)
 
 

@@ -143,7 +143,11 @@ class OutputFolder:
                 parents.add(parent)
             with suppress(FileNotFoundError):
                 is_file = stat.S_ISREG((self.root / name).lstat().st_mode)
-                if name not in ours or not is_file:
+                if name in ours and not is_file:
+                    raise WorkspaceError(
+                        f"{self.root / name} is no file any more: remove it, or choose another folder"
+                    )
+                if name not in ours:
                     raise WorkspaceError(
                         f"{self.root} holds {name}, which no earlier run has written: choose another folder"
                     )

@@ -62,11 +62,11 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     names = _names_with_place(model) if format in _WITH_PICTURES else []
     found = {name: path for name in names if (path := _picture(source, name)) is not None}
     with open_run(Job(kind="convert", inputs=(source,), settings={"format": format}), target) as run:
-        with run.folder.publish("model") as aside:
-            FOLDER_WRITERS[format](model, aside)
         with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
             for name, path in found.items():
                 link_or_copy(path, run.root / IMAGE_FOLDER / name)
+        with run.folder.publish("model") as aside:  # last: where it is, its pictures are
+            FOLDER_WRITERS[format](model, aside)
         run.finish()
     return Conversion(target, len(found), tuple(name for name in names if name not in found))
 
