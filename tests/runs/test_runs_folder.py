@@ -30,8 +30,8 @@ def publish(folder: OutputFolder, group: str, files: dict[str, str]) -> None:
 
 def test_a_new_folder_is_marked_with_kind_source_and_version(folder: OutputFolder) -> None:
     mark = json.loads((folder.root / MARK).read_text())
-    assert (mark["kind"], mark["source"], mark["files"]) == ("made", "/pictures", {})
-    assert mark["version"] and mark["format"] == 2
+    assert (mark["kind"], mark["source"], mark["files"]) == ("made", ["/pictures"], {})
+    assert mark["version"] and mark["format"] == 3
 
 
 def test_the_same_run_comes_back_and_others_do_not(folder: OutputFolder) -> None:
@@ -45,7 +45,7 @@ def test_the_same_run_comes_back_and_others_do_not(folder: OutputFolder) -> None
 
 def test_a_marked_folder_without_results_may_be_taken(folder: OutputFolder) -> None:
     taken = claim(folder.root, "other", [Path("/elsewhere")])
-    assert (taken.kind, taken.source) == ("other", "/elsewhere")
+    assert (taken.kind, str(taken.source)) == ("other", "/elsewhere")
 
 
 def test_folders_of_others_are_refused(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_a_folder_in_which_a_run_failed_is_free(folder: OutputFolder) -> None:
     folder.give_up(has_failed=True)
     folder.save()
     taken = claim(folder.root, "other", [Path("/elsewhere")])
-    assert (taken.kind, taken.source, taken.files) == ("other", "/elsewhere", {})
+    assert (taken.kind, str(taken.source), taken.files) == ("other", "/elsewhere", {})
     assert names(folder.root) == ["notes.txt"]
 
 
@@ -129,7 +129,9 @@ def test_the_work_of_a_stopped_run_is_not_free(folder: OutputFolder) -> None:
     (folder.root / "work" / "a.npz").write_text("hours")
     folder.give_up(has_failed=False)
     folder.save()
-    with pytest.raises(WorkspaceError, match="holds the work of `epipole made` of /pictures, which is gone"):
+    with pytest.raises(
+        WorkspaceError, match=r"holds the work of `epipole made` of /pictures; .* rename them back"
+    ):
         claim(folder.root, "made", [Path("/elsewhere")])
     claim(folder.root, "made", [PICTURES])
 
@@ -150,7 +152,7 @@ def test_a_renamed_source_is_known_by_its_files(tmp_path: Path) -> None:
     assert claim(out, "made", [after]).files == {"model": ["a.bin"]}
     third = after.rename(tmp_path / "third")
     (third / "b.jpg").write_text("another")
-    with pytest.raises(WorkspaceError, match="which is gone"):
+    with pytest.raises(WorkspaceError, match="rename them back"):
         claim(out, "made", [third])
 
 
@@ -216,11 +218,34 @@ def test_numbers_that_json_does_not_have_are_null(folder: OutputFolder) -> None:
         ("[]", "damaged"),
         ("[" * 100_000, "damaged"),
         ('{"format": 99}', "another version"),
-        ('{"format": 2}', "damaged"),
-        ('{"format": 1}', "another version"),
+        ('{"format": 3}', "damaged"),
+        ('{"format": 2}', "another version"),
     ],
 )
 def test_a_mark_that_cannot_be_read_is_an_error(tmp_path: Path, text: str, match: str) -> None:
     (tmp_path / MARK).write_text(text)
     with pytest.raises(WorkspaceError, match=match):
         read_mark(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("added", "removed", "is_known"), [(5, 0, True), (0, 5, True), (40, 0, False), (0, 31, False)]
+)
+def test_a_renamed_source_may_gain_and_lose_files(
+    tmp_path: Path, added: int, removed: int, is_known: bool
+) -> None:
+    before, after, out = tmp_path / "photos, first", tmp_path / "second", tmp_path / "out"
+    before.mkdir()
+    for n in range(40):
+        (before / f"{n}.jpg").write_text(str(n))
+    publish(claim(out, "made", [before]), "model", {"a.bin": "1"})
+    for n in range(added):
+        (before / f"new {n}.jpg").write_text("new")
+    for n in range(removed):
+        (before / f"{n}.jpg").unlink()
+    before.rename(after)
+    if is_known:
+        assert claim(out, "made", [after]).files == {"model": ["a.bin"]}
+    else:
+        with pytest.raises(WorkspaceError, match="rename them back"):
+            claim(out, "made", [after])

@@ -50,7 +50,7 @@ def test_the_mark_of_a_folder(folder: Path, mark: bytes, data: st.DataObject) ->
 
 def test_a_sound_mark_is_read(folder: Path, mark: bytes) -> None:
     found = read_mark(folder / "claimed")
-    assert (found.kind, found.source, found.files) == (
+    assert (found.kind, str(found.source), found.files) == (
         "reconstruct",
         "/some/pictures",
         {"summary.json": ["summary.json"]},

@@ -173,9 +173,10 @@ def test_outputs_that_cannot_be_used(rendered, tmp_path):
     assert [p.name for p in (tmp_path / "other").iterdir()] == ["precious.txt"]
     (tmp_path / "held").mkdir()
     mark = {
-        "format": 2,
+        "format": 3,
         "kind": "reconstruct",
-        "source": "/elsewhere",
+        "source": ["/elsewhere"],
+        "sketch": [],
         "finished": "",
         "files": {"model": ["a.bin"]},
     }

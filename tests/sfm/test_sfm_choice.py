@@ -24,7 +24,8 @@ BLACK = np.zeros((HEIGHT, WIDTH), np.uint8)
 
 
 def chosen(folder, **options):
-    return read_image_set(folder, ReconstructConfig(**options), progress=ignore_progress)
+    memory = folder.with_name(f"{folder.name}.contents.npz")
+    return read_image_set(folder, ReconstructConfig(**options), memory, progress=ignore_progress)
 
 
 @pytest.fixture

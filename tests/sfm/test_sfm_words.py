@@ -9,7 +9,7 @@ from photographs import CAMERA, HEIGHT, WIDTH
 
 from epipole import reconstruct
 from epipole.io.photographs import read_rgb
-from epipole.pipelines.sfm import match_stage
+from epipole.pipelines.sfm import pair_blocks
 from epipole.pipelines.sfm.notes import title_of
 
 
@@ -25,7 +25,7 @@ def told(rendered, tmp_path_factory):
         cv2.imwrite(str(folder / f"z{n}.png"), cv2.resize(noise, (WIDTH, HEIGHT // 2)))
     reports = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(match_stage, "MOST_BLOCKS", 2)
+        patch.setattr(pair_blocks, "MOST_BLOCKS", 2)
         result = reconstruct(folder, folder.parent.parent / "out", progress=reports.append)
     return result, reports, folder
 

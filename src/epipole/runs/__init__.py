@@ -1,5 +1,6 @@
 """The run layer: what every job with an output folder shares."""
 
+from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
@@ -14,6 +15,7 @@ from epipole.runs.run import open_run as open_run
 from epipole.runs.threads import thread_scope as thread_scope
 from epipole.runs.units import Unit as Unit
 from epipole.runs.units import digest as digest
+from epipole.runs.units import is_done as is_done
 from epipole.runs.units import load as load
 from epipole.runs.units import run_units as run_units
 from epipole.runs.units import store as store

@@ -22,10 +22,10 @@ from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
 from epipole.runs.lock import LOCK, remove_free_locks
-from epipole.runs.source import content_digest, source_name
+from epipole.runs.source import Source
 
 MARK = "epipole.json"
-FORMAT = 2
+FORMAT = 3
 
 
 class OutputFolder:
@@ -34,16 +34,15 @@ class OutputFolder:
     Attributes:
         root: the folder.
         kind: the command: reconstruct, stereo, ...
-        source: paths of what its contents are made from.
-        content: digest of what is there; empty if not known.
+        source: what its contents are made from.
         files: names of the results, by group; relative, with slashes.
         finished: digest of the settings of the finished run; empty until it finishes.
         has_failed: the last run ended in an error, and none before had any result.
         timings_s: seconds of each stage.
     """
 
-    def __init__(self, root: Path, kind: str, source: str, content: str = "") -> None:
-        self.root, self.kind, self.source, self.content = root, kind, source, content
+    def __init__(self, root: Path, kind: str, source: Source) -> None:
+        self.root, self.kind, self.source = root, kind, source
         self.files: dict[str, list[str]] = {}
         self.finished = ""
         self.has_failed = False
@@ -113,8 +112,8 @@ class OutputFolder:
         content = {
             "format": FORMAT,
             "kind": self.kind,
-            "source": self.source,
-            "content": self.content,
+            "source": self.source.paths,
+            "sketch": self.source.sketch,
             "version": __version__,
             "finished": self.finished,
             "has_failed": self.has_failed,
@@ -124,11 +123,11 @@ class OutputFolder:
         with atomic_write(self.root / MARK) as aside:
             aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
-    def take_over(self, kind: str, source: str, content: str) -> OutputFolder:
+    def take_over(self, kind: str, source: Source) -> OutputFolder:
         """The folder for another job, without what was written here."""
         for names in self.files.values():
             self._remove(names)
-        return OutputFolder(self.root, kind, source, content)
+        return OutputFolder(self.root, kind, source)
 
     def _refuse_what_is_not_ours(self, names: Sequence[str]) -> None:
         ours = {name for of_group in self.files.values() for name in of_group}
@@ -189,8 +188,8 @@ def check_place(root: Path, inputs: Sequence[Path]) -> None:
 def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
     """Make the output folder, or open it again if it belongs to the same job on the same source.
 
-    The source is the same if its paths are, or if nothing is at the old ones and the same files are at the new. A folder
-    in which a run failed is taken over by the next, whatever it is.
+    The source is the same if its paths are, or if nothing is at the old ones and mostly the same files are at the new. A
+    folder in which a run failed is taken over by the next, whatever it is.
 
     Args:
         root: the folder.
@@ -201,7 +200,7 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
         WorkspaceError: it is a file, holds something else, or is not writable.
     """
     check_place(root, inputs)
-    source, content = source_name(inputs), content_digest(inputs, root)
+    source = Source.of(inputs, root)
     with reporting(root, "use the output folder"):
         held = read_mark(root)
         if held is None and root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
@@ -212,26 +211,18 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
         if not os.access(root, os.W_OK):
             raise WorkspaceError(f"{root} is not writable")
         if held is None:
-            folder = OutputFolder(root, kind, source, content)
-        elif held.kind == kind and _is_same_source(held, source, content):
+            folder = OutputFolder(root, kind, source)
+        elif held.kind == kind and held.source.is_same_as(source):
             folder = held
-            folder.source, folder.content = source, content
+            folder.source = source
         elif held.has_failed or _is_bare(root, held):
-            folder = held.take_over(kind, source, content)
+            folder = held.take_over(kind, source)
         else:
             raise WorkspaceError(_whose(held))
         remove_abandoned_parts_below(root)
         remove_free_locks(root)
         folder.save()
         return folder
-
-
-def _is_same_source(held: OutputFolder, source: str, content: str) -> bool:
-    return held.source == source or (
-        bool(content)
-        and held.content == content
-        and not any(Path(path).exists() for path in held.source.split(", "))
-    )
 
 
 def _is_bare(root: Path, held: OutputFolder) -> bool:
@@ -241,11 +232,10 @@ def _is_bare(root: Path, held: OutputFolder) -> bool:
 
 def _whose(held: OutputFolder) -> str:
     what = "results" if set(held.files) - BY_PRODUCTS else "work"
-    gone = "" if Path(held.source.split(", ")[0]).exists() else ", which is gone"
-    return (
-        f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}{gone}; "
-        "choose another output folder"
-    )
+    advice = "choose another output folder"
+    if held.source.is_gone():
+        advice += ", or, if that is these files under an earlier name, rename them back"
+    return f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}; {advice}"
 
 
 def read_mark(root: Path) -> OutputFolder | None:
@@ -261,9 +251,8 @@ def read_mark(root: Path) -> OutputFolder | None:
         content = read_json(mark)
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
-            folder = OutputFolder(
-                root, str(content["kind"]), str(content["source"]), str(content.get("content", ""))
-            )
+            source = Source(_texts(content["source"]), _texts(content["sketch"]))
+            folder = OutputFolder(root, str(content["kind"]), source)
             folder.files = {str(group): [_inside(name) for name in names] for group, names in files.items()}
             folder.finished = str(content["finished"])
             folder.has_failed = content.get("has_failed", False) is True
@@ -272,6 +261,12 @@ def read_mark(root: Path) -> OutputFolder | None:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")
+
+
+def _texts(values: object) -> tuple[str, ...]:
+    if not isinstance(values, list):
+        raise TypeError
+    return tuple(str(value) for value in values)
 
 
 def _inside(name: object) -> str:

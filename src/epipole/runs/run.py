@@ -16,7 +16,7 @@ from epipole.runs.folder import MARK, OutputFolder, check_place, claim, read_mar
 from epipole.runs.lock import alone_in
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import thread_scope
-from epipole.runs.units import Unit, digest, run_units
+from epipole.runs.units import Unit, digest, remove_other_results, run_units
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -80,8 +80,10 @@ class Run:
         self.job.progress(Progress(stage, done, total))
 
     def do(self, units: Sequence[Unit], stage: str) -> None:
-        """Run the units whose results are missing or stale."""
+        """Run the units whose results are missing or stale, and remove other results from their folders."""
         done = run_units(units, stage=stage, executor=self.job.executor, progress=self.job.progress)
+        for folder in {unit.path.parent: None for unit in units}:
+            remove_other_results(folder, units)
         if done < len(units) and stage in self._finished_s:
             self._earlier_s[stage] = self._finished_s.pop(stage)
 

@@ -90,6 +90,14 @@ def run_units(
     return len(waiting)
 
 
+def remove_other_results(folder: Path, units: Sequence[Unit]) -> None:
+    """Remove the results in a folder that none of these units has made: those of other options and inputs."""
+    made = {unit.path.name for unit in units}
+    for path in sorted(folder.glob("*.npz")):
+        if path.name not in made and not path.is_symlink() and stored_key(path):
+            path.unlink(missing_ok=True)
+
+
 def _shared_out(pool: Executor, units: Sequence[Unit]) -> Iterator[int]:
     """The size of each unit when it is done."""
     futures = [pool.submit(do_unit_as_worker, unit) for unit in units]

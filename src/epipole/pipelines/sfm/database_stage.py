@@ -11,11 +11,11 @@ import numpy as np
 from epipole.errors import ConfigError
 from epipole.io.colmap_database import DatabaseContents, read_database
 from epipole.pipelines.sfm.feature_stage import as_unit_arrays, read_picture
-from epipole.pipelines.sfm.match_stage import pair_blocks, stacked_matches
+from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, block_units, filled
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest
 
-FORMAT = 1
+FORMAT = 2
 Matches = dict[tuple[int, int], np.ndarray]
 
 
@@ -30,19 +30,10 @@ class GivenFeatures:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GivenMatches:
-    """A block of pairs with the matches that the database holds for them."""
-
-    pairs: tuple[tuple[int, int], ...]
-    matches: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class DatabaseSource:
     """A database, and the image of it that each picture is."""
 
     path: Path
-    fingerprint: str
     contents: DatabaseContents
     row_of_name: dict[str, int]
 
@@ -80,13 +71,9 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
         FileFormatError: it is no such database.
         ConfigError: no picture is in it, or a picture has another size there.
     """
-    contents, state = read_database(path), path.stat()
-    source = DatabaseSource(
-        path,
-        f"{state.st_size}-{state.st_mtime_ns}",
-        contents,
-        {str(name): row for row, name in enumerate(contents.images.name)},
-    )
+    contents = read_database(path)
+    row_of_name = {str(name): row for row, name in enumerate(contents.images.name)}
+    source = DatabaseSource(path, contents, row_of_name)
     missing = {i: f"not in {path.name}" for i, n in enumerate(images.names) if n not in source.row_of_name}
     if len(missing) == len(images):
         raise ConfigError(f"{path} knows none of the pictures in {images.folder}: names must be the same")
@@ -117,14 +104,9 @@ def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_si
         pixels = contents.images.keypoints_of(row).astype(np.float32)
         stored = contents.descriptors[row] if contents.descriptors is not None else None
         descriptors = np.zeros((len(pixels), 0), np.uint8) if stored is None else stored
-        units.append(
-            Unit(
-                folder / f"{digest(name)}.npz",
-                digest("database features", FORMAT, name, fingerprint, source.fingerprint, max_size_px),
-                features_with_colors,
-                GivenFeatures(images.folder / name, max_size_px, pixels, descriptors),
-            )
-        )
+        key = digest("database features", FORMAT, fingerprint, pixels, descriptors, max_size_px)
+        payload = GivenFeatures(images.folder / name, max_size_px, pixels, descriptors)
+        units.append(Unit(folder / f"{key}.npz", key, features_with_colors, payload))
     return units
 
 
@@ -137,16 +119,15 @@ def features_with_colors(payload: GivenFeatures) -> dict[str, np.ndarray]:
     return as_unit_arrays(picture, payload.pixels, nothing, nothing, payload.descriptors)
 
 
-def match_units(source: DatabaseSource, matches: Matches, folder: Path) -> list[Unit]:
+def match_units(matches: Matches, folder: Path) -> list[Unit]:
     """Units that hold the database's matches, in the blocks of the matching stage."""
-    units = []
-    for number, block in enumerate(pair_blocks(sorted(matches))):
-        payload = GivenMatches(block, tuple(matches[p] for p in block))
-        key = digest("database matches", FORMAT, block, source.fingerprint)
-        units.append(Unit(folder / f"block_{number:05d}.npz", key, given_matches, payload, len(block)))
-    return units
+    pairs = sorted(matches)
+    keys = [digest("database matches", FORMAT, matches[pair]) for pair in pairs]
+    return block_units(
+        pairs, keys, folder, given_matches, lambda block: [matches[pair] for pair in pairs[block]]
+    )
 
 
-def given_matches(payload: GivenMatches) -> dict[str, np.ndarray]:
+def given_matches(block: PairBlock) -> Arrays:
     """The matches as the matching stage would store them."""
-    return stacked_matches(payload.matches)
+    return filled(block, lambda places: [{"matches": block.task[n]} for n in places])

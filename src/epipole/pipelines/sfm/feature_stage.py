@@ -12,11 +12,11 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
-from epipole.io.photographs import mask_of, read_header, read_mask, read_rgb
+from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
 
-FORMAT = 3
+FORMAT = 4
 """Raise when the meaning of the files changes."""
 THUMBNAIL_PX = 320
 
@@ -34,19 +34,11 @@ class FeaturePayload:
 def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
     """One unit per picture."""
     units = []
-    for name, fingerprint in zip(images.names, images.fingerprints):
-        mask = _mask_fingerprint(masks, name)
-        key = digest("features", FORMAT, name, fingerprint, mask, asdict(config))
-        path = folder / f"{digest(name)}.npz"
-        units.append(
-            Unit(path, key, detect_in_file, FeaturePayload(images.folder / name, name, masks, config))
-        )
+    for name, picture, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
+        key = digest("features", FORMAT, picture, mask, asdict(config))
+        payload = FeaturePayload(images.folder / name, name, masks, config)
+        units.append(Unit(folder / f"{key}.npz", key, detect_in_file, payload))
     return units
-
-
-def _mask_fingerprint(masks: Path | None, name: str) -> list[str]:
-    path = None if masks is None else mask_of(masks, name)
-    return [] if path is None else [f"{path}-{path.stat().st_size}-{path.stat().st_mtime_ns}"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

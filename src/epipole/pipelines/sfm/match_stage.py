@@ -1,11 +1,10 @@
-"""Matching and verification: blocks of pairs, one file each."""
+"""Matching and verification of pairs of pictures, block by block."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Int32
@@ -15,28 +14,26 @@ from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.feature_stage import load_features
+from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, PairResult, block_units, filled, result_of
 from epipole.robust import PairKind, PairMatches, fundamental_for_guided_matching, verify_pairs
 from epipole.runs import Unit, digest, load
 from epipole.scene import Cameras, ViewGraph
 
-Result = TypeVar("Result")
-
-FORMAT = 2
-MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
-"""Pairs are cut into about this many blocks: enough for many workers, not too many files."""
+FORMAT = 3
 MIN_PREEMPTIVE = 768
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MatchPayload:
-    """What the unit of one block of pairs needs."""
+class MatchTask:
+    """What matching and verification need of the pictures of a block."""
 
-    pairs: tuple[tuple[int, int], ...]
     feature_files: dict[int, Path]
     cameras: dict[int, Camera]
     """Of each image in the block."""
     is_trusted: dict[int, bool]
     """Whether each image's focal length is known."""
+    seeds: tuple[int, ...]
+    """Of each pair: made of what its pictures hold, so that neither order of work nor other pictures matter."""
     matching: MatchConfig
     verification: RansacConfig
     match_file: Path | None = None
@@ -55,44 +52,6 @@ class PairWork:
     verification: RansacConfig
 
 
-def pair_blocks(pairs: Sequence[tuple[int, int]]) -> list[tuple[tuple[int, int], ...]]:
-    """The pairs in order, cut into blocks."""
-    size = max(1, min(MOST_BLOCK_PAIRS, -(-len(pairs) // MOST_BLOCKS)))
-    return [tuple(pairs[start : start + size]) for start in range(0, len(pairs), size)]
-
-
-def _units(
-    todo: PairWork,
-    folder: Path,
-    work: Callable[[MatchPayload], dict[str, np.ndarray]],
-    match_units: Sequence[Unit] | None,
-) -> list[Unit]:
-    pairs, feature_units, cameras = todo.pairs, todo.features, todo.cameras
-    camera_of_image, configs = todo.camera_of_image, (todo.matching, todo.verification)
-    units = []
-    single = [cameras[c] for c in range(len(cameras))]
-    trusted = cameras.is_focal_trusted | cameras.is_constant
-    for number, block in enumerate(pair_blocks([(int(i), int(j)) for i, j in pairs])):
-        members = sorted({i for pair in block for i in pair})
-        camera_rows = sorted({int(camera_of_image[i]) for i in members})
-        key = digest(
-            *(work.__name__, FORMAT, block, [feature_units[i].key for i in members]),
-            *(asdict(configs[0]), asdict(configs[1]), [int(camera_of_image[i]) for i in members]),
-            *(cameras.model[camera_rows], cameras.params[camera_rows], trusted[camera_rows]),
-            match_units[number].key if match_units is not None else "",
-        )
-        payload = MatchPayload(
-            block,
-            {i: feature_units[i].path for i in members},
-            {i: single[camera_of_image[i]] for i in members},
-            {i: bool(trusted[camera_of_image[i]]) for i in members},
-            *configs,
-            match_units[number].path if match_units is not None else None,
-        )
-        units.append(Unit(folder / f"block_{number:05d}.npz", key, work, payload, len(block)))
-    return units
-
-
 def match_units(todo: PairWork, folder: Path) -> list[Unit]:
     """Units that match blocks of pairs."""
     return _units(todo, folder, match_block, None)
@@ -103,102 +62,142 @@ def verification_units(todo: PairWork, folder: Path, matches: Sequence[Unit]) ->
     return _units(todo, folder, verify_block, matches)
 
 
-def match_block(payload: MatchPayload) -> dict[str, np.ndarray]:
+def _units(
+    todo: PairWork,
+    folder: Path,
+    work: Callable[[PairBlock], Arrays],
+    matches: Sequence[Unit] | None,
+) -> list[Unit]:
+    pairs = [(int(i), int(j)) for i, j in todo.pairs]
+    camera_of_image, trusted = todo.camera_of_image, todo.cameras.is_focal_trusted | todo.cameras.is_constant
+    cameras = [todo.cameras[c] for c in range(len(todo.cameras))]
+    matched = (
+        [key for unit in matches for key in unit.payload.keys] if matches is not None else [""] * len(pairs)
+    )
+    seeds = [_seed(todo.features[i].key, todo.features[j].key) for i, j in pairs]
+
+    def task_of(block: slice) -> MatchTask:
+        members = sorted({i for pair in pairs[block] for i in pair})
+        return MatchTask(
+            {i: todo.features[i].path for i in members},
+            {i: cameras[camera_of_image[i]] for i in members},
+            {i: bool(trusted[camera_of_image[i]]) for i in members},
+            tuple(seeds[block]),
+            *(todo.matching, todo.verification),
+            file_of[pairs[block][0]] if matches is not None else None,
+        )
+
+    file_of = {pair: unit.path for unit in matches or () for pair in unit.payload.pairs}
+    keys = [digest(*key) for key in zip(_pair_keys(todo, pairs, work.__name__), matched)]
+    return block_units(pairs, keys, folder, work, task_of)
+
+
+def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> Iterator[str]:
+    """A digest of what the result of each pair depends on: its pictures, their cameras and the options."""
+    common = digest(what, FORMAT, asdict(todo.matching), asdict(todo.verification))
+    trusted = todo.cameras.is_focal_trusted | todo.cameras.is_constant
+    of_camera = [
+        digest(todo.cameras.model[c], todo.cameras.params[c], trusted[c]) for c in range(len(todo.cameras))
+    ]
+    of_image = [unit.key + of_camera[c] for unit, c in zip(todo.features, todo.camera_of_image)]
+    return (f"{common}{of_image[i]}{of_image[j]}" for i, j in pairs)
+
+
+def _seed(first: str, second: str) -> int:
+    """31 bits of the keys of two pictures' features."""
+    return int(digest(first, second)[:8], 16) >> 1
+
+
+def match_block(block: PairBlock) -> Arrays:
     """Putative matches of a block of pairs."""
-    features = {i: load_features(path) for i, path in payload.feature_files.items()}
-    found = [match_pair(features[i], features[j], i, j, payload) for i, j in payload.pairs]
-    return stacked_matches(found)
+    return filled(block, lambda places: _matched(block, places))
 
 
-def stacked_matches(found: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Matches of a block of pairs as a unit stores them."""
-    return {"offsets": _offsets(found), "matches": _stacked(found)}
+def _matched(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
+    task: MatchTask = block.task
+    pairs = [block.pairs[n] for n in places]
+    features = {i: load_features(task.feature_files[i]) for i in sorted({i for pair in pairs for i in pair})}
+    return [
+        {"matches": match_pair(features[i], features[j], i, j, task.seeds[n], task)}
+        for n, (i, j) in zip(places, pairs)
+    ]
 
 
-def match_pair(first: Features, second: Features, i: int, j: int, payload: MatchPayload) -> np.ndarray:
+def match_pair(first: Features, second: Features, i: int, j: int, seed: int, task: MatchTask) -> np.ndarray:
     """Matches of one pair: the largest features with each other; then the rest along the epipolar lines that these give.
 
     Comparing n with n features costs n^2; n / 4 of them and one band around each epipolar line cost about a tenth of
     it and find more matches, since fewer wrong candidates compete (preemptive matching: Wu, 3DV 2013; guided
     matching: HZ section 11.6).
     """
-    config = payload.matching
+    config = task.matching
     preemptive = min(config.preemptive_features, max(MIN_PREEMPTIVE, max(len(first), len(second)) // 3))
     if first.descriptors.shape[1] != 128 or preemptive == 0 or max(len(first), len(second)) <= preemptive:
         return match_descriptors(first.descriptors, second.descriptors, config)
     matches = match_descriptors(first.descriptors[:preemptive], second.descriptors[:preemptive], config)
     if len(matches) < config.preemptive_min_matches:
         return matches
-    needed = replace(payload.verification, min_inliers=config.preemptive_min_inliers)
+    needed = replace(task.verification, min_inliers=config.preemptive_min_inliers)
     fundamental = fundamental_for_guided_matching(
         first.pixels[matches[:, 0]].astype(np.float64),
         second.pixels[matches[:, 1]].astype(np.float64),
-        payload.cameras[i],
-        payload.cameras[j],
-        is_calibrated=payload.is_trusted[i] and payload.is_trusted[j],
-        config=replace(needed, seed=needed.seed + _seed(i, j)),
+        task.cameras[i],
+        task.cameras[j],
+        is_calibrated=task.is_trusted[i] and task.is_trusted[j],
+        config=replace(needed, seed=needed.seed + seed),
     )
     if fundamental is None:
         return match_descriptors(first.descriptors, second.descriptors, config)
     return match_along_epipolar_lines(first, second, fundamental, config.band_px, config)
 
 
-def verify_block(payload: MatchPayload) -> dict[str, np.ndarray]:
+def verify_block(block: PairBlock) -> Arrays:
     """Geometry of a block of matched pairs."""
-    assert payload.match_file is not None
-    pixels = {i: load_features(path).pixels for i, path in payload.feature_files.items()}
-    stored = load(payload.match_file)
-    putative = [
-        stored["matches"][stored["offsets"][n] : stored["offsets"][n + 1]] for n in range(len(payload.pairs))
-    ]
+    return filled(block, lambda places: _verified(block, places))
+
+
+def _verified(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
+    task: MatchTask = block.task
+    assert task.match_file is not None
+    stored = load(task.match_file)
+    putative = [result_of(stored, n)["matches"] for n in places]
+    in_use = sorted({i for n in places for i in block.pairs[n]})
+    pixels = {i: load_features(task.feature_files[i]).pixels for i in in_use}
     pairs = [
         PairMatches(
             pixels[i][matches[:, 0]].astype(np.float64),
             pixels[j][matches[:, 1]].astype(np.float64),
-            payload.cameras[i],
-            payload.cameras[j],
-            payload.is_trusted[i] and payload.is_trusted[j],
-            _seed(i, j),
+            task.cameras[i],
+            task.cameras[j],
+            task.is_trusted[i] and task.is_trusted[j],
+            task.seeds[n],
         )
-        for (i, j), matches in zip(payload.pairs, putative)
+        for n, (i, j), matches in zip(places, [block.pairs[n] for n in places], putative)
     ]
-    geometries = verify_pairs(pairs, payload.verification)
-    found = [(g, matches[g.inlier_mask]) for g, matches in zip(geometries, putative)]
-    inliers = [m for _, m in found]
-    return {
-        "kind": np.array([int(g.kind) for g, _ in found], np.int32),
-        "num_putative": np.diff(stored["offsets"]).astype(np.int32),
-        "offsets": _offsets(inliers),
-        "matches": _stacked(inliers),
-        "rotation": np.stack([g.cam2_from_cam1.rotation for g, _ in found]),
-        "translation": np.stack([g.cam2_from_cam1.translation for g, _ in found]),
-        "essential": np.stack([g.essential for g, _ in found]),
-        "fundamental": np.stack([g.fundamental for g, _ in found]),
-        "homography": np.stack([g.homography for g, _ in found]),
-        "median_angle_rad": np.array([g.median_angle_rad for g, _ in found]),
-    }
-
-
-def _seed(i: int, j: int) -> int:
-    """A pair's own seed makes its result independent of the order of work."""
-    return 1_000_003 * i + j
-
-
-def _offsets(parts: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum([len(p) for p in parts])]).astype(np.int64)
-
-
-def _stacked(parts: Sequence[np.ndarray]) -> np.ndarray:
-    return np.concatenate(list(parts)).astype(np.int32) if parts else np.zeros((0, 2), np.int32)
+    geometries = verify_pairs(pairs, task.verification)
+    return [
+        {
+            "matches": matches[g.inlier_mask],
+            "kind": np.array(int(g.kind), np.int32),
+            "num_putative": np.array(len(matches), np.int32),
+            "rotation": g.cam2_from_cam1.rotation,
+            "translation": g.cam2_from_cam1.translation,
+            "essential": g.essential,
+            "fundamental": g.fundamental,
+            "homography": g.homography,
+            "median_angle_rad": np.array(g.median_angle_rad),
+        }
+        for g, matches in zip(geometries, putative)
+    ]
 
 
 def load_putative(units: Sequence[Unit]) -> dict[tuple[int, int], np.ndarray]:
     """Putative matches of every pair that has any."""
     out = {}
     for unit in units:
-        stored = load(unit.path)
+        stored = load(unit.path, "offsets", "matches")
         for n, pair in enumerate(unit.payload.pairs):
-            matches = stored["matches"][stored["offsets"][n] : stored["offsets"][n + 1]]
+            matches = result_of(stored, n)["matches"]
             if len(matches):
                 out[pair] = matches
     return out

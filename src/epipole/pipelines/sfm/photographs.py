@@ -15,7 +15,7 @@ from epipole.io.photographs import PhotographHeader, list_photographs, mask_name
 from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.lenses import group_cameras
-from epipole.runs import Progress, ProgressCallback
+from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
 MIN_SIZE_PX = 32
@@ -36,17 +36,22 @@ class ImageSet:
     """GPS of the EXIF, altitude 0 where not recorded; NaN for none."""
     timestamps_s: Float64[np.ndarray, " n"]
     fingerprints: tuple[str, ...]
-    """Changes when the picture's file changes."""
+    """Digest of each picture's file."""
+    mask_fingerprints: tuple[str, ...]
+    """Digest of each picture's mask; empty for none."""
     left_out: dict[str, str]
     """Pictures that cannot take part, and why."""
     is_video: bool = False
-    num_masked: int = 0
-    """Pictures that have a mask."""
     notes: tuple[str, ...] = ()
     """What was noticed about the choice of pictures and masks, in words."""
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def num_masked(self) -> int:
+        """Pictures that have a mask."""
+        return sum(map(bool, self.mask_fingerprints))
 
     def without(self, failures: dict[int, str]) -> ImageSet:
         """The set without the pictures of these rows."""
@@ -60,6 +65,7 @@ class ImageSet:
             lat_lon_alt=self.lat_lon_alt[keep],
             timestamps_s=self.timestamps_s[keep],
             fingerprints=tuple(f for f, k in zip(self.fingerprints, keep) if k),
+            mask_fingerprints=tuple(f for f, k in zip(self.mask_fingerprints, keep) if k),
             left_out={**self.left_out, **{self.names[i]: why for i, why in failures.items()}},
         )
 
@@ -67,12 +73,21 @@ class ImageSet:
 def read_image_set(
     folder: Path,
     config: ReconstructConfig,
+    memory: Path,
     *,
     ignore: tuple[Path, ...] = (),
     timestamps_s: dict[str, float] | None = None,
     progress: ProgressCallback,
 ) -> ImageSet:
     """Read the headers of all pictures of a folder and group them by camera.
+
+    Args:
+        folder: the pictures.
+        config: which of them, their cameras and masks.
+        memory: file that remembers what the pictures held, by size and time.
+        ignore: folders that are no pictures.
+        timestamps_s: of each frame of a video, by name.
+        progress: told how many headers are read.
 
     Raises:
         NoModelError: there are no pictures that can be read.
@@ -100,7 +115,8 @@ def read_image_set(
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
     cameras, camera_of_image, sources = group_cameras(headers, config)
-    num_masked, mask_note = _masked(tuple(headers), config.masks)
+    masks, mask_note = _masks_of(tuple(headers), config.masks)
+    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
     return ImageSet(
         folder,
         tuple(headers),
@@ -109,10 +125,10 @@ def read_image_set(
         sources,
         np.array([_gps_row(h) for h in headers.values()]),
         np.array([times.get(n, np.nan) for n in headers]),
-        tuple(_fingerprint(folder / n) for n in headers),
+        tuple(digests[folder / n] for n in headers),
+        tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
         bool(times),
-        num_masked,
         tuple(filter(None, [*notes, mask_note])),
     )
 
@@ -173,16 +189,16 @@ def _take_out_depth(headers: dict[str, PhotographHeader]) -> str:
     return note
 
 
-def _masked(names: Sequence[str], masks: Path | None) -> tuple[int, str]:
-    """How many pictures have a mask, and a note where some have none.
+def _masks_of(names: Sequence[str], masks: Path | None) -> tuple[dict[str, Path], str]:
+    """The mask of each picture that has one, and a note where some have none.
 
     Raises:
         ConfigError: no picture has one.
     """
     if masks is None:
-        return 0, ""
-    without = [name for name in names if mask_of(masks, name) is None]
-    if len(without) == len(names):
+        return {}, ""
+    found = {name: path for name in names if (path := mask_of(masks, name)) is not None}
+    if not found:
         first, second = mask_names(names[0])
         held = sorted(p.relative_to(masks).as_posix() for p in islice(masks.rglob("*"), 1000) if p.is_file())
         there = f"there are {_some(held)}" if held else "it is empty"
@@ -190,11 +206,12 @@ def _masked(names: Sequence[str], masks: Path | None) -> tuple[int, str]:
             f"masks {masks} holds none for any of the {_counted(len(names), 'picture')}: looked for {first} or {second}, "
             f"and so on; {there}"
         )
+    without = [name for name in names if name not in found]
     if not without:
-        return len(names), ""
-    num_masked = len(names) - len(without)
-    return num_masked, (
-        f"masks for {num_masked} of {len(names)} images: the others are used whole ({_some(without)})"
+        return found, ""
+    return (
+        found,
+        f"masks for {len(found)} of {len(names)} images: the others are used whole ({_some(without)})",
     )
 
 
@@ -213,8 +230,3 @@ def _gps_row(header: PhotographHeader) -> tuple[float, float, float]:
     if header.gps is None:
         return (np.nan, np.nan, np.nan)
     return (header.gps.lat_deg, header.gps.lon_deg, header.gps.alt_m or 0.0)
-
-
-def _fingerprint(path: Path) -> str:
-    state = path.stat()
-    return f"{state.st_size}-{state.st_mtime_ns}"

@@ -33,6 +33,7 @@ from epipole.scene import Cameras, ViewGraph
 FOCAL_CORRECTION = 0.1
 """If mapping changes a trusted focal length by a larger factor, matching is repeated with the new one."""
 UNITS, FRAMES, DATABASE = "work", "work/frames", "database.db"
+CONTENTS = "work/contents.npz"
 """Inside the output folder."""
 
 
@@ -144,7 +145,7 @@ def _matches(todo: PairWork, detected: _Detected, folder: Path) -> list[Unit]:
     if detected.database is None or not detected.given:
         return match_units(todo, folder)
     asked = {pair: detected.given[pair] for pair in _in_order(todo.pairs)}
-    return given_match_units(detected.database, asked, folder)
+    return given_match_units(asked, folder)
 
 
 def _verify(todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run) -> ViewGraph:
@@ -181,6 +182,7 @@ def _corrected_cameras(found: Solution) -> Cameras | None:
 
 
 def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
+    memory = run.root / CONTENTS
     if is_video(source):
         if config.include or config.exclude:
             raise ConfigError(f"include and exclude choose pictures of a folder; {source} is a video")
@@ -192,11 +194,11 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
             progress=lambda done, total: run.report("video", done, total),
         )
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
-        return read_image_set(folder, config, timestamps_s=times, progress=run.job.progress)
+        return read_image_set(folder, config, memory, timestamps_s=times, progress=run.job.progress)
     if not source.is_dir():
         raise NoModelError(f"{source} is neither a folder of photographs nor a video")
     ignore = (run.root, *((config.masks,) if config.masks else ()))
-    return read_image_set(source, config, ignore=ignore, progress=run.job.progress)
+    return read_image_set(source, config, memory, ignore=ignore, progress=run.job.progress)
 
 
 def _open_database(

@@ -1,0 +1,116 @@
+"""Pairs of pictures in blocks, one file each, in which every pair keeps a key of its own.
+
+Blocks are cut from the list of pairs, which one picture more or less shifts. So a block takes the results of pairs that
+files of an earlier list hold, and works on the others only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import WorkspaceError
+from epipole.runs import Unit, digest, is_done, load, stored_key
+
+Arrays = dict[str, np.ndarray]
+PairResult = Arrays
+"""What was found for one pair: `matches` (m, 2), and further arrays or numbers."""
+
+MOST_BLOCKS, MOST_BLOCK_PAIRS = 64, 64
+"""Pairs are cut into about this many blocks: enough for many workers, not too many files."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairBlock:
+    """What the unit of one block needs."""
+
+    pairs: tuple[tuple[int, int], ...]
+    keys: tuple[str, ...]
+    """Of each pair: a digest of everything that its result depends on."""
+    held: dict[int, tuple[Path, int]]
+    """Pairs of the block whose results are there already: file and place in it."""
+    task: Any
+    """What the work on the other pairs needs."""
+
+
+def block_slices(num_pairs: int) -> list[slice]:
+    """Pairs in order, cut into blocks."""
+    size = max(1, min(MOST_BLOCK_PAIRS, -(-num_pairs // MOST_BLOCKS)))
+    return [slice(start, start + size) for start in range(0, num_pairs, size)]
+
+
+def block_units(
+    pairs: Sequence[tuple[int, int]],
+    keys: Sequence[str],
+    folder: Path,
+    work: Callable[[PairBlock], Arrays],
+    task_of: Callable[[slice], Any],
+) -> list[Unit]:
+    """Units of the blocks of pairs.
+
+    Args:
+        pairs: pairs of pictures, in order.
+        keys: a digest of everything that the result of each pair depends on.
+        folder: where the files go; those there already may hold results.
+        work: makes the file of a block.
+        task_of: what the work needs for the pairs of a slice.
+    """
+    slices = block_slices(len(pairs))
+    names = [f"{digest(list(keys[block]))}.npz" for block in slices]
+    held = _held_in(folder, {*names}) if not all((folder / name).exists() for name in names) else {}
+    units = []
+    for block, name in zip(slices, names):
+        places = {n: held[key] for n, key in enumerate(keys[block]) if key in held}
+        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), places, task_of(block))
+        units.append(Unit(folder / name, Path(name).stem, work, payload, len(payload.pairs)))
+    return units
+
+
+def _held_in(folder: Path, planned: set[str]) -> dict[str, tuple[Path, int]]:
+    """Where the results of pairs are, by key, in the files of earlier lists of pairs."""
+    held: dict[str, tuple[Path, int]] = {}
+    for path in sorted(folder.glob("*.npz")):
+        if path.name in planned or not is_done(path, stored_key(path)):
+            continue
+        try:
+            keys = load(path, "pair_keys")["pair_keys"]
+        except WorkspaceError:  # of another kind
+            continue
+        held.update({str(key): (path, n) for n, key in enumerate(keys)})
+    return held
+
+
+def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) -> Arrays:
+    """The file of a block.
+
+    Args:
+        block: its pairs.
+        make: the results of the pairs in these places of the block, which no file holds.
+    """
+    results: dict[int, PairResult] = {}
+    for path in {path: None for path, _ in block.held.values()}:
+        stored = load(path)
+        results.update({n: result_of(stored, row) for n, (at, row) in block.held.items() if at == path})
+    missing = [n for n in range(len(block.pairs)) if n not in results]
+    if missing:
+        results.update(zip(missing, make(missing)))
+    in_order = [results[n] for n in range(len(block.pairs))]
+    matches = [np.asarray(result["matches"], np.int32) for result in in_order]
+    others = [name for name in in_order[0] if name != "matches"]
+    return {
+        "pair_keys": np.array(block.keys, np.str_),
+        "offsets": np.cumsum([0, *map(len, matches)]).astype(np.int64),
+        "matches": np.concatenate(matches).reshape(-1, 2),
+        **{name: np.stack([result[name] for result in in_order]) for name in others},
+    }
+
+
+def result_of(stored: Arrays, place: int) -> PairResult:
+    """The result of one pair of a block's file."""
+    others = [name for name in stored if name not in ("pair_keys", "offsets", "matches")]
+    begin, end = stored["offsets"][place : place + 2]
+    return {"matches": stored["matches"][begin:end], **{name: stored[name][place] for name in others}}

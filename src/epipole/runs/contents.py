@@ -1,0 +1,68 @@
+"""What files hold: their digests, kept with size and time so that an unchanged file is not read again."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.errors import WorkspaceError
+from epipole.io.files import open_file
+from epipole.runs.units import is_done, load, store
+
+_KEY = "contents 1"
+
+
+def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
+    """The digest of each file's bytes.
+
+    Args:
+        paths: the files.
+        memory: a file that remembers the digests of the last call; made if missing, with its folder.
+
+    Raises:
+        FileFormatError: a file cannot be read.
+        WorkspaceError: the memory cannot be written.
+    """
+    states = {path: _state_of(path) for path in paths}
+    before = _remembered(memory)
+    known = {
+        path: before[str(path)][1]
+        for path, state in states.items()
+        if before.get(str(path), ("", ""))[0] == state
+    }
+    changed = [path for path in states if path not in known]
+    with ThreadPoolExecutor(_parallel.num_threads()) as pool:
+        known.update(zip(changed, pool.map(_digest_of, changed)))
+    if changed or len(before) != len(states):
+        rows = {"paths": [str(p) for p in states], "states": list(states.values())}
+        rows["digests"] = [known[path] for path in states]
+        store(memory, _KEY, {name: np.array(row, np.str_) for name, row in rows.items()})
+    return {path: known[path] for path in states}
+
+
+def _state_of(path: Path) -> str:
+    state = path.stat()
+    return f"{state.st_size}-{state.st_mtime_ns}"
+
+
+def _remembered(memory: Path) -> dict[str, tuple[str, str]]:
+    if not is_done(memory, _KEY):
+        return {}
+    try:
+        held = load(memory, "paths", "states", "digests")
+    except WorkspaceError:
+        return {}
+    return {
+        str(path): (str(state), str(digest))
+        for path, state, digest in zip(held["paths"], held["states"], held["digests"])
+    }
+
+
+def _digest_of(path: Path) -> str:
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]

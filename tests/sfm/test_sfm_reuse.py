@@ -1,0 +1,114 @@
+"""A changed set of pictures repeats the work on the changed pictures only, and gives what a fresh run gives."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from epipole import ReconstructionResult, reconstruct
+from epipole.pipelines.sfm import feature_stage, match_stage, pair_blocks
+
+Counts = Counter
+
+
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> Counts:
+    """How many pictures were searched, and pairs matched and verified, since it was last cleared."""
+    counts: Counts = Counter()
+    detect, match, verify = feature_stage.detect_features, match_stage.match_pair, match_stage.verify_pairs
+
+    def counted(name, function, size=lambda *_: 1):
+        def call(*args, **options):
+            counts[name] += size(*args)
+            return function(*args, **options)
+
+        return call
+
+    monkeypatch.setattr(feature_stage, "detect_features", counted("pictures", detect))
+    monkeypatch.setattr(match_stage, "match_pair", counted("matched", match))
+    monkeypatch.setattr(
+        match_stage, "verify_pairs", counted("verified", verify, lambda pairs, *_: len(pairs))
+    )
+    monkeypatch.setattr(pair_blocks, "MOST_BLOCKS", 4)
+    return counts
+
+
+@pytest.fixture
+def pictures(rendered: Path, tmp_path: Path) -> Path:
+    """Five of the six rendered pictures, without the first."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for path in sorted(rendered.iterdir())[1:]:
+        shutil.copy(path, folder / path.name)
+    return folder
+
+
+def assert_as_fresh(result: ReconstructionResult, pictures: Path, tmp_path: Path) -> None:
+    """The same model, points, pictures, and files of work as a run that began with these pictures."""
+    fresh = reconstruct(pictures, tmp_path / "fresh")
+    for root, other in ((result.out, fresh.out), (fresh.out, result.out)):
+        for path in [
+            *(root / "sparse").rglob("*.bin"),
+            *(root / "work").rglob("*/*.npz"),
+            root / "points.ply",
+        ]:
+            name = path.relative_to(root)
+            assert (other / name).read_bytes() == path.read_bytes(), name
+
+
+def test_one_picture_more_before_all_others(
+    work: Counts, pictures: Path, rendered: Path, tmp_path: Path
+) -> None:
+    reconstruct(pictures, tmp_path / "out")
+    assert work == {"pictures": 5, "matched": 10, "verified": 10}
+    first = sorted(rendered.iterdir())[0]
+    shutil.copy(first, pictures / first.name)
+    work.clear()
+    result = reconstruct(pictures, tmp_path / "out")
+    assert work == {"pictures": 1, "matched": 5, "verified": 5}
+    assert result.summary["num_registered"] == 6
+    assert_as_fresh(result, pictures, tmp_path)
+
+
+def test_one_picture_less_and_one_renamed(work: Counts, pictures: Path, tmp_path: Path) -> None:
+    reconstruct(pictures, tmp_path / "out")
+    names = sorted(path.name for path in pictures.iterdir())
+    (pictures / names[1]).unlink()
+    (pictures / names[4]).rename(pictures / "z.jpg")  # the last as before
+    work.clear()
+    result = reconstruct(pictures, tmp_path / "out")
+    assert not work
+    assert_as_fresh(result, pictures, tmp_path)
+    (pictures / "z.jpg").rename(pictures / "a.jpg")  # the first now: its pairs are the other way round
+    work.clear()
+    assert_as_fresh(reconstruct(pictures, tmp_path / "out"), pictures, tmp_path / "again")
+    assert work["pictures"] <= 4 and work["matched"] == 3 + 6  # with those of the fresh run
+
+
+def test_the_same_pictures_copied_again(work: Counts, pictures: Path, tmp_path: Path) -> None:
+    """A new folder at the old place, with new times."""
+    reconstruct(pictures, tmp_path / "out")
+    pictures.rename(tmp_path / "earlier")
+    shutil.copytree(tmp_path / "earlier", pictures, copy_function=shutil.copy)
+    work.clear()
+    result = reconstruct(pictures, tmp_path / "out")
+    assert not work
+    assert_as_fresh(result, pictures, tmp_path)
+
+
+def test_another_option_and_back_leaves_no_files_behind(work: Counts, pictures: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+
+    def files() -> list[str]:
+        return sorted(path.name for path in (out / "work").rglob("*.npz"))
+
+    reconstruct(pictures, out)
+    before = files()
+    reconstruct(pictures, out, max_features=1500)
+    assert len(files()) == len(before) and set(files()) & set(before) == {"contents.npz"}
+    work.clear()
+    reconstruct(pictures, out)
+    assert work["pictures"] == 5 and files() == before
