@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from epipole import _parallel
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file
+from epipole.runs.executors import opened
 from epipole.runs.units import is_done, load, store
 
 _KEY = "contents 1"
@@ -36,8 +35,8 @@ def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
         if before.get(str(path), ("", ""))[0] == state
     }
     changed = [path for path in states if path not in known]
-    with ThreadPoolExecutor(_parallel.num_threads()) as pool:
-        known.update(zip(changed, pool.map(_digest_of, changed)))
+    with opened("threads" if len(changed) > 1 else "inline") as pool:
+        known.update(zip(changed, (pool.map if pool is not None else map)(_digest_of, changed)))
     if changed or len(before) != len(states):
         rows = {"paths": [str(p) for p in states], "states": list(states.values())}
         rows["digests"] = [known[path] for path in states]

@@ -95,13 +95,9 @@ def read_image_set(
     """
     listed = list_photographs(folder, ignore=ignore)
     if not listed.names:
-        hints = [
-            listed.advice,
-            *(f"{name} {why}" for name, why in list(listed.unusable.items())[:NAMES_SHOWN]),
-        ]
-        raise NoModelError(
-            " ".join([f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP).", *filter(None, hints)])
-        )
+        hints = [listed.advice, *(f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN])]
+        what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
+        raise NoModelError(" ".join([what, *filter(None, hints)]))
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress)
     unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
