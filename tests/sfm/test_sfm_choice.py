@@ -178,3 +178,30 @@ def test_a_fisheye_calibration_is_taken_as_it_is(rendered, tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(path, CalibrationFile((camera,), Rigid3.identity(1)))
     assert chosen(rendered, calibration=path).cameras[0].model == CameraModel.OPENCV_FISHEYE
+
+
+def test_masks_that_cover_everything_are_named_as_the_cause(rendered, tmp_path):
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    for path in rendered.iterdir():
+        cv2.imwrite(str(masks / f"{path.name}.png"), BLACK)
+    with pytest.raises(NoModelError, match=r"the masks leave 6 of 6 pictures fewer than .* inverted"):
+        reconstruct(rendered, tmp_path / "out", masks=masks)
+    for path in rendered.iterdir():
+        cv2.imwrite(str(masks / f"{path.name}.png"), BLACK[:, 1:])
+    with pytest.raises(NoModelError, match=r"can be used .*the mask is 479 x 320 but its picture"):
+        reconstruct(rendered, tmp_path / "out", masks=masks)
+
+
+@pytest.mark.parametrize(
+    ("cx", "cy", "words"),
+    [
+        (240, 160, ""),
+        (255, 150, ""),
+        (160, 240, "were cx and cy swapped"),
+        (100, 160, "cropped or rectified"),
+    ],
+)
+def test_a_principal_point_far_from_the_middle_is_remarked_on(rendered, cx, cy, words):
+    notes = chosen(rendered, camera_params=f"400,400,{cx},{cy}").notes
+    assert (words in " ".join(notes)) if words else notes == ()

@@ -48,8 +48,23 @@ def test_focal_lengths_are_said_of_pictures_with_their_final_values(told):
     (note,) = [w for w in result.warnings if "focal length" in w]
     final_px = result.model.cameras[0].focal_px
     assert note.startswith("focal length found from the pictures themselves: view_00.jpg and 4 others: ")
-    assert f": {final_px:.0f} px (first estimate " in note
+    assert f": {final_px:.0f} px" in note
     assert abs(final_px - CAMERA.focal_px) < 0.1 * CAMERA.focal_px
+
+
+def test_where_focal_lengths_come_from(told, tmp_path, rendered):
+    result, _, folder = told
+    (source,) = result.summary["focal_sources"][:1]
+    assert source == "found from the pictures (assumed 1.2 x the longer side at first)"
+    for path in sorted(folder.iterdir())[:2]:  # two pictures: nothing can be found from their pair alone
+        (tmp_path / "two").mkdir(exist_ok=True)
+        (tmp_path / "two" / path.name).write_bytes(path.read_bytes())
+    two = reconstruct(tmp_path / "two", tmp_path / "out")
+    is_found = "found from the pictures" in two.summary["focal_sources"][0]
+    assert is_found != any("nothing tells the focal length" in w for w in two.warnings)
+    known = reconstruct(rendered, tmp_path / "known")
+    assert known.summary["focal_sources"] == ["EXIF, 35 mm equivalent, then adjusted with the model"]
+    assert not any("focal" in w for w in known.warnings)
 
 
 def test_the_report_has_the_name_of_the_source_and_says_things_once(told):

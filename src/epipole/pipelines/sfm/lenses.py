@@ -23,6 +23,8 @@ MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
 MAX_OFFSET = 10.0
 """Largest distance of a known principal point from the picture's corner, in the same unit."""
 MAX_DISTORTION = 1e4
+FAR_OFF_MIDDLE = 0.2
+"""A known principal point further from the middle, in units of the picture's side, is remarked on."""
 
 
 def group_cameras(
@@ -118,6 +120,25 @@ def _refuse_impossible(camera: Camera, where: str) -> None:
                 f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
                 f"({low:g} to {high:g} is possible)"
             )
+
+
+def principal_point_note(camera: Camera) -> str:
+    """What is odd about a known principal point; empty where nothing is.
+
+    A lens stands over the middle of its sensor to within a few per cent; crops and rectified pictures may differ.
+    """
+    size = np.array([camera.width, camera.height])
+    middle, point = (size - 1) / 2, camera.K[:2, 2]
+    far = bool((np.abs(point - middle) > FAR_OFF_MIDDLE * size).any())
+    is_swapped = np.abs(point[::-1] - middle).sum() < 0.25 * np.abs(point - middle).sum()
+    if not (far or is_swapped):
+        return ""
+    ask = "were cx and cy swapped?" if is_swapped else "right only for a cropped or rectified picture"
+    cx, cy = point + 0.5
+    return (
+        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the pictures "
+        f"({camera.width / 2:g}, {camera.height / 2:g}): {ask}"
+    )
 
 
 def _camera_of(header: PhotographHeader, model: CameraModel) -> tuple[Camera, str]:

@@ -19,6 +19,7 @@ from epipole.runs import Progress, ProgressCallback
 from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 GPS_OUTLIER_SIGMAS = 5.0
+FEW_FEATURES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,9 +135,9 @@ def reasons_in_words(
         placed |= model.is_registered()
     out = dict(images.left_out)
     for image in np.flatnonzero(~placed):
-        out[images.names[image]] = _reason(
-            int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers
-        )
+        words = _reason(int(image), mapped, view_graph, len(keypoints[int(image)]), min_inliers)
+        is_masked = images.mask_fingerprints[image] and len(keypoints[int(image)]) < 2 * min_inliers
+        out[images.names[image]] = f"{words}, or its mask covers it" if is_masked else words
     return out
 
 
@@ -163,10 +164,16 @@ def _reason(image: int, mapped: Mapped, view_graph: ViewGraph, num_features: int
     return f"of {rejection.num_points_in_sight} points of the model in sight only {rejection.num_inliers} agree on a place"
 
 
-def no_model_reason(view_graph: ViewGraph, num_images: int) -> str:
+def no_model_reason(images: ImageSet, keypoints: Sequence[np.ndarray], view_graph: ViewGraph) -> str:
     """Why there is no model at all, in words, with advice."""
-    if num_images < 2:
+    if len(images) < 2:
         return "one picture cannot give depth; take at least two from different places"
+    covered = [bool(mask) and len(k) < FEW_FEATURES for mask, k in zip(images.mask_fingerprints, keypoints)]
+    if sum(covered) > len(images) / 2:
+        return (
+            f"the masks leave {sum(covered)} of {len(images)} pictures fewer than {FEW_FEATURES} features: what is black "
+            "in a mask is not used (are they inverted?)"
+        )
     if len(view_graph) == 0:
         return (
             "no two pictures share enough features; take pictures that overlap by half or more, "

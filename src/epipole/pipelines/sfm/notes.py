@@ -63,20 +63,54 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
 
 
 def _focal_notes(solution: Solution) -> list[str]:
-    """Focal lengths that came out of the pictures, as they are in the models, and the first estimates."""
-    found = []
-    for c in solution.guessed_cameras:
-        taken = [m for m in solution.mapped.models if (m.is_registered() & (m.camera_of_image == c)).any()]
-        if taken:
-            final_px, first_px = taken[0].cameras[c].focal_px, solution.cameras[c].focal_px
-            found.append(
-                f"{pictures_of_camera(solution, c)}: {final_px:.0f} px (first estimate {first_px:.0f} px)"
-            )
-    if not found:
-        return []
-    more = f"; and {len(found) - CAMERAS_SHOWN} more, see the report" if len(found) > CAMERAS_SHOWN else ""
-    words = "focal length" if len(found) == 1 else "focal lengths"
-    return [f"{words} found from the pictures themselves: {'; '.join(found[:CAMERAS_SHOWN])}{more}"]
+    """Focal lengths that nobody gave: those that came out of the pictures, and those that did not."""
+    found, unknown = [], []
+    for c in np.flatnonzero(
+        ~(solution.images.cameras.is_focal_trusted | solution.images.cameras.is_constant)
+    ):
+        final_px = _final_focal_px(solution, int(c))
+        if final_px is None:
+            continue
+        of_pictures, first_px = pictures_of_camera(solution, int(c)), solution.cameras[int(c)].focal_px
+        if int(c) in solution.guessed_cameras:
+            first = f" (first estimate {first_px:.0f} px)" if f"{first_px:.0f}" != f"{final_px:.0f}" else ""
+            found.append(f"{of_pictures}: {final_px:.0f} px{first}")
+        else:
+            unknown.append(f"{of_pictures}: {final_px:.0f} px from a guess of {first_px:.0f} px")
+    notes = []
+    if found:
+        words = "focal length" if len(found) == 1 else "focal lengths"
+        notes.append(f"{words} found from the pictures themselves: {_first_of(found)}")
+    if unknown:
+        notes.append(
+            "nothing tells the focal length, and the pictures do not agree on one, so that it, and with it angles and "
+            f"proportions, may be wrong by several per cent: {_first_of(unknown)}. Known values are given by "
+            "--calibration or --camera-params"
+        )
+    return notes
+
+
+def focal_source(solution: Solution, camera: int) -> str:
+    """Where the focal length of a camera in the models comes from, in words."""
+    source = solution.images.focal_sources[camera]
+    if solution.images.cameras.is_constant[camera]:
+        return source
+    if camera in solution.guessed_cameras:
+        return f"found from the pictures ({source} at first)"
+    return f"{source}, then adjusted with the model"
+
+
+def _final_focal_px(solution: Solution, camera: int) -> float | None:
+    """As it is in the largest model that the camera has a picture in."""
+    for model in solution.mapped.models:
+        if (model.is_registered() & (model.camera_of_image == camera)).any():
+            return float(model.cameras[camera].focal_px)
+    return None
+
+
+def _first_of(cameras: list[str]) -> str:
+    more = len(cameras) - CAMERAS_SHOWN
+    return "; ".join(cameras[:CAMERAS_SHOWN]) + (f"; and {more} more, see the report" if more > 0 else "")
 
 
 def pictures_of_camera(solution: Solution, camera: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from epipole._jit import compile_seconds
-from epipole.pipelines.sfm.notes import pictures_of_camera, title_of
+from epipole.pipelines.sfm.notes import focal_source, pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
@@ -128,7 +128,7 @@ def _camera_line(solution: Solution, camera: int) -> str:
     first_px = solution.images.cameras[camera].focal_px
     return (
         f"{pictures_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
-        f"focal length first {first_px:.0f} px ({solution.images.focal_sources[camera]})"
+        f"focal length first {first_px:.0f} px, {focal_source(solution, camera)}"
     )
 
 

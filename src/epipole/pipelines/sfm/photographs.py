@@ -14,7 +14,7 @@ from epipole.errors import ConfigError, FileFormatError, MissingDependencyError,
 from epipole.io.photographs import PhotographHeader, list_photographs, mask_names, mask_of, read_header
 from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.lenses import group_cameras
+from epipole.pipelines.sfm.lenses import group_cameras, principal_point_note
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
@@ -111,6 +111,7 @@ def read_image_set(
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
     cameras, camera_of_image, sources = group_cameras(headers, config)
+    lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
     return ImageSet(
@@ -125,7 +126,7 @@ def read_image_set(
         tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
         bool(times),
-        tuple(filter(None, [*notes, mask_note])),
+        tuple(filter(None, [*notes, lens_note, mask_note])),
     )
 
 

@@ -229,7 +229,7 @@ def _detect(
     images = images.without(failures)
     if len(images) == 0:
         reason = next(iter(images.left_out.values()))
-        raise NoModelError(f"none of the pictures can be read ({reason})")
+        raise NoModelError(f"none of the pictures can be used ({reason})")
     if len(images) < 2:
         left_out = "".join(f"; {name}: {why}" for name, why in list(images.left_out.items())[:3])
         raise NoModelError(f"only one usable picture, and one picture cannot give depth{left_out}")

@@ -35,7 +35,7 @@ def write_results(solution: Solution, run: Run) -> None:
         write_database(aside / DATABASE, database_contents(solution))
     models = solution.mapped.models
     if not models:
-        raise NoModelError(no_model_reason(solution.view_graph, len(solution.images)))
+        raise NoModelError(no_model_reason(solution.images, solution.keypoints, solution.view_graph))
     with run.folder.publish("model") as aside:
         for number, model in enumerate(models):
             write_colmap_model(model, aside / "sparse" / str(number))

@@ -15,7 +15,7 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
-from epipole.pipelines.sfm.notes import absences_of, notes_on_choice_and_lenses, warnings_of
+from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_lenses, warnings_of
 from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
@@ -156,7 +156,7 @@ def _summary(
         "is_metric": residuals is not None,
         "median_gps_residual_m": None if residuals is None else float(np.nanmedian(residuals)),
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
-        "focal_sources": list(images.focal_sources),
+        "focal_sources": [focal_source(solution, c) for c in range(len(images.focal_sources))],
         "not_registered": reasons,
         "warnings": warnings,
         "seconds": seconds,
