@@ -4,6 +4,7 @@ import os
 import pty
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -83,8 +84,12 @@ def test_lines_are_written_at_once_and_bars_only_on_a_terminal():
 
 
 @pytest.mark.parametrize("loudness", ["quiet", "normal"])
-def test_short_waits(capsys, loudness):
+def test_short_waits(capsys, loudness, monkeypatch):
     with screen.loudness(loudness), screen.waiting_for_kernels():
         pass
+    assert capsys.readouterr().err == ""  # over at once
+    monkeypatch.setattr(screen, "SHORT_S", 0.05)
+    with screen.loudness(loudness), screen.waiting_for_kernels():
+        time.sleep(0.2)
     said = capsys.readouterr().err
-    assert said == "" if loudness == "quiet" else said.startswith("Working") and "Done after 0.0 s" in said
+    assert said == "" if loudness == "quiet" else said.startswith("Working") and "Done after 0.2 s" in said

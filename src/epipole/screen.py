@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -26,9 +27,11 @@ if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
 
 ANSWER_IS_NO = 3
-"""Exit code of a check that ran and did not pass; errors have 1, wrong usage 2."""
-COMPILE_NOTE = "Compiling kernels, once on this machine (about a minute; later runs start at once)"
+"""Exit code of a check that ran and did not pass; errors have 1, options that cannot be used 2."""
+COMPILE_NOTE = "Compiling kernels, once on this machine (half a minute to a minute; later runs start at once)"
 LINE_EVERY_S = 10.0
+SHORT_S = 1.0
+"""Work that is over sooner needs no announcement."""
 """Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
 Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
@@ -59,7 +62,7 @@ def progress_on_screen(
 
     Args:
         words: labels of the stages; others are shown by their names.
-        compiles_much: announce that kernels compile for about a minute.
+        compiles_much: announce that kernels compile for half a minute or more.
     """
     from epipole import _jit
 
@@ -170,9 +173,15 @@ def waiting_for_kernels() -> Iterator[None]:
         with console.status(words):
             yield
     else:
-        console.print(words, soft_wrap=True)
-        yield
-        console.print(f"Done after {perf_counter() - since:.1f} s", soft_wrap=True)
+        announcement = threading.Timer(SHORT_S, console.print, (words,), {"soft_wrap": True})
+        announcement.start()
+        try:
+            yield
+        finally:
+            announcement.cancel()
+            announcement.join()
+        if perf_counter() - since > SHORT_S:
+            console.print(f"Done after {perf_counter() - since:.1f} s", soft_wrap=True)
     _say_compiling(console, _jit.compile_seconds() - begin)
 
 

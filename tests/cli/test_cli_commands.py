@@ -143,7 +143,8 @@ def test_stereo_of_two_files(tmp_path):
     )
     both = np.isfinite(found) & np.isfinite(truth)
     assert both.mean() > 0.6 and np.median(np.abs(found / truth - 1)[both]) < 0.05
-    assert "baseline is missing" in run("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=1)
+    said = run("stereo", left, right, tmp_path / "two", "--focal-px", 500, expect=2)
+    assert "depth needs both --focal-px and --baseline, and only --focal-px was given" in said
     assert "no such file" in run("stereo", left, tmp_path / "none.png", tmp_path / "two", expect=1).lower()
     assert not (tmp_path / "two").exists()
 
@@ -188,18 +189,18 @@ def test_stereo_by_a_calibration_and_the_doctor(tmp_path):
     assert told["problems"] == [] and told["expectations"][0]["from_calibration"] > 0
     assert "swapped" in run("stereo-doctor", right, left)
     both = ("--calibration", known, "--focal-px", "3")
-    assert "not both" in run("stereo", left, right, tmp_path / "x", *both, expect=1)
+    assert "not both" in run("stereo", left, right, tmp_path / "x", *both, expect=2)
 
 
 def test_stereo_says_what_it_needs(tmp_path):
     _, left, right = saved_pair(tmp_path, (120, 90))
-    for arguments, words in (
-        ((left, right), "expected LEFT RIGHT OUT"),
-        (("--workspace", tmp_path, tmp_path / "out"), "--pair A B"),
-        ((left, tmp_path, tmp_path / "out"), "not a folder"),
-        ((left, right, tmp_path / "out", "--calibration", left), "neither JSON nor YAML"),
+    for arguments, words, code in (
+        ((left, right), "needs LEFT RIGHT OUT, got ", 2),
+        (("--workspace", tmp_path, tmp_path / "out"), "--pair A B", 2),
+        ((left, tmp_path, tmp_path / "out"), "not a folder", 1),
+        ((left, right, tmp_path / "out", "--calibration", left), "neither JSON nor YAML", 1),
     ):
-        printed = run("stereo", *arguments, expect=1)
+        printed = run("stereo", *arguments, expect=code)
         assert words in printed and "Traceback" not in printed
 
 

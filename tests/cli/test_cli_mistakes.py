@@ -10,7 +10,7 @@ import pytest
 from epipole import screen
 from epipole.cli import main as command_line
 from epipole.cli.main import COMMANDS, _functions, main
-from epipole.cli.mistakes import explain, unboxed
+from epipole.cli.mistakes import explain, unboxed, with_option_names
 from epipole.cli.options import signature_of
 from epipole.pipelines.sfm.config import ReconstructConfig
 
@@ -76,7 +76,7 @@ def test_wrong_words(given, parts, capsys):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("calibrate a b --columns 0", "a chessboard needs at least 3 --columns and rows, got 0 x 6"),
+        ("calibrate a b --columns 0", "a chessboard needs at least 3 --columns and --rows, got 0 x 6"),
         ("calibrate a b --square nan", "--square must be a number, got NaN"),
         (
             "reconstruct a b --features.max-features 0",
@@ -99,7 +99,19 @@ def test_values_that_a_config_refuses_name_the_option_as_it_was_given(given, sai
 
 
 def test_a_config_of_a_run_names_options_too_but_leaves_words_alone(capsys):
-    assert refused("stereo a b --paths 4", capsys, 1) == "expected LEFT RIGHT OUT, got 2 paths"
+    assert refused("stereo a b --paths 4", capsys) == "`epipole stereo` needs LEFT RIGHT OUT, got a b"
+
+
+def test_a_field_beside_an_option_is_written_as_one():
+    words, signature = ["reconstruct", "a", "b", "--include", "*"], SIGNATURES["reconstruct"]
+    message = "include and exclude choose pictures of a folder; x.mp4 is a video"
+    said = with_option_names(message, words, signature, also_plain=False)
+    assert said == "--include and --exclude choose pictures of a folder; x.mp4 is a video"
+
+
+def test_an_option_that_took_a_path_for_its_value_is_shown(capsys):
+    said = refused("stereo --workspace W --pair A OUT", capsys)
+    assert "LEFT is missing (`--pair A OUT` is one option with its values)" in said
 
 
 def test_what_is_read_off_the_signatures_is_what_the_parser_takes(capsys):
@@ -227,10 +239,10 @@ def test_verbose_says_where_an_error_comes_from(capsys):
 def test_files_that_the_system_refuses_are_one_line(capsys, tmp_path):
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
-    for path in (loop, "x" * 5000):
+    for path, code in ((loop, 2), ("x" * 5000, 1)):
         with pytest.raises(SystemExit) as stopped:
             main(["stereo", str(path), str(path), str(tmp_path / "out")])
-        assert stopped.value.code == 1
+        assert stopped.value.code == code
         said = capsys.readouterr().err
         assert said.splitlines()[-1].startswith("epipole: ") and "Traceback" not in said
 

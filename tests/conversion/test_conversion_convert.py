@@ -69,7 +69,7 @@ def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
 
 
 def test_two_models_do_not_mix(tmp_path: Path) -> None:
-    """The second conversion to a folder replaces the first if it is of the same model, and is refused if not."""
+    """The second conversion to a folder comes beside the first if it is of the same model, and is refused if not."""
     model = mappable_model()
     one, two = (output_folder(tmp_path / name, model) for name in ("one", "two"))
     target = tmp_path / "target"
@@ -79,13 +79,8 @@ def test_two_models_do_not_mix(tmp_path: Path) -> None:
         convert(two, target, "transforms")
     assert names_in(target) == before
     convert(one, target, "txt")
-    assert names_in(target) == sorted(
-        [
-            "config.json",
-            "epipole.json",
-            *(f"{n}.txt" for n in ("cameras", "rigs", "frames", "images", "points3D")),
-        ]
-    )
+    texts = [f"{n}.txt" for n in ("cameras", "rigs", "frames", "images", "points3D")]
+    assert names_in(target) == sorted([*before, *texts])
 
 
 def test_what_is_there_is_kept(tmp_path: Path) -> None:
@@ -143,3 +138,13 @@ def test_only_a_ply_file_is_replaced_by_one(tmp_path: Path) -> None:
         assert (out / name).read_bytes() == before
     for _ in range(2):
         assert len(read_points_ply(convert(out, tmp_path / "a.ply", "ply").out))
+
+
+def test_what_convert_wrote_can_be_read_and_a_ply_is_no_model(tmp_path: Path) -> None:
+    one = output_folder(tmp_path / "one", mappable_model())
+    convert(one, tmp_path / "nerf", "transforms")
+    again = convert(tmp_path / "nerf", tmp_path / "text", "txt")
+    assert (again.out / "cameras.txt").is_file()
+    convert(one, tmp_path / "scene.ply", "ply")
+    with pytest.raises(FileFormatError, match="points without cameras"):
+        convert(tmp_path / "scene.ply", tmp_path / "x", "txt")

@@ -48,7 +48,7 @@ def test_evenly_spaced_frames_with_times(tmp_path, suffix, fourcc):
     decoded = decoded_means(video)
     for name, index in zip(frames.name, frames.index):
         assert np.argmin(np.abs(decoded - read_grey(tmp_path / "out" / name).mean())) == index
-    assert [done for done, _ in seen] == [int(i) + 1 for i in frames.index]
+    assert [done for done, _ in seen] == [0, *(int(i) + 1 for i in frames.index)]
     assert {total for _, total in seen} == {80}
 
 

@@ -249,3 +249,13 @@ def test_a_renamed_source_may_gain_and_lose_files(
     else:
         with pytest.raises(WorkspaceError, match="rename them back"):
             claim(out, "made", [after])
+
+
+def test_what_stands_in_a_results_place_is_found_before_the_work(folder: OutputFolder) -> None:
+    publish(folder, "model", {"points.ply": "1"})
+    (folder.root / "points.ply").unlink()
+    (folder.root / "points.ply").mkdir()
+    with pytest.raises(WorkspaceError, match=r"points\.ply is no file any more: remove it"):
+        claim(folder.root, "made", [PICTURES])
+    (folder.root / "points.ply").rmdir()
+    claim(folder.root, "made", [PICTURES])

@@ -10,7 +10,7 @@ from PIL import Image
 from epipole import api
 from epipole.cameras import Camera
 from epipole.disparity_search.search import match_stereo
-from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model
 from epipole.io.depth_maps import read_pfm
@@ -164,8 +164,9 @@ def test_two_pictures_of_a_model(tmp_path, pair):
     known = np.isfinite(found.depths.depth)
     assert known.mean() > 0.5
     np.testing.assert_allclose(found.depths.depth[known], expected[known], rtol=1e-4)
-    for first, second, words in (("a.png", "zzz.png", "zzz.png"), ("c.png", "b.png", "c.png has no place")):
-        with pytest.raises(FileFormatError, match=words):
-            api.stereo_of_model(tmp_path / "w", first, second, tmp_path / "out", CONFIG)
+    assert found.unit == "the model's unit"
+    for second, words in (("c.png", r"c\.png has no place .*/w$"), ("b", r"b has no place .*mean b\.png\?")):
+        with pytest.raises(ConfigError, match=words):
+            api.stereo_of_model(tmp_path / "w", "a.png", second, tmp_path / "out", CONFIG)
     with pytest.raises(DegenerateGeometryError, match="must differ"):
         api.stereo_of_model(tmp_path / "w", "a.png", "a.png", tmp_path / "out", CONFIG)

@@ -169,7 +169,7 @@ def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
     with taken() as port:
         for asked, words in ((80000, "between 1 and 65535, got 80000"), (port, f"port {port} is in use")):
             done = subprocess.run([*command, str(asked)], capture_output=True, text=True, timeout=60)
-            assert done.returncode == 1 and done.stderr.count("\n") == 1 and not done.stdout
+            assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
             assert done.stderr.startswith("epipole: ") and words in done.stderr
     with subprocess.Popen([*command, str(free_port())], stdout=subprocess.PIPE, text=True) as running:
         stop = threading.Timer(60, running.kill)

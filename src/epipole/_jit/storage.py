@@ -63,7 +63,7 @@ def cache_folder(mode: str) -> Path:
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, RuntimeWarning, stacklevel=3)
+    warnings.warn(f"epipole: {text}", RuntimeWarning, stacklevel=3)
 
 
 def why_not_trusted(folder: Path) -> str:

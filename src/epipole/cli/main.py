@@ -10,6 +10,7 @@ import io
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -81,7 +82,7 @@ def version() -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a command; errors that are meant for the user become one line and exit code 1, wrong usage 2."""
+    """Run a command; errors meant for the user become one line and exit code 1; wrong words and options 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     asked = {EVERYWHERE[word] for word in words if word in EVERYWHERE}
     words = [word for word in words if word not in EVERYWHERE]
@@ -100,7 +101,7 @@ def main(arguments: list[str] | None = None) -> None:
     gc.set_threshold(200_000, 20, 100)
     if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with _loudness(asked, words):
+    with _loudness(asked, words), _warnings_in_one_line():
         _run(words)
 
 
@@ -111,7 +112,8 @@ def _run(words: list[str]) -> None:
             call()
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
-        _refuse(_as_options(error, words, while_parsing=False), 1)
+        code = WRONG_USAGE if isinstance(error, ConfigError) else 1
+        _refuse(_as_options(error, words, while_parsing=False), code)
     except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
@@ -137,6 +139,22 @@ def _unwrapped() -> Iterator[None]:
         yield
     finally:
         os.environ.pop("COLUMNS", None)
+
+
+@contextlib.contextmanager
+def _warnings_in_one_line() -> Iterator[None]:
+    """What the package warns of is a note for the user, not a place in its code."""
+    with warnings.catch_warnings():
+        plain = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
+            if category is RuntimeWarning and str(message).startswith("epipole: "):
+                print(message, file=sys.stderr)
+            else:
+                plain(message, category, *rest, **named)
+
+        warnings.showwarning = show
+        yield
 
 
 def _refuse(message: str, code: int) -> NoReturn:

@@ -28,6 +28,7 @@ def explain(words: Sequence[str], signatures: Mapping[str, Signature]) -> str | 
     mine = signatures[command]
     paths: list[str] = []
     given: set[str] = set()
+    taken: list[str] = []
     problem, k = None, 0
     while k < len(rest) and problem is None:
         if not _is_option(rest[k]):
@@ -36,9 +37,14 @@ def explain(words: Sequence[str], signatures: Mapping[str, Signature]) -> str | 
             continue
         problem, used = _option_at(rest[k:], mine, signatures)
         given.add(_named(rest[k])[0])
+        if used > 2:
+            taken.append(" ".join(rest[k : k + used]))
         k += used
     problem = (
-        problem or _missing_path(paths, mine) or _missing_option(given, mine) or _extra_path(paths, mine)
+        problem
+        or _missing_path(paths, mine, taken)
+        or _missing_option(given, mine)
+        or _extra_path(paths, mine)
     )
     if problem is None or problem.endswith("?"):
         return problem
@@ -66,7 +72,20 @@ def with_option_names(message: str, words: Sequence[str], signature: Signature, 
             mine = named
         return mine[0] if mine else found[0]
 
-    return re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, message)
+    named = re.sub(r"(?<![\w./-])[a-z]\w*(?![\w/-]|\.\w)", option, message)
+    return _with_neighbours(named, signature)
+
+
+def _with_neighbours(message: str, signature: Signature) -> str:
+    """A field that stands in one list with an option is meant as one, too: `--include and exclude`."""
+
+    def option(found: re.Match[str]) -> str:
+        named = signature.of_field(found["field"])
+        return found[0].replace(found["field"], named[0].name) if len(named) == 1 else found[0]
+
+    between, field, given = r"(?:,? and |,? or |, )", r"(?P<field>[a-z]\w*)", r"--[a-z][\w.-]*"
+    message = re.sub(rf"{given}{between}{field}(?![\w.-])", option, message)
+    return re.sub(rf"(?<![\w.-]){field}{between}{given}", option, message)
 
 
 def unboxed(text: str) -> str:
@@ -129,12 +148,14 @@ def _extra_path(paths: Sequence[str], mine: Signature) -> str | None:
     return f"`epipole {mine.command}` takes {wanted} alone; {extra!r} is too much (a name with spaces needs quotes)"
 
 
-def _missing_path(paths: Sequence[str], mine: Signature) -> str | None:
+def _missing_path(paths: Sequence[str], mine: Signature, taken: Sequence[str]) -> str | None:
+    """The paths that are not there, and the options that may have taken them for their values."""
     missing = [name for name, is_required in mine.paths[len(paths) :] if is_required]
     if not missing:
         return None
     are = "is" if len(missing) == 1 else "are"
-    return f"`epipole {mine.command}` needs {_wanted(mine)}; {' and '.join(missing)} {are} missing"
+    by = f" (`{taken[-1]}` is one option with its values)" if taken else ""
+    return f"`epipole {mine.command}` needs {_wanted(mine)}; {' and '.join(missing)} {are} missing{by}"
 
 
 def _wanted(mine: Signature) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from epipole.errors import FileFormatError
 from epipole.io.bundler import write_bundler
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
 from epipole.io.transforms_json import read_transforms, write_transforms
@@ -15,20 +16,32 @@ ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler"]
 IMAGE_FOLDER = "images"
 """Where the pictures are beside a transforms.json or a bundle.out."""
 
+TRANSFORMS = "transforms.json"
+
 FOLDER_WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
     "txt": lambda model, folder: write_colmap_model(model, folder, text=True),
     "bin": write_colmap_model,
-    "transforms": lambda model, folder: write_transforms(model, folder / "transforms.json", IMAGE_FOLDER),
+    "transforms": lambda model, folder: write_transforms(model, folder / TRANSFORMS, IMAGE_FOLDER),
     "bundler": lambda model, folder: write_bundler(model, folder / "bundle.out", IMAGE_FOLDER),
 }
 """Writers of the formats of several files."""
 
 
 def read_model(source: str | Path) -> Reconstruction:
-    """Read the model of an output folder, a COLMAP model, or a transforms.json.
+    """Read the model of an output folder, a COLMAP model, or a transforms.json or the folder that holds one.
 
     Raises:
         FileFormatError: there is none that can be read.
     """
     source = Path(source)
-    return read_transforms(source) if source.is_file() else read_colmap_model(find_model(source))
+    if source.suffix.lower() == ".ply" and source.is_file():
+        raise FileFormatError(source, "holds points without cameras: no model")
+    if source.is_file():
+        return read_transforms(source)
+    try:
+        folder = find_model(source)
+    except FileFormatError:
+        if (source / TRANSFORMS).is_file():
+            return read_transforms(source / TRANSFORMS)
+        raise
+    return read_colmap_model(folder)

@@ -165,6 +165,8 @@ def _extract(
         num_slots = min(max_frames, max(1, round(num_frames / (fps * every_s))))
     windows = slot_bounds(num_frames, min(num_slots, num_frames))
     names, indices, times = [], [], []
+    if progress is not None:
+        progress(0, num_frames)
     for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
         name = f"frame_{index:06d}.jpg"
         encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]

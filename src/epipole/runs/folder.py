@@ -107,6 +107,16 @@ class OutputFolder:
         else:
             self.has_failed = has_failed and set(self.files) <= BY_PRODUCTS
 
+    def refuse_replaced(self) -> None:
+        """Before any work: what an earlier run has written is still a file, and so can be written again.
+
+        Raises:
+            WorkspaceError: a folder or a link stands in its place.
+        """
+        self._refuse_what_is_not_ours(
+            [name for names in self.files.values() for name in names if is_inside_name(name)]
+        )
+
     def save(self) -> None:
         """Write the mark."""
         content = {
@@ -215,6 +225,7 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
         elif held.kind == kind and held.source.is_same_as(source):
             folder = held
             folder.source = source
+            folder.refuse_replaced()
         elif held.has_failed or _is_bare(root, held):
             folder = held.take_over(kind, source)
         else:

@@ -67,7 +67,7 @@ def calibrate(
         found = _measure(pictures_of_cameras(images, *others), run, config)
         with run.folder.publish("calibration") as aside:
             write_results(found, aside)
-        run.folder.write_text("report.html", render_page(found))
+            (aside / "report.html").write_text(render_page(found), encoding="utf-8")
         run.finish()
         return found
 

@@ -40,7 +40,7 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     Args:
         source: output folder of `reconstruct`, a COLMAP model, or a transforms.json.
         target: for `ply` a file; for the other formats, which are of several files, a new folder, or that of an earlier
-            conversion of the same model. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
+            conversion of the same model, whose other formats stay. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
             where the disk is the same): the paths in these files are then right.
         format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler or ply.
 
@@ -62,10 +62,11 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     names = _names_with_place(model) if format in _WITH_PICTURES else []
     found = {name: path for name in names if (path := _picture(source, name)) is not None}
     with open_run(Job(kind="convert", inputs=(source,), settings={"format": format}), target) as run:
-        with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
-            for name, path in found.items():
-                link_or_copy(path, run.root / IMAGE_FOLDER / name)
-        with run.folder.publish("model") as aside:  # last: where it is, its pictures are
+        if format in _WITH_PICTURES:
+            with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
+                for name, path in found.items():
+                    link_or_copy(path, run.root / IMAGE_FOLDER / name)
+        with run.folder.publish(format) as aside:  # last: where it is, its pictures are
             FOLDER_WRITERS[format](model, aside)
         run.finish()
     return Conversion(target, len(found), tuple(name for name in names if name not in found))

@@ -63,7 +63,8 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         scale = f"metres, from GPS ({summary['median_gps_residual_m']:.1f} m from the fixes, median)"
     table.add_row("scale", scale)
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())
-    table.add_row("time", f"{summary['seconds']:.1f} s ({times})")
+    earlier = ", with those of earlier runs" if sum(result.timings_s.values()) > summary["seconds"] else ""
+    table.add_row("time", f"{summary['seconds']:.1f} s (stages{earlier}: {times})")
     if summary["compile_seconds"] > 1:
         table.add_row(
             "", f"of which compiling kernels, once on this machine: {summary['compile_seconds']:.0f} s"

@@ -105,6 +105,9 @@ class MapperConfig:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
+        for name, value in vars(self).items():
+            if isinstance(value, float) and math.isinf(value):
+                raise ConfigError(f"{name} must be finite, got {value}")
         if not self.max_error_px > 0 or not self.resection_max_error_px > 0 or not self.gps_sigma_m > 0:
             raise ConfigError(
                 "max_error_px, resection_max_error_px and gps_sigma_m must be positive, got "

@@ -136,6 +136,7 @@ def _read_headers(
     """Headers of the pictures that can be used, and why the others cannot."""
     headers: dict[str, PhotographHeader] = {}
     left_out: dict[str, str] = {}
+    progress(Progress("read", 0, len(names)))
     for n, name in enumerate(names):
         try:
             header = read_header(folder / name)

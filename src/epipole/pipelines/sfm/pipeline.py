@@ -196,7 +196,9 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
         return read_image_set(folder, config, memory, timestamps_s=times, progress=run.job.progress)
     if not source.is_dir():
-        raise NoModelError(f"{source} is neither a folder of photographs nor a video")
+        raise NoModelError(
+            f"{source} is neither a video nor a folder: give the folder that holds the photographs"
+        )
     ignore = (run.root, *((config.masks,) if config.masks else ()))
     return read_image_set(source, config, memory, ignore=ignore, progress=run.job.progress)
 

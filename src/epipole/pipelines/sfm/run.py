@@ -105,7 +105,8 @@ def reconstruct(
 def _check_inputs(source: Path, config: ReconstructConfig) -> None:
     """Before any work: what was named is there."""
     if not source.exists():
-        raise NoModelError(f"{source} does not exist")
+        hint = "; give the folder, and the pattern with --include" if set("*?[") & set(source.name) else ""
+        raise NoModelError(f"{source} does not exist{hint}")
     if not (source.is_dir() or source.is_file()):
         raise NoModelError(f"{source} is neither a folder of photographs nor a video, but a pipe or a device")
     if config.masks is not None and not config.masks.is_dir():

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import FileFormatError
-from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.convert import read_model
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.viewer import ViewerHandle, view
@@ -20,7 +20,7 @@ def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandl
     Raises:
         FileFormatError: there is no model.
     """
-    model = read_colmap_model(find_model(path))
+    model = read_model(path)
     return view(model, picture_loader(path / "images"), port=port, host=host, block=block)
 
 

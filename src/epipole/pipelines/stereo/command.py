@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, NoModelError
 from epipole.pipelines.stereo.config import ModelPair, RigOptions, StereoConfig
 
 Left = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LEFT")]
@@ -60,7 +60,7 @@ def stereo(
         _measure_of_model(model.workspace, model.pair, left, config)
         return
     if right is None or out is None:
-        raise ConfigError(f"expected LEFT RIGHT OUT, got {len(paths)} paths")
+        raise ConfigError(f"`epipole stereo` needs LEFT RIGHT OUT, got {' '.join(map(str, paths))}")
     is_whole = _measure(left, right, out, config, rig)
     _exit_with(is_whole or not strict)
 
@@ -137,7 +137,7 @@ def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: 
 
     show_batch(batch)
     if not (batch.done or batch.earlier):
-        raise ConfigError("no pair could be measured")
+        raise NoModelError("no pair could be measured")
     return not batch.problems
 
 

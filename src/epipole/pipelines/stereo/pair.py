@@ -51,6 +51,8 @@ class StereoResult:
     """With guesses for unknown pixels, if `StereoConfig.fill` is set."""
     out: Path | None = None
     """Folder it was written to."""
+    unit: str = "the baseline's unit"
+    """Of the depths, in words."""
 
     def __repr__(self) -> str:
         depth = "no depth" if self.depths is None else f"{self.num_points} points"
@@ -145,7 +147,9 @@ def _limits(config: StereoConfig, rig: RectifiedRig | StereoRig | None) -> list[
             "without a calibration disparities stand for depth up to a projective change of space, which may turn its order"
         )
     if isinstance(rig, StereoRig) and rig.covariance is None:
-        out.append("the calibration has no covariance: sigma_depth is that of the disparities alone")
+        out.append(
+            "errors of the cameras' places are not known: sigma_depth is that of the disparities alone"
+        )
     return out
 
 

@@ -75,8 +75,8 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
     if options.focal_px is None and options.baseline is None:
         return None
     if options.focal_px is None or options.baseline is None:
-        missing = "focal_px" if options.focal_px is None else "baseline"
-        raise ConfigError(f"depth needs both focal_px and baseline; {missing} is missing")
+        given = "focal_px" if options.baseline is None else "baseline"
+        raise ConfigError(f"depth needs both focal_px and baseline, and only {given} was given")
     if options.focal_px > _MAX_FOCAL * max(size):
         raise ConfigError(
             f"focal_px = {options.focal_px:g} cannot be of pictures of {size[0]}x{size[1]} pixels: it is in pixels"

@@ -124,11 +124,11 @@ def quick_warnings(left_rgb: np.ndarray, right_rgb: np.ndarray, found: MatchedPa
     agrees = np.abs(matches.vertical_px - np.median(matches.vertical_px)) < _AGREES_PX
     beyond = (matches.disparity_px < low - _NEAR_PX) | (matches.disparity_px > high + _NEAR_PX)
     if low >= 0 and is_swapped(matches):
-        advice = (
-            "is its calibration that of this pair?" if found.is_calibrated else "Exchange the two pictures"
-        )
+        where = "nearly all features lie farther right in the right picture"
         out.append(
-            f"left and right look swapped: nearly all features lie farther right in the right picture. {advice}"
+            f"the calibration seems to be of another pair, or of this one exchanged: {where}"
+            if found.is_calibrated
+            else f"left and right look swapped: {where}. Exchange the two pictures"
         )
     elif agrees.any() and beyond[agrees].mean() > _MOST_BEYOND:
         out.append(

@@ -12,7 +12,7 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
-from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
@@ -65,7 +65,7 @@ def stereo(
         result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
         with run.folder.publish("stereo") as aside:
             write_stereo(result, aside)
-        run.folder.write_text("report.html", render_page(result))
+            (aside / "report.html").write_text(render_page(result), encoding="utf-8")
         run.finish()
         return replace(result, out=run.root)
 
@@ -120,7 +120,8 @@ def stereo_of_model(
         **options: single options of the config by name, which override it.
 
     Raises:
-        FileFormatError: there is no model, or a picture is not in it.
+        FileFormatError: there is no model.
+        ConfigError: a picture has no place in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
     """
     config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
@@ -129,7 +130,9 @@ def stereo_of_model(
     registered, places = model.is_registered(), model.cams_from_world()
     for name in (first, second):
         if name not in rows or not registered[rows[name]]:
-            raise FileFormatError(workspace, f"{name} has no place in the model")
+            near = [each for each in rows if Path(each).stem == name]
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ConfigError(f"{name} has no place in the model in {workspace}{hint}")
     if first == second:
         raise DegenerateGeometryError("the two pictures of a pair must differ")
     one, two = rows[first], rows[second]
@@ -143,7 +146,7 @@ def stereo_of_model(
         note = (f"{first} stands left of {second}: the depth is that of its pixels",)
     pictures = workspace / "images"
     found = stereo(path_inside(pictures, first), path_inside(pictures, second), out, config, rig)
-    return replace(found, warnings=(*note, *found.warnings))
+    return replace(found, warnings=(*note, *found.warnings), unit="the model's unit")
 
 
 def examine_stereo(

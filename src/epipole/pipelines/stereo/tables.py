@@ -28,7 +28,7 @@ def show_stereo(result: StereoResult) -> None:
         table.add_row("their median standard deviation", f"{np.median(found.sigma_px[known]):.2f} px")
     if result.depths is not None and np.isfinite(result.depths.depth).any():
         near, far = np.nanpercentile(result.depths.depth, (1, 99))
-        table.add_row("depths, in the baseline's unit", f"{near:.3g} to {far:.3g}")
+        table.add_row(f"depths, in {result.unit}", f"{near:.3g} to {far:.3g}")
         table.add_row("points", f"{result.num_points}")
     console = Console()
     console.print(table)
