@@ -59,7 +59,7 @@ class OutputFolder:
             WorkspaceError: the disk is full, or a file of that name exists that no run has written.
         """
         aside = part_beside(self.root / group)
-        with reporting(self.root):
+        with reporting(self.root, "write to the folder"):
             try:
                 aside.mkdir()
                 yield aside
