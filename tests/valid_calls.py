@@ -581,6 +581,13 @@ def _metrics() -> Iterator[Row]:
     found = {"registered_mask": np.array([True, True, True, False])}
     yield _row(metrics.relative_pose_auc, **both, **found, thresholds_deg=(1.0, 5.0))
     yield _row(metrics.relative_pose_errors_deg, **both, **found)
+    paths = {"estimate": both["estimated"], "truth": both["truth"]}
+    yield _row(metrics.absolute_error, **paths, alignment="similarity")
+    yield _row(metrics.relative_error, **paths, step=1, all_pairs=True)
+    yield _row(metrics.drift_per_length, **paths, lengths_m=(0.1, 0.2), every=1)
+    timed = scene.Trajectory(np.arange(4.0), PLACES, np.tile(np.eye(6), (4, 1, 1)))
+    yield _row(metrics.associate, estimate=timed, truth=timed, max_difference_s=0.1)
+    yield _row(metrics.ErrorStatistics, values=_some(5))
     yield _row(metrics.area_under_recall, errors=np.abs(_some(6)), thresholds=(1.0, 5.0))
 
 

@@ -24,6 +24,7 @@ from epipole.io import (
     read_database,
     read_g2o,
     read_points_ply,
+    read_trajectory,
     read_transforms,
     read_truth,
     write_colmap_model,
@@ -48,6 +49,7 @@ from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
+from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
 from hostile_bytes import assert_model, assert_motions
 from io_models import small_model
@@ -107,6 +109,15 @@ def _transforms(folder: Path) -> None:
     model = read_transforms(folder / "transforms.json")
     assert_model(model)
     assert all(name.encode() is not None for name in model.images.name)
+
+
+def _trajectory(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_trajectory(folder / name)
+        assert len(found) and (np.diff(found.timestamp_s) >= 0).all()
+        assert_motions(found.world_from_body)
+
+    return read
 
 
 def _cloud(folder: Path) -> None:
@@ -256,7 +267,7 @@ def _write_unit(folder: Path) -> None:
 
 
 def _marked(folder: Path) -> None:
-    OutputFolder(folder, "reconstruct", "here").save()
+    OutputFolder(folder, "reconstruct", Source(("here",), ("0123456789abcdef",))).save()
 
 
 def _mark(folder: Path) -> None:
@@ -328,6 +339,27 @@ FORMATS: dict[str, Format] = {
         *(lambda folder: write_colmap_model(small_model(), folder), "images.bin", "binary", _converted),
         readers=("read_model",),
         weight=0.3,
+    ),
+    "trajectory-tum": Format(
+        _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n0.6 1 2 4 0 0 0.6 0.8\n"),
+        "a.txt",
+        "text",
+        _trajectory("a.txt"),
+        ("read_trajectory",),
+    ),
+    "trajectory-kitti": Format(
+        _put("a.txt", b"1 0 0 5 0 1 0 6 0 0 1 7\n" * 3),
+        "a.txt",
+        "text",
+        _trajectory("a.txt"),
+        ("read_trajectory",),
+    ),
+    "trajectory-euroc": Format(
+        _put(
+            "a.csv",
+            b"#t [ns],x\n1403636580838555648,0.1,0.2,0.3,1,0,0,0,0.5\n1403636580888555648,0.1,0.2,0.4,1,0,0,0,0.5\n",
+        ),
+        *("a.csv", "text", _trajectory("a.csv"), ("read_trajectory",)),
     ),
     "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),
     "truth-middlebury": Format(_put("t_par.txt", _PAR), "t_par.txt", "text", _truth, ("read_truth",)),

@@ -21,6 +21,9 @@ from epipole.io.ply import PlyPoints as PlyPoints
 from epipole.io.ply import read_points_ply as read_points_ply
 from epipole.io.ply import write_points_ply as write_points_ply
 from epipole.io.ply import write_scene_ply as write_scene_ply
+from epipole.io.trajectories import TrajectoryFormat as TrajectoryFormat
+from epipole.io.trajectories import read_trajectory as read_trajectory
+from epipole.io.trajectories import write_trajectory as write_trajectory
 from epipole.io.transforms_json import read_transforms as read_transforms
 from epipole.io.transforms_json import write_transforms as write_transforms
 from epipole.io.truth import TruthCameras as TruthCameras

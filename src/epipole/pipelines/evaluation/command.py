@@ -10,27 +10,62 @@ import tyro
 
 if TYPE_CHECKING:
     from epipole.pipelines.evaluation.run import Evaluation
+    from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation
 
 
 def evaluate(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")], truth: Path, json: bool = False
 ) -> None:
-    """Compare a model's cameras with known ones.
+    """Compare a model's cameras, or a trajectory, with known ones.
 
     Args:
-        out: Output folder of a reconstruction, or a COLMAP model.
-        truth: COLMAP model, folder of Strecha .camera files, or Middlebury _par.txt file.
+        out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
+        truth: COLMAP model, folder of Strecha .camera files, Middlebury _par.txt file, or a trajectory.
         json: Print JSON.
     """
-    from epipole.pipelines.evaluation.run import evaluate as run
+    from epipole.io.json_files import json_text
+    from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
 
-    result = run(out, truth)
-    if json:
-        from epipole.io.json_files import json_text
-
-        print(json_text(asdict(result)), end="")
+    found: dict[str, Evaluation | TrajectoryEvaluation]
+    if paths := trajectories_of(out, truth):
+        found = {path.name: evaluate_trajectory(path, truth) for path in paths}
     else:
-        show_evaluation(result)
+        from epipole.pipelines.evaluation.run import evaluate as run
+
+        found = {"": run(out, truth)}
+    if json:
+        content = {name: asdict(result) for name, result in found.items()}
+        print(json_text(content.get("", content)), end="")
+        return
+    for name, result in found.items():
+        if name:
+            show_trajectory_evaluation(name, result)  # type: ignore[arg-type]
+        else:
+            show_evaluation(result)  # type: ignore[arg-type]
+
+
+def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
+    """Print errors against a known trajectory."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{name}: {result.num_compared} of {result.num_instants} instants compared", box=None)
+    for column in ("aligned", "ATE rmse", "median", "max", "rotation rmse, degrees", "scale"):
+        table.add_column(column)
+    for kind, score in (("rigidly", result.rigid), ("with scale", result.similarity)):
+        numbers = (score.ate_rmse, score.ate_median, score.ate_max, score.rotation_rmse_deg, score.scale)
+        table.add_row(kind, *(f"{number:.6g}" for number in numbers))
+    console = Console()
+    console.print(table)
+    lines = [
+        f"path {result.path_length:.6g} (truth's unit, as all lengths)",
+        f"from one instant to the next: {result.step_rmse:.6g}, {result.step_rotation_rmse_deg:.6g} degrees (rmse)",
+    ]
+    if result.kitti_percent is not None:
+        lines.append(
+            f"KITTI: t_rel {result.kitti_percent:.4g} %, r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
+        )
+    console.print("\n".join(lines), highlight=False)
 
 
 def show_evaluation(result: Evaluation) -> None:

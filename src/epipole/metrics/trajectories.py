@@ -1,0 +1,205 @@
+"""Errors of an estimated trajectory: absolute, after an alignment, and relative, over steps of the path.
+
+Absolute and relative errors as defined by Sturm et al. (A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012,
+equations 1 to 5); KITTI's by Geiger, Lenz and Urtasun (Are we ready for autonomous driving?, CVPR 2012, section 3.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole._declared import Declared, checked
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
+from epipole.scene import Trajectory
+
+Alignment = Literal["none", "rigid", "similarity"]
+KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
+KITTI_STEP = 10
+"""Every tenth instant begins a segment of each length."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorStatistics(Declared):
+    """Errors and what they come to."""
+
+    values: Float64[np.ndarray, " n"]
+
+    @property
+    def rmse(self) -> float:
+        """Root of the mean of the squares."""
+        return float(np.sqrt(np.mean(self.values**2)))
+
+    @property
+    def mean(self) -> float:
+        """Mean."""
+        return float(self.values.mean())
+
+    @property
+    def median(self) -> float:
+        """Median."""
+        return float(np.median(self.values))
+
+    @property
+    def max(self) -> float:
+        """The largest."""
+        return float(self.values.max())
+
+    def __repr__(self) -> str:
+        return f"ErrorStatistics({len(self.values)}, rmse {self.rmse:.4g}, median {self.median:.4g}, max {self.max:.4g})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryError:
+    """Absolute error of a trajectory."""
+
+    position: ErrorStatistics
+    """Distances, in the truth's unit."""
+    rotation_deg: ErrorStatistics
+    truth_from_estimate: Similarity3
+    """The alignment; identity for none."""
+
+    def __repr__(self) -> str:
+        return (
+            f"TrajectoryError(position {self.position!r}, rotation {self.rotation_deg!r}, "
+            f"scale {float(self.truth_from_estimate.scale):.6g})"
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriftPerLength:
+    """Error over segments of given lengths, for each length driven."""
+
+    translation_percent: float
+    """Mean over all segments; NaN where the path is shorter than the shortest."""
+    rotation_deg_per_m: float
+    num_segments: int
+
+    def __repr__(self) -> str:
+        return (
+            f"DriftPerLength({self.translation_percent:.3g} %, {100 * self.rotation_deg_per_m:.3g} deg / 100 m, "
+            f"{self.num_segments} segments)"
+        )
+
+
+@checked
+def associate(
+    estimate: Trajectory, truth: Trajectory, max_difference_s: float = 0.01
+) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
+    """Rows of both that belong together: each instant of the one with fewer, and the nearest in time of the other.
+
+    Raises:
+        DegenerateGeometryError: none do.
+    """
+    first, second = estimate.timestamp_s, truth.timestamp_s
+    if len(first) > len(second):
+        rows_of_truth, rows = associate(truth, estimate, max_difference_s)
+        return rows, rows_of_truth
+    after = np.clip(np.searchsorted(second, first), 1, max(len(second) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(second) - 1)
+    nearest = np.where(np.abs(second[before] - first) <= np.abs(second[after] - first), before, after)
+    kept = np.flatnonzero(np.abs(second[nearest] - first) <= max_difference_s)
+    if not len(kept):
+        raise DegenerateGeometryError(
+            f"no instant of one trajectory is within {max_difference_s:g} s of one of the other: are the clocks the same?"
+        )
+    return kept.astype(np.int64), nearest[kept].astype(np.int64)
+
+
+@checked
+def absolute_error(estimate: Rigid3, truth: Rigid3, alignment: Alignment = "rigid") -> TrajectoryError:
+    """Absolute trajectory error (ATE) of places that belong together.
+
+    Args:
+        estimate: world_from_body, (n,).
+        truth: the same instants.
+        alignment: what the estimate is free up to: nothing, six degrees of freedom (known scale: stereo, depth), or a
+            similarity (one camera).
+
+    Raises:
+        ShapeError: the batches differ.
+        DegenerateGeometryError: fewer than three places, or all on a line, and an alignment is asked for.
+    """
+    moved = Similarity3(np.asarray(1.0), np.eye(3), np.zeros(3))
+    if alignment != "none":
+        moved = align_points(estimate.translation, truth.translation, with_scale=alignment == "similarity")
+    position = np.linalg.norm(moved.apply(estimate.translation) - truth.translation, axis=1)
+    rotation = Rotation3(np.swapaxes(truth.rotation, -1, -2) @ moved.rotation @ estimate.rotation)
+    return TrajectoryError(
+        ErrorStatistics(position), ErrorStatistics(np.degrees(rotation.angle_rad())), moved
+    )
+
+
+@checked
+def relative_error(
+    estimate: Rigid3, truth: Rigid3, step: int = 1, *, all_pairs: bool = False
+) -> tuple[ErrorStatistics, ErrorStatistics]:
+    """Relative pose error (RPE) over steps of the path, without any alignment.
+
+    Args:
+        estimate: world_from_body, (n,).
+        truth: the same instants.
+        step: instants from the begin of a step to its end.
+        all_pairs: steps begin at every instant, not where the one before ends.
+
+    Returns:
+        Errors of translation (in the truth's unit, scale included) and of rotation in degrees.
+
+    Raises:
+        ConfigError: the step is not positive.
+        DegenerateGeometryError: the path is shorter than a step.
+    """
+    if step < 1:
+        raise ConfigError(f"step must be at least 1, got {step}")
+    first = np.arange(0, len(truth.translation) - step, 1 if all_pairs else step)
+    if not len(first):
+        raise DegenerateGeometryError(f"{len(truth.translation)} instants hold no step of {step}")
+    error = _step_error(estimate, truth, first, first + step)
+    return ErrorStatistics(np.linalg.norm(error.translation, axis=1)), ErrorStatistics(
+        np.degrees(Rotation3(error.rotation).angle_rad())
+    )
+
+
+@checked
+def drift_per_length(
+    estimate: Rigid3, truth: Rigid3, lengths_m: tuple[float, ...] = KITTI_LENGTHS_M, every: int = KITTI_STEP
+) -> DriftPerLength:
+    """KITTI's t_rel and r_rel: error over segments of the true path, divided by their length.
+
+    Args:
+        estimate: world_from_body, (n,), in metres.
+        truth: the same instants.
+        lengths_m: of the segments.
+        every: instants from the begin of one segment to the next.
+
+    Raises:
+        ConfigError: a length or `every` is not positive.
+    """
+    if every < 1 or not all(length > 0 for length in lengths_m):
+        raise ConfigError("every and lengths_m must be positive")
+    steps = np.linalg.norm(np.diff(truth.translation, axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    first, last, length = [], [], []
+    for begin in range(0, len(way), every):
+        for wanted in lengths_m:
+            end = int(np.searchsorted(way, way[begin] + wanted, side="right"))
+            if end < len(way):
+                first.append(begin)
+                last.append(end)
+                length.append(wanted)
+    if not first:
+        return DriftPerLength(float("nan"), float("nan"), 0)
+    error = _step_error(estimate, truth, np.array(first), np.array(last))
+    translation = np.linalg.norm(error.translation, axis=1) / length
+    rotation = Rotation3(error.rotation).angle_rad() / length
+    return DriftPerLength(100.0 * float(translation.mean()), float(np.degrees(rotation.mean())), len(first))
+
+
+def _step_error(estimate: Rigid3, truth: Rigid3, first: np.ndarray, last: np.ndarray) -> Rigid3:
+    true_step = truth[first].inverse() @ truth[last]
+    return true_step.inverse() @ (estimate[first].inverse() @ estimate[last])

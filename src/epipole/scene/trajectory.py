@@ -1,0 +1,59 @@
+"""The path of a moving body: places at instants, with their covariances where they are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from epipole._declared import check_fields, checked
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """One row per instant, in order of time."""
+
+    timestamp_s: Float64[np.ndarray, " n"]
+    """Seconds, from any origin; they never fall."""
+    world_from_body: Rigid3
+    covariance: Float64[np.ndarray, "n 6 6"] | None = None
+    """Of xi = (translation, rotation) in the body's axes: body_from_world = exp(xi) @ what is stated."""
+
+    def __post_init__(self) -> None:
+        """Check the rows.
+
+        Raises:
+            ShapeError: the columns are not of one length, times fall, or a number is not finite.
+        """
+        check_fields(self)
+        n, places = len(self.timestamp_s), self.world_from_body
+        if places.batch_shape() != (n,) or (self.covariance is not None and len(self.covariance) != n):
+            raise ShapeError(f"a trajectory of {n} instants needs as many places and covariances")
+        if not (np.isfinite(places.translation).all() and np.isfinite(places.rotation).all()):
+            raise ShapeError("places of a trajectory must be finite: leave out instants without a place")
+        if not np.isfinite(self.timestamp_s).all() or (np.diff(self.timestamp_s) < 0).any():
+            raise ShapeError("timestamp_s must be finite and never fall")
+
+    def __len__(self) -> int:
+        return len(self.timestamp_s)
+
+    def path_length(self) -> float:
+        """Sum of the distances between one instant and the next."""
+        steps = np.diff(self.world_from_body.translation, axis=0)
+        return float(np.linalg.norm(steps, axis=1).sum())
+
+    @checked
+    def __getitem__(self, rows: Int64[np.ndarray, " k"]) -> Trajectory:
+        """The trajectory of these rows, in their order."""
+        covariance = None if self.covariance is None else self.covariance[rows]
+        return Trajectory(self.timestamp_s[rows], self.world_from_body[rows], covariance)
+
+    def __repr__(self) -> str:
+        if not len(self):
+            return "Trajectory(0 instants)"
+        seconds = float(self.timestamp_s[-1] - self.timestamp_s[0])
+        known = ", with covariances" if self.covariance is not None else ""
+        return f"Trajectory({len(self)} instants over {seconds:.1f} s, path {self.path_length():.3g}{known})"
