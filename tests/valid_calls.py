@@ -585,7 +585,9 @@ def _metrics() -> Iterator[Row]:
     yield _row(metrics.absolute_error, **paths, alignment="similarity")
     yield _row(metrics.relative_error, **paths, step=1, all_pairs=True)
     yield _row(metrics.drift_per_length, **paths, lengths_m=(0.1, 0.2), every=1)
-    timed = scene.Trajectory(np.arange(4.0), PLACES, np.tile(np.eye(6), (4, 1, 1)))
+    columns = {"timestamp_s": np.arange(4.0), "world_from_body": PLACES}
+    timed = scene.Trajectory(**columns, covariance=np.tile(np.eye(6), (4, 1, 1)))
+    yield _row(scene.Trajectory, **columns, covariance=timed.covariance)
     yield _row(metrics.associate, estimate=timed, truth=timed, max_difference_s=0.1)
     yield _row(metrics.ErrorStatistics, values=_some(5))
     yield _row(metrics.area_under_recall, errors=np.abs(_some(6)), thresholds=(1.0, 5.0))

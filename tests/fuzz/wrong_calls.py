@@ -130,6 +130,7 @@ def _be_child(numbers: range, seed: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, resource.RLIM_INFINITY))
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print is no finding
+    os.chdir(tempfile.mkdtemp())  # a wrong argument may be a name to write to
     for number in numbers:
         print(json.dumps([number, None]), file=out, flush=True)
         what = failure_of(case(seed, number))

@@ -71,7 +71,10 @@ def view(
     if handle.note:
         print(f"epipole: {handle.note}", file=sys.stderr)
     print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
-    threading.Event().wait()
+    try:
+        threading.Event().wait()
+    finally:
+        handle.stop()
 
 
 def version() -> None:
