@@ -1,5 +1,6 @@
 """Where the viewer listens, and whom it answers."""
 
+import functools
 import http.client
 import os
 import signal
@@ -171,7 +172,9 @@ def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
             done = subprocess.run([*command, str(asked)], capture_output=True, text=True, timeout=60)
             assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
             assert done.stderr.startswith("epipole: ") and words in done.stderr
-    with subprocess.Popen([*command, str(free_port())], stdout=subprocess.PIPE, text=True) as running:
+    heeding = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # in the background it is ignored
+    command.append(str(free_port()))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heeding) as running:
         stop = threading.Timer(60, running.kill)
         stop.start()
         assert running.stdout.readline().startswith("Viewer at http://127.0.0.1:")
