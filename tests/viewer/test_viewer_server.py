@@ -172,7 +172,8 @@ def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
             done = subprocess.run([*command, str(asked)], capture_output=True, text=True, timeout=60)
             assert done.returncode == 2 and done.stderr.count("\n") == 1 and not done.stdout
             assert done.stderr.startswith("epipole: ") and words in done.stderr
-    heeding = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # in the background it is ignored
+    # A background job ignores Ctrl-C.
+    heeding = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
     command.append(str(free_port()))
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heeding) as running:
         stop = threading.Timer(60, running.kill)
