@@ -361,6 +361,10 @@ def _features() -> Iterator[Row]:
     yield _row(features.most_similar, vectors=_some(6, 16).astype(np.float32), count=3)
     lists = [one.descriptors, two.descriptors]
     yield _row(features.train_vocabulary, descriptors=lists, num_words=4, seed=1, rounds=2)
+    at = {"pixels": np.array([[30.0, 20.0], [32.0, 24.0]]), "guess": np.array([[30.5, 20.0], [31.0, 24.0]])}
+    pictures = {"first": _picture(), "second": _picture()}
+    yield _row(features.follow_points, **pictures, **at, config=features.FlowConfig(levels=2), and_back=True)
+    yield _row(features.align_patches, **pictures, **at, warps=np.tile(np.eye(2), (2, 1, 1)), half_px=4)
     yield _row(features.root_sift, descriptors=np.abs(words))
 
 
@@ -465,6 +469,17 @@ def _mapping() -> Iterator[Row]:
         mapping.ModelBuilder, cameras=model.cameras, camera_of_image=model.camera_of_image, keypoints=lists,
         components=components,
     )  # fmt: skip
+    sight = np.array([0.0, 0.0, 5.0]) + _some(6, 3)
+    seen = {
+        "points_in_world": sight,
+        "pixels": PINHOLE.project(sight),
+        "camera": PINHOLE,
+        "start": Rigid3.identity(),
+    }
+    deep = {"disparity_px": 6.0 / sight[:, 2], "focal_baseline": 6.0, "sigma_px": 1.0}
+    yield _row(mapping.Disparities, **deep)
+    more = {"sigma_px": np.ones(6), "disparities": mapping.Disparities(**deep), "loss_scale": 2.0}
+    yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)
     yield _row(mapping.Freedom, focal=True, principal_point=False, distortion=True)
     priors = mapping.PositionPriors(_some(4, 3), 1.0)
@@ -594,6 +609,13 @@ def _metrics() -> Iterator[Row]:
 
 
 def _options() -> Iterator[Row]:
-    kinds = (FeatureConfig, MatchConfig, RansacConfig, config.DisparityConfig, MapperConfig)
+    kinds = (
+        FeatureConfig,
+        features.FlowConfig,
+        MatchConfig,
+        RansacConfig,
+        config.DisparityConfig,
+        MapperConfig,
+    )
     for kind in (*kinds, BundleConfig, PoseGraphConfig):
         yield _row(kind, **{name: getattr(kind(), name) for name in kind.__dataclass_fields__})

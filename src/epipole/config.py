@@ -140,6 +140,32 @@ class MatchConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FlowConfig:
+    """Options of following points."""
+
+    window_px: int = 21
+    """Side of the patch that is compared."""
+    levels: int = 4
+    """Times that the picture is halved, and one more."""
+    max_return_px: float = 0.7
+    """A point followed there and back again ends at most so far from where it began."""
+    min_eigenvalue: float = 1e-4
+    """Of the patch's gradient matrix per pixel (in units of OpenCV's minEigThreshold): flatter patches are lost."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
+            raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
+        if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
+            raise ConfigError("max_return_px must be positive and min_eigenvalue not negative")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RansacConfig:
     """Options of robust estimation (RANSAC)."""
 

@@ -24,6 +24,7 @@ from epipole.io import (
     read_database,
     read_g2o,
     read_points_ply,
+    read_sequence,
     read_trajectory,
     read_transforms,
     read_truth,
@@ -109,6 +110,33 @@ def _transforms(folder: Path) -> None:
     model = read_transforms(folder / "transforms.json")
     assert_model(model)
     assert all(name.encode() is not None for name in model.images.name)
+
+
+def _sequence(folder: Path) -> None:
+    found = read_sequence(folder)
+    times = np.array([frame.timestamp_s for frame in found.frames])
+    assert len(found) and np.isfinite(times).all() and (np.diff(times) >= 0).all()
+    assert all(folder in frame.picture.parents for frame in found.frames)
+
+
+def _tum_folder(folder: Path) -> None:
+    (folder / "rgb").mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "rgb" / "1.5.png"), np.zeros((8, 8), np.uint8))
+    (folder / "rgb.txt").write_text("# color images\n1.5 rgb/1.5.png\n1.6 rgb/1.6.png\n")
+    (folder / "depth.txt").write_text("1.501 depth/1.501.png\n1.61 depth/1.61.png\n")
+
+
+def _euroc_folder(folder: Path) -> None:
+    (folder / "cam0" / "data").mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(folder / "cam0" / "data" / "1403.png"), np.zeros((480, 752), np.uint8))
+    (folder / "cam0" / "data.csv").write_text("#timestamp [ns],filename\n1403,1403.png\n1404,1404.png\n")
+    (folder / "cam0" / "sensor.yaml").write_bytes(EUROC)
+
+
+def _timed_folder(folder: Path) -> None:
+    for n in range(3):
+        cv2.imwrite(str(folder / f"{n}.png"), np.zeros((8, 8), np.uint8))
+    (folder / "times.txt").write_text("0.0\n0.1\n0.25\n")
 
 
 def _trajectory(name: str) -> Callable[[Path], None]:
@@ -340,6 +368,10 @@ FORMATS: dict[str, Format] = {
         readers=("read_model",),
         weight=0.3,
     ),
+    "sequence-tum": Format(_tum_folder, "rgb.txt", "text", _sequence, ("read_sequence",)),
+    "sequence-tum-depth": Format(_tum_folder, "depth.txt", "text", _sequence, ("read_sequence",)),
+    "sequence-euroc": Format(_euroc_folder, "cam0/data.csv", "text", _sequence, ("read_sequence",)),
+    "sequence-times": Format(_timed_folder, "times.txt", "text", _sequence, ("read_sequence",)),
     "trajectory-tum": Format(
         _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n0.6 1 2 4 0 0 0.6 0.8\n"),
         "a.txt",

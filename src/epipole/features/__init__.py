@@ -1,11 +1,14 @@
-"""Features: detect, describe, match, retrieve."""
+"""Features: detect, describe, match, follow, retrieve."""
 
 from epipole.config import FeatureConfig as FeatureConfig
+from epipole.config import FlowConfig as FlowConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.features.detect import detect_features as detect_features
 from epipole.features.features import Features as Features
+from epipole.features.flow import follow_points as follow_points
 from epipole.features.match import match_along_epipolar_lines as match_along_epipolar_lines
 from epipole.features.match import match_descriptors as match_descriptors
+from epipole.features.patches import align_patches as align_patches
 from epipole.features.retrieve import describe_image as describe_image
 from epipole.features.retrieve import most_similar as most_similar
 from epipole.features.retrieve import train_vocabulary as train_vocabulary

@@ -21,6 +21,9 @@ from epipole.io.ply import PlyPoints as PlyPoints
 from epipole.io.ply import read_points_ply as read_points_ply
 from epipole.io.ply import write_points_ply as write_points_ply
 from epipole.io.ply import write_scene_ply as write_scene_ply
+from epipole.io.sequences import ImageSequence as ImageSequence
+from epipole.io.sequences import SequenceKind as SequenceKind
+from epipole.io.sequences import read_sequence as read_sequence
 from epipole.io.trajectories import TrajectoryFormat as TrajectoryFormat
 from epipole.io.trajectories import read_trajectory as read_trajectory
 from epipole.io.trajectories import write_trajectory as write_trajectory

@@ -1,4 +1,4 @@
-"""What mappers share: match components, the growing model, resection, triangulation of tracks, adjustment."""
+"""What mappers share: match components, the growing model, resection, refined poses, triangulation of tracks, adjustment."""
 
 from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
@@ -9,6 +9,9 @@ from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import connect_matches as connect_matches
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
+from epipole.mapping.pose_refinement import Disparities as Disparities
+from epipole.mapping.pose_refinement import RefinedPose as RefinedPose
+from epipole.mapping.pose_refinement import refine_pose as refine_pose
 from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconstruction
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection

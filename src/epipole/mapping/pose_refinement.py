@@ -1,0 +1,112 @@
+"""Motion-only bundle adjustment: one camera before known points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._declared import Declared, checked
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3
+from epipole.mapping import _pose_kernels as kernels
+
+MAX_STEPS = 15
+
+
+class _View(NamedTuple):
+    """What the kernel looks at."""
+
+    model: int
+    params: np.ndarray
+    points: np.ndarray
+    pixels: np.ndarray
+    sigma_px: np.ndarray
+    disparity_px: np.ndarray
+    disparity_sigma_px: float
+    focal_baseline: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disparities(Declared):
+    """Depth of the points as a second camera beside the first sees it, or as a depth sensor tells it: d = f B / Z."""
+
+    disparity_px: Float64[np.ndarray, " n"]
+    """NaN where there is none."""
+    focal_baseline: float
+    """Focal length times baseline, in pixels and the world's unit."""
+    sigma_px: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedPose:
+    """A pose before known points."""
+
+    cam_from_world: Rigid3
+    information: Float64[np.ndarray, "6 6"]
+    """Inverse covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, where the deviations are right."""
+    error_sq: Float64[np.ndarray, " n"]
+    """Squared error of each pixel over its deviation; infinite behind the camera."""
+    cost: float
+    num_steps: int
+
+    def covariance(self) -> Float64[np.ndarray, "6 6"]:
+        """Inverse of the information; infinite where a direction is not seen at all."""
+        if not np.isfinite(self.information).all() or np.linalg.cond(self.information) > 1e14:
+            return np.full((6, 6), np.inf)
+        return np.linalg.inv(self.information)
+
+    def __repr__(self) -> str:
+        return f"RefinedPose({len(self.error_sq)} points, cost {self.cost:.4g}, {self.num_steps} steps)"
+
+
+@checked
+def refine_pose(
+    points_in_world: Float64[np.ndarray, "n 3"],
+    pixels: Float64[np.ndarray, "n 2"],
+    camera: Camera,
+    start: Rigid3,
+    sigma_px: Float64[np.ndarray, " n"] | None = None,
+    disparities: Disparities | None = None,
+    *,
+    loss_scale: float = 2.0,
+) -> RefinedPose:
+    """Pose of least sum of Cauchy(|project - pixel| / sigma) (Triggs et al. 2000, sections 3 and 4), from a start.
+
+    Args:
+        points_in_world: where the points are.
+        pixels: where the camera saw them.
+        camera: any model.
+        start: cam_from_world to begin from.
+        sigma_px: standard deviation of every pixel; None: 1.
+        disparities: measured disparities of the points.
+        loss_scale: of Cauchy's loss, in standard deviations.
+
+    Raises:
+        ShapeError: the arrays do not fit, or the start is not a single motion.
+        ConfigError: the scale, or a deviation, is not positive.
+    """
+    n = len(points_in_world)
+    if not 0 < loss_scale < 1e6:
+        raise ConfigError(f"loss_scale must be positive and below 1e6, got {loss_scale}")
+    if start.batch_shape() != ():
+        raise ShapeError(f"start must be a single motion, got a batch of {start.batch_shape()}")
+    ones = np.ones(n) if sigma_px is None else sigma_px
+    if not (ones > 0).all():
+        raise ConfigError("sigma_px must be positive")
+    none = Disparities(np.full(n, np.nan), 1.0)
+    depth = none if disparities is None else disparities
+    if len(depth.disparity_px) != n:
+        raise ShapeError(f"disparities must have {n} rows, got {len(depth.disparity_px)}")
+    view = _View(
+        *(int(camera.model), camera.padded_params(), points_in_world, pixels, ones),
+        *(np.ascontiguousarray(depth.disparity_px), float(depth.sigma_px), float(depth.focal_baseline)),
+    )
+    motion = np.concatenate([start.rotation.ravel(), start.translation])
+    information, error_sq = np.empty((6, 6)), np.empty(n)
+    cost, steps = kernels.refine_pose(view, loss_scale**2, MAX_STEPS, motion, information, error_sq)
+    pose = Rigid3(motion[:9].reshape(3, 3).copy(), motion[9:].copy())
+    return RefinedPose(pose, information, error_sq, float(cost), int(steps))

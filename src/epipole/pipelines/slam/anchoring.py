@@ -1,0 +1,75 @@
+"""Points held to the look that they had when they were first seen, so that following them does not drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.features.patches import align_patches
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.slam_map import SlamMap
+
+STEP_PX = 4.0
+"""Half the distance over which the warp of a patch is measured."""
+LEAST_SCORE = 0.6
+FURTHEST_PX = 4.0
+LARGEST_SCALE, LEAST_FRESH_SCORE = 1.35, 0.8
+"""Beyond, a point is given its present look instead."""
+
+
+def hold(
+    model: SlamMap,
+    camera: Camera,
+    grey: np.ndarray,
+    cam_from_world: Rigid3,
+    points: np.ndarray,
+    pixels: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels of points by the pictures in which they were first seen; which are the same things still; which look otherwise.
+
+    Args:
+        model: the map.
+        camera: any model.
+        grey: the present picture.
+        cam_from_world: about where it was taken.
+        points: (n,) rows of the map.
+        pixels: (n, 2) where they are thought to be, to a few pixels.
+
+    Returns:
+        Pixels; a mask of those whose patch correlates; a mask of those that should be given a new look.
+    """
+    out, score = pixels.copy(), np.full(len(points), np.nan)
+    warps = warps_of(model, camera, cam_from_world, points)
+    anchors = model.anchor[points]
+    for k in np.unique(anchors):
+        rows = np.flatnonzero(anchors == k)
+        out[rows], score[rows] = align_patches(
+            model.keyframes[int(k)].grey, grey, model.anchor_px[points[rows]], warps[rows], pixels[rows]
+        )
+    near = np.linalg.norm(out - pixels, axis=1) <= FURTHEST_PX
+    is_same = (score >= LEAST_SCORE) & near
+    scale = np.sqrt(np.abs(np.linalg.det(warps)))
+    is_stale = (scale > LARGEST_SCALE) | (scale < 1 / LARGEST_SCALE) | (score < LEAST_FRESH_SCORE)
+    # A patch at the picture's edge cannot be compared: it is taken as it was followed.
+    return np.where(is_same[:, None], out, pixels), is_same | np.isnan(score), is_stale
+
+
+def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) d(pixel now) / d(pixel when first seen), for small surfaces that faced the camera then."""
+    out = np.tile(np.eye(2), (len(points), 1, 1))
+    anchors = model.anchor[points]
+    for k in np.unique(anchors):
+        rows = np.flatnonzero(anchors == k)
+        there = model.keyframes[int(k)].cam_from_world
+        depth = there.apply(model.xyz[points[rows]])[:, 2]
+        usual = np.nanmedian(depth) if np.isfinite(depth).any() else 1.0
+        depth = np.where(depth > 0, depth, usual)
+        motion = cam_from_world @ there.inverse()
+        ends = []
+        for step in ((STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX)):
+            rays = camera.unproject(model.anchor_px[points[rows]] + step)
+            ends.append(camera.project(motion.apply(rays / rays[:, 2:] * depth[:, None])))
+        warp = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2 * STEP_PX)
+        good = np.isfinite(warp).all(axis=(1, 2))
+        out[rows[good]] = warp[good]
+    return out

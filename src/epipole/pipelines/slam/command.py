@@ -1,0 +1,68 @@
+"""`epipole slam`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+
+if TYPE_CHECKING:
+    from epipole.pipelines.slam.run import SlamResult
+
+DEFAULTS, NO_CAMERA = SlamConfig(), CameraOptions()
+
+
+def slam(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto",
+    camera: Annotated[CameraOptions, tyro.conf.arg(name="")] = NO_CAMERA,
+    config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
+) -> None:
+    """Follow a moving camera: its path, frame by frame, and the map that it sees.
+
+    Args:
+        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        out: Output folder.
+        sensor: What to use; auto takes depth, else a second camera, where there is one.
+        camera: What is known of the camera, for sources that do not tell.
+        config: Options.
+    """
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen({"track": "Following the camera"}) as progress:
+        from epipole.pipelines.slam.run import run_slam
+
+        result = run_slam(source, out, config, sensor, camera, progress)
+    show_slam(result)
+
+
+def show_slam(result: SlamResult) -> None:
+    """Print how much of the path is known, and where it is."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from epipole.screen import print_warnings
+
+    summary, console = result.summary, Console()
+    table = Table(box=None, show_header=False)
+    causal = summary["num_placed_causal"]
+    table.add_row(
+        "frames with a place", f"{summary['num_placed']} of {summary['num_frames']} ({causal} as they came)"
+    )
+    table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
+    length = result.trajectory.path_length()
+    unit = "m" if summary["is_metric"] else "units of the map, not metres"
+    table.add_row("length of the path", f"{length:.4g} {unit}")
+    table.add_row("scale", summary["scale"])
+    ms = summary["ms_per_frame"]
+    table.add_row("time for a frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
+    console.print(table)
+    for reason, count in summary["reasons"].items():
+        console.print(f"  {count} frames without a place: {reason}", highlight=False, markup=False)
+    print_warnings(console, result.warnings[:10])
+    console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
+    console.print(f"look    epipole view {result.out}", highlight=False, markup=False)

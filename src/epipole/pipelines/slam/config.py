@@ -1,0 +1,118 @@
+"""Options of SLAM."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from epipole._declared import check_fields
+from epipole.config import FlowConfig
+from epipole.errors import ConfigError
+
+if TYPE_CHECKING:
+    from epipole.cameras import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlamConfig:
+    """Options of `Slam`. A new user needs none."""
+
+    flow: FlowConfig = field(default_factory=FlowConfig)
+    num_features: int = 400
+    """Points followed at a time."""
+    min_distance_px: int = 12
+    """Between points, at their begin."""
+    corner_quality: float = 0.02
+    """Corners weaker than this share of the picture's strongest are not taken."""
+    max_error_px: float = 3.0
+    """Points further from where the map says are mistakes."""
+    min_tracked: int = 15
+    """With fewer points of the map in agreement the camera is lost."""
+    keyframe_share: float = 0.7
+    """A new keyframe is made when fewer of the last one's points are in sight."""
+    keyframe_motion: float = 0.06
+    """... or when points have moved by more than this share of the picture's width."""
+    keyframe_points: int = 150
+    """... or when fewer than this many points with a place are followed."""
+    keyframe_gap: int = 20
+    """... or after so many frames."""
+    min_angle_deg: float = 0.5
+    """Two rays that meet under a narrower angle give no point."""
+    place_angle_deg: float = 1.0
+    """... and under a wider one than this a point that only one keyframe has seen gets its place from a frame between."""
+    start_angle_deg: float = 0.7
+    """One camera: median angle of the rays at which the map begins."""
+    window: int = 8
+    """Keyframes adjusted together after each new one."""
+    max_fixed: int = 12
+    """Further keyframes that hold the window in its place."""
+    depth_sigma_px: float = 1.0
+    """Standard deviation of disparities, measured or made of a sensor's depth."""
+    sensor_baseline_m: float = 0.08
+    """Depth sensor: the baseline that its errors grow as of."""
+    max_depth_baselines: float = 120.0
+    """Points that are further than so many baselines get no depth from a single frame."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
+            raise ConfigError(
+                "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
+            )
+        for name in ("max_error_px", "depth_sigma_px", "sensor_baseline_m", "max_depth_baselines"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
+        if not 0 < self.min_angle_deg <= self.start_angle_deg < 45:
+            raise ConfigError("min_angle_deg and start_angle_deg must be positive, the second not smaller")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """What is known of the camera, for folders that do not tell it."""
+
+    camera_model: str | None = None
+    """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
+    camera_params: str | None = None
+    """Intrinsics, comma separated, in COLMAP's order: the principal point counts from the picture's corner."""
+    calibration: Path | None = None
+    """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
+
+    def camera(self, size: tuple[int, int]) -> Camera | None:
+        """The camera for pictures of this size; None where nothing is given.
+
+        Raises:
+            ConfigError: the parameters are not those of the model.
+            FileFormatError: the calibration cannot be read.
+        """
+        from epipole.io.calibration_files import read_calibration
+
+        if self.calibration is not None:
+            if self.camera_params or self.camera_model:
+                raise ConfigError("calibration tells model and parameters: give it, or camera_params")
+            return read_calibration(self.calibration, size=size).cameras[0]
+        if self.camera_params is None:
+            return None
+        from epipole.cameras import Camera, camera_model_named
+        from epipole.io.colmap import params_from_colmap
+
+        model = camera_model_named(self.camera_model or "PINHOLE")
+        try:
+            params = [float(word) for word in self.camera_params.replace(",", " ").split()]
+        except ValueError:
+            raise ConfigError(f"camera_params must be numbers, got {self.camera_params!r}") from None
+        if len(params) != model.num_params:
+            names = ",".join(model.param_names)
+            raise ConfigError(
+                f"{model.name} takes {model.num_params} camera_params ({names}), got {len(params)}"
+            )
+        return Camera(model, *size, params_from_colmap(model, np.array(params)))

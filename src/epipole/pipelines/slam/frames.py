@@ -1,0 +1,109 @@
+"""What goes into SLAM, and what comes out, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from epipole._declared import check_fields
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3
+
+
+class TrackingState(StrEnum):
+    """What is known of the camera in a frame."""
+
+    STARTING = "starting"
+    """One camera: the map has not begun."""
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthCamera:
+    """A depth sensor beside the camera: its lens, its place, and its unit."""
+
+    camera: Camera
+    depth_from_color: Rigid3
+    """Identity for depth that was registered to the colour picture already."""
+    scale: float = 1.0
+    """Metres for each metre that it reports."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamCamera:
+    """The camera whose path is followed, and what tells depth besides: a second camera, or a depth sensor."""
+
+    camera: Camera
+    baseline: float | None = None
+    """Of a rectified pair, in metres; the right picture has the left one's rows and camera matrix."""
+    depth: DepthCamera | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigError: the baseline is not positive, or there are two sources of depth.
+        """
+        check_fields(self)
+        if self.baseline is not None and not 0 < self.baseline < np.inf:
+            raise ConfigError(f"baseline must be positive and finite, got {self.baseline}")
+        if self.baseline is not None and self.depth is not None:
+            raise ConfigError("give a baseline or depth, not both")
+
+    @property
+    def tells_depth(self) -> bool:
+        """Whether a single frame has depth."""
+        return self.depth is not None or self.baseline is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Pictures of one instant."""
+
+    timestamp_s: float
+    grey: UInt8[np.ndarray, "h w"]
+    right_grey: UInt8[np.ndarray, "h w"] | None = None
+    """Of a rectified pair."""
+    depth: Float32[np.ndarray, "h2 w2"] | None = None
+    """Metres along the optical axis, at the depth camera's pixels; zero or NaN where not known."""
+
+    def __post_init__(self) -> None:
+        """Check the pictures.
+
+        Raises:
+            ShapeError: they are not of one size or kind.
+            ConfigError: the time is no number.
+        """
+        try:
+            check_fields(self)
+        except ShapeError as error:
+            raise ShapeError(
+                f"a frame's pictures must be of one size, grey of 8 bits, depth float32: {error}"
+            ) from None
+        if not np.isfinite(self.timestamp_s):
+            raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedFrame:
+    """What was known when a frame came."""
+
+    timestamp_s: float
+    state: TrackingState
+    reason: str
+    """Why there is no place, or why a keyframe was made; empty for nothing to say."""
+    world_from_body: Rigid3 | None
+    """None where the place is not known."""
+    covariance: Float64[np.ndarray, "6 6"] | None
+    """Of xi = (translation, rotation) in body_from_world = exp(xi) @ what is stated."""
+    num_points: int
+    """Points of the map that agree."""
+    is_keyframe: bool
+
+    def __repr__(self) -> str:
+        return f"TrackedFrame({self.timestamp_s:.3f} s, {self.state.value}, {self.num_points} points)"

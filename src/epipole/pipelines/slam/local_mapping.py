@@ -1,0 +1,202 @@
+"""The map grows and settles: triangulation, adjustment over a window of keyframes, and what does not fit is forgotten."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera, CameraModel
+from epipole.geometry import Rigid3
+from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.robust import triangulate_points
+
+LOSS_SCALE_PX = 1.0
+
+
+class LocalMapper:
+    """Adjusts a map. Depth of a single frame, where there is any, enters as the pixel of a second camera beside the first."""
+
+    def __init__(
+        self, model: SlamMap, camera: Camera, focal_baseline: float | None, config: SlamConfig
+    ) -> None:
+        self.map, self.camera, self.config = model, camera, config
+        self.focal_baseline = focal_baseline
+        """Focal length times baseline; None for one camera."""
+
+    def triangulate(self, newest: int) -> int:
+        """Give places to points of the newest keyframe that have none yet; returns their number."""
+        keyframe = self.map.keyframes[newest]
+        points = keyframe.point[~self.map.has_place(keyframe.point)]
+        if not len(points):
+            return 0
+        column = np.full(self.map.num_points, -1)
+        column[points] = np.arange(len(points))
+        views = [
+            k
+            for k in range(max(0, newest - 20), newest + 1)
+            if (column[self.map.keyframes[k].point] >= 0).any()
+        ]
+        pixels = np.full((len(views), len(points), 2), np.nan)
+        for v, k in enumerate(views):
+            own = self.map.keyframes[k]
+            seen = column[own.point]
+            pixels[v, seen[seen >= 0]] = own.pixels[seen >= 0]
+        if len(views) < 2:
+            return 0
+        found = triangulate_points(
+            self._places(views),
+            self.camera,
+            pixels,
+            max_error_px=self.config.max_error_px,
+            min_angle_rad=np.deg2rad(self.config.min_angle_deg),
+        )
+        good = found.success_mask
+        self.map.xyz[points[good]] = found.points_in_world[good]
+        return int(good.sum())
+
+    def place_from(self, cam_from_world: Rigid3, points: np.ndarray, pixels: np.ndarray) -> int:
+        """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
+
+        The next keyframe is too late for them: a fast camera would have run out of points until then.
+        """
+        lacking = np.flatnonzero(~self.map.has_place(points))
+        anchors, count = self.map.anchor[points[lacking]], 0
+        for k in np.unique(anchors):
+            rows = lacking[anchors == k]
+            there = self.map.keyframes[int(k)].cam_from_world
+            two = Rigid3(
+                np.stack([there.rotation, cam_from_world.rotation]),
+                np.stack([there.translation, cam_from_world.translation]),
+            )
+            found = triangulate_points(
+                two,
+                self.camera,
+                np.stack([self.map.anchor_px[points[rows]], pixels[rows]]),
+                max_error_px=1.0,
+                min_angle_rad=np.deg2rad(self.config.place_angle_deg),
+            )
+            good = found.success_mask
+            self.map.xyz[points[rows[good]]] = found.points_in_world[good]
+            count += int(good.sum())
+        return count
+
+    def window_of(self, newest: int) -> tuple[list[int], list[int]]:
+        """Keyframes that share most points with the newest, and those that share points with these."""
+        shared = self._num_shared([newest])
+        shared[newest] = len(self.map.xyz) + 1
+        order = np.argsort(-shared, kind="stable")[: self.config.window]
+        window = sorted(int(k) for k in order if shared[k] > 0)
+        shared = self._num_shared(window)
+        shared[window] = 0
+        order = np.argsort(-shared, kind="stable")[: self.config.max_fixed]
+        return window, sorted(int(k) for k in order if shared[k] > 0)
+
+    def _num_shared(self, keyframes: list[int]) -> np.ndarray:
+        """Of every keyframe, how many placed points it shares with any of these."""
+        is_theirs = (self.map.counts(keyframes) > 0) & np.isfinite(self.map.xyz[:, 0])
+        return np.array([int(is_theirs[k.point].sum()) for k in self.map.keyframes])
+
+    def adjust_around(self, newest: int) -> None:
+        """Adjust the window of the newest keyframe; keyframes outside hold it."""
+        window, fixed = self.window_of(newest)
+        self.adjust(window, fixed, 8)
+
+    def adjust_all(self) -> None:
+        """Adjust every keyframe and every point."""
+        self.adjust(list(range(len(self.map.keyframes))), [], 40)
+
+    def adjust(self, window: list[int], fixed: list[int], max_iterations: int) -> None:
+        """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit."""
+        views = [*window, *fixed]
+        is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
+        frame, point, pixels, disparity = self._observations(views, is_seen)
+        enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
+        kept = enough[point]
+        frame, point, pixels, disparity = frame[kept], point[kept], pixels[kept], disparity[kept]
+        if len(window) < 2 or not len(point):
+            return
+        rows, local = np.unique(point, return_inverse=True)
+        problem = self._problem(views, len(window), rows, (frame, local, pixels, disparity))
+        config = BundleConfig(
+            loss=Loss.CAUCHY,
+            loss_scale_px=LOSS_SCALE_PX,
+            max_iterations=max_iterations,
+            function_tolerance=1e-4,
+        )
+        result = adjust_bundle(self._held(problem), config)
+        for place, k in enumerate(window):
+            self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+        self.map.xyz[rows] = result.points_in_world
+        self.forget_mistakes(views)
+
+    def _held(self, problem: BundleProblem) -> BundleProblem:
+        """With what the pictures leave open held: one place, and the scale where nothing tells it."""
+        is_held = (~problem.frame_free.any(axis=1)).any()
+        if self.focal_baseline is None:
+            return with_fixed_gauge(problem)
+        if not is_held:
+            problem.frame_free[0] = 0.0
+        return problem
+
+    def _observations(
+        self, views: list[int], is_wanted: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts = []
+        for place, k in enumerate(views):
+            own = self.map.keyframes[k]
+            mask = is_wanted[own.point]
+            parts.append(
+                (np.full(int(mask.sum()), place), own.point[mask], own.pixels[mask], own.disparity_px[mask])
+            )
+        return tuple(np.concatenate(column) for column in zip(*parts))  # type: ignore[return-value]
+
+    def _problem(
+        self, views: list[int], num_free: int, rows: np.ndarray, seen: tuple[np.ndarray, ...]
+    ) -> BundleProblem:
+        frame, point, pixels, disparity = seen
+        sensor = np.zeros(len(frame), np.int32)
+        deep = np.flatnonzero(np.isfinite(disparity))
+        frame, point = np.concatenate([frame, frame[deep]]), np.concatenate([point, point[deep]])
+        beside = pixels[deep] - np.stack([disparity[deep], np.zeros(len(deep))], axis=1)
+        pixels = np.concatenate([pixels, beside])
+        sensor = np.concatenate([sensor, np.ones(len(deep), np.int32)])
+        order = np.argsort(point, kind="stable")
+        free = np.zeros((len(views), 6))
+        free[:num_free] = 1.0
+        baseline = 0.0 if self.focal_baseline is None else self.focal_baseline / self.camera.focal_px
+        return BundleProblem(
+            self._places(views),
+            Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
+            np.array([int(self.camera.model)], np.int32),
+            self.camera.padded_params()[None],
+            self.map.xyz[rows].copy(),
+            np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(rows)))]).astype(np.int64),
+            frame[order].astype(np.int32),
+            sensor[order],
+            np.zeros(len(order), np.int32),
+            pixels[order],
+            free,
+            np.zeros((1, 12)),
+            np.ones(len(rows)),
+        )
+
+    def forget_mistakes(self, keyframes: list[int]) -> None:
+        """Drop observations that are off, and points that are behind a camera that saw them."""
+        for k in keyframes:
+            own = self.map.keyframes[k]
+            placed = self.map.has_place(own.point)
+            at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
+            off = np.zeros(len(own.point), bool)
+            off[placed] = ~(np.linalg.norm(at - own.pixels[placed], axis=1) <= self.config.max_error_px)
+            if off.any():
+                own.keep(~off)
+
+    def _places(self, views: list[int]) -> Rigid3:
+        places = [self.map.keyframes[k].cam_from_world for k in views]
+        return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+
+
+def is_pinhole(camera: Camera) -> bool:
+    """Whether a second camera beside it can be one of the same rows."""
+    return camera.model == CameraModel.PINHOLE

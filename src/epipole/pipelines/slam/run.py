@@ -1,0 +1,219 @@
+"""The job: frames to a trajectory, a map and a summary in one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.errors import ConfigError, EpipoleError, NoModelError
+from epipole.geometry import Rigid3
+from epipole.io.colmap import write_colmap_model
+from epipole.io.ply import write_scene_ply
+from epipole.io.sequences import read_sequence
+from epipole.io.trajectories import write_trajectory
+from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.pipelines.slam.export import reconstruction_of
+from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.source import (
+    FrameSource,
+    Sensor,
+    is_video_source,
+    open_sequence,
+    open_video_frames,
+)
+from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.scene import Trajectory
+
+TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamResult:
+    """What `run_slam` returns; everything is also in the output folder."""
+
+    out: Path
+    trajectory: Trajectory
+    """Every frame that has a place, by the whole map."""
+    causal: Trajectory
+    """What was known when each frame came."""
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SlamResult({self.trajectory!r} in {self.out})"
+
+
+def run_slam(
+    source: str | Path,
+    out: str | Path,
+    config: SlamConfig | None = None,
+    sensor: Sensor = "auto",
+    camera: CameraOptions | None = None,
+    progress: ProgressCallback = ignore_progress,
+    **options: Any,
+) -> SlamResult:
+    """Follow a camera through a folder of frames or a video, and write its path and map.
+
+    Args:
+        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        out: output folder, made if missing.
+        config: options; None for the defaults.
+        sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
+        camera: intrinsics, for sources that do not tell them.
+        progress: called after each frame.
+        **options: single options of the config by name, which override it.
+
+    Raises:
+        NoModelError: no frame got a place; the message says why.
+        ConfigError: options do not fit the frames.
+        FileFormatError: the source cannot be read.
+        WorkspaceError: the output folder cannot be used.
+    """
+    config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
+    given = options_of(CameraOptions, camera)
+    frames = _open(source, sensor, given)
+    settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
+    job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
+    with open_run(job, out) as run:
+        with run.stage("track"):
+            slam, tracked, problems, times = _track(frames, config, progress)
+        with run.stage("adjust"):
+            slam.finish()
+        final, causal = slam.trajectory(), _causal(tracked)
+        if not len(final):
+            raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+        with run.stage("write"), run.folder.publish("slam") as aside:
+            _write(slam, frames, final, causal, aside)
+        run.warnings += problems
+        summary = _summary(frames, slam, tracked, times, run.warnings)
+        run.finish({**summary, "timings_s": run.timings_s})
+    return SlamResult(out, final, causal, summary, tuple(run.warnings))
+
+
+def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
+    if is_video_source(source):
+        from epipole.io.video import frame_size
+
+        if sensor not in ("auto", "mono"):
+            raise ConfigError("a video is of one camera")
+        return open_video_frames(source, given.camera(frame_size(source) or (0, 0)))
+    sequence = read_sequence(source)
+    from epipole.io.photographs import read_header
+
+    header = read_header(sequence.frames[0].picture)
+    return open_sequence(sequence, sensor, given.camera((header.width, header.height)))
+
+
+def _track(
+    source: FrameSource, config: SlamConfig, progress: ProgressCallback
+) -> tuple[Slam, list[TrackedFrame], list[str], list[float]]:
+    """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
+    from epipole.runs import Progress
+
+    slam, tracked, problems, times = Slam(source.camera, config), [], [], []
+    for number, frame in enumerate(source.frames()):
+        begin = perf_counter()
+        try:
+            if not isinstance(frame, Frame):
+                raise frame
+            tracked.append(slam.track(frame))
+        except EpipoleError as error:
+            problems.append(f"frame {number} is left out: {error}")
+        times.append(perf_counter() - begin)
+        progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
+    return slam, tracked, problems, times
+
+
+def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
+    rows = [(t, t.world_from_body, t.covariance) for t in tracked]
+    placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
+    return Trajectory(
+        np.array([time for time, _, _ in placed], np.float64).reshape(-1),
+        Rigid3(
+            np.array([place.rotation for _, place, _ in placed]).reshape(-1, 3, 3),
+            np.array([place.translation for _, place, _ in placed]).reshape(-1, 3),
+        ),
+        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in placed]).reshape(-1, 6, 6),
+    )
+
+
+def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
+    """The path of the camera that took the pictures, not of its rectified picture."""
+    turned = source.body_from_camera
+    places = trajectory.world_from_body @ turned.inverse()
+    adjoint = turned.adjoint()
+    covariance = trajectory.covariance
+    if covariance is not None:
+        covariance = adjoint @ covariance @ adjoint.T
+    return Trajectory(trajectory.timestamp_s, places, covariance)
+
+
+def _write(slam: Slam, source: FrameSource, final: Trajectory, causal: Trajectory, folder: Path) -> None:
+    write_trajectory(_of_body(final, source), folder / TRAJECTORY)
+    write_trajectory(_of_body(causal, source), folder / CAUSAL)
+    write_trajectory(_of_body(final, source), folder / WITH_COVARIANCE, with_covariance=True)
+    model = reconstruction_of(slam.map, source.camera.camera, source.names)
+    if len(model.images) >= 2:
+        write_colmap_model(model, folder / "sparse" / "0")
+        write_scene_ply(folder / "points.ply", model)
+
+
+def _summary(
+    source: FrameSource,
+    slam: Slam,
+    tracked: Sequence[TrackedFrame],
+    times: Sequence[float],
+    warnings: list[str],
+) -> dict[str, Any]:
+    states = [t.state for t in tracked]
+    ms = 1e3 * np.array(times) if len(times) else np.zeros(1)
+    placed = len(slam.trajectory())
+    tells = source.camera.tells_depth
+    return {
+        "num_frames": len(times),
+        "num_placed": placed,
+        "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
+        "states": {state.value: states.count(state) for state in TrackingState},
+        "num_keyframes": len(slam.map.keyframes),
+        "num_points": int(np.isfinite(slam.map.xyz[:, 0]).sum()),
+        "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
+        "is_metric": tells,
+        "ms_per_frame": {
+            "median": float(np.median(ms)),
+            "p95": float(np.percentile(ms, 95)),
+            "max": float(ms.max()),
+        },
+        "reasons": _reasons(tracked),
+        "warnings": warnings,
+    }
+
+
+def _scale_words(source: FrameSource) -> str:
+    if source.camera.depth is not None:
+        return "metres, from the depth sensor"
+    return f"metres, from the baseline of {source.camera.baseline:.4g} m"
+
+
+def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
+    """Why frames have no place, and how many."""
+    out: dict[str, int] = {}
+    for frame in tracked:
+        if frame.world_from_body is None:
+            words = "".join("#" if c.isdigit() else c for c in frame.reason)
+            out[words] = out.get(words, 0) + 1
+    return out
+
+
+def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:
+    if tracked:
+        return tracked[-1].reason
+    return problems[0] if problems else "there is no frame"

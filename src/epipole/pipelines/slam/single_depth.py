@@ -1,0 +1,91 @@
+"""Disparities of points in a single frame: from a second camera, or from a depth sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.features.flow import follow_points
+from epipole.features.patches import align_patches
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+
+ROWS_PX = 1.0
+"""A point of the right picture is at most so far off its row."""
+LEAST_SCORE = 0.7
+ROUNDS = 4
+SMOOTH = 0.03
+"""Depths around a point differ by at most this share: else it lies on an edge, and its depth may be another thing's."""
+
+
+def disparities_of(
+    frame: Frame, pixels: np.ndarray, guess_px: np.ndarray, camera: SlamCamera, config: SlamConfig
+) -> np.ndarray:
+    """(n,) disparity f B / Z of points; NaN where there is none.
+
+    Args:
+        frame: the pictures.
+        pixels: (n, 2) where the points are in the left, or colour, picture.
+        guess_px: (n,) disparities thought likely; NaN for no idea.
+        camera: what tells depth.
+        config: the sensor's baseline.
+    """
+    none = np.full(len(pixels), np.nan)
+    if frame.depth is not None:
+        assert camera.depth is not None
+        z = depth_at(frame.depth, pixels, camera.camera, camera.depth)
+        return camera.camera.focal_px * config.sensor_baseline_m / z
+    if frame.right_grey is None or not len(pixels):
+        return none
+    known = guess_px[np.isfinite(guess_px)]
+    likely = np.where(np.isfinite(guess_px), guess_px, np.median(known) if len(known) else 0.0)
+    same = np.tile(np.eye(2), (len(pixels), 1, 1))
+    best, best_off = none, np.full(len(pixels), np.inf)
+    for factor in (1.0,) if len(known) else (0.0, 20.0, 60.0):
+        start = pixels - np.stack(
+            [likely * factor if len(known) else np.full(len(pixels), factor), 0 * likely], axis=1
+        )
+        right, found = follow_points(frame.grey, frame.right_grey, pixels, start, config.flow)
+        settled, score = align_patches(frame.grey, frame.right_grey, pixels, same, right)
+        right = np.where((score > LEAST_SCORE)[:, None], settled, right)
+        found &= score > LEAST_SCORE
+        found &= np.abs(right[:, 1] - pixels[:, 1]) <= ROWS_PX
+        disparity = pixels[:, 0] - right[:, 0]
+        found &= disparity > 0.3
+        off = np.where(found, np.abs(right[:, 1] - pixels[:, 1]), np.inf)
+        best, best_off = np.where(off < best_off, disparity, best), np.minimum(off, best_off)
+    return best
+
+
+def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: DepthCamera) -> np.ndarray:
+    """(n,) depth of points of the colour picture in its camera, NaN where the sensor sees none, or an edge.
+
+    A point of depth z is where the sensor sees it; what the sensor says there is the next z. Sensors are centimetres from
+    their colour cameras, so that a few rounds settle.
+    """
+    rays = camera.unproject(pixels)
+    rays = rays / rays[:, 2:]
+    usual = np.median(depth[depth > 0]) if (depth > 0).any() else 1.0
+    z, moved = np.full(len(pixels), float(usual)), sensor.depth_from_color
+    for _ in range(ROUNDS):
+        at = sensor.camera.project(moved.apply(rays * z[:, None]))
+        read = sensor.scale * _smooth_depth(depth, np.where(np.isfinite(at), at, -1.0))
+        # The sensor's axis is turned against the camera's: one depth is not quite the other.
+        in_sensor = moved.apply(rays * z[:, None])[:, 2]
+        z = np.where(np.isfinite(read), read * z / np.maximum(in_sensor, 1e-6), z)
+    return np.where(np.isfinite(read), z, np.nan)
+
+
+def _smooth_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Depth at pixels of the sensor; NaN outside, where there is none, and at edges."""
+    height, width = depth.shape
+    column, row = np.rint(pixels).astype(int).T
+    inside = (column >= 1) & (column < width - 1) & (row >= 1) & (row < height - 1)
+    column, row = np.clip(column, 1, width - 2), np.clip(row, 1, height - 2)
+    around = np.stack([depth[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]).astype(
+        np.float64
+    )
+    around[~(around > 0)] = np.nan
+    middle = around[4]
+    spread = np.max(np.abs(around - middle), axis=0)  # NaN where any is not known
+    return np.where(inside & (spread <= SMOOTH * middle), middle, np.nan)

@@ -1,0 +1,110 @@
+"""The place of a frame: points followed from the one before, and the map that they are points of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.config import RansacConfig
+from epipole.features.flow import follow_points
+from epipole.geometry import Rigid3
+from epipole.mapping import Disparities, RefinedPose, refine_pose
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.robust import estimate_absolute_pose
+
+COARSE_PX = 15.0
+"""Scale of the loss in a first refinement: at the final one a prediction that is far off ends in a wrong minimum."""
+AGREEING_SHARE = 0.7
+"""With a smaller share of the points in agreement the predicted place is not trusted, and one is sought anew."""
+
+
+class Tracks:
+    """Points that are followed at present.
+
+    Attributes:
+        pixels: (n, 2) in the last picture.
+        point: (n,) rows of the map's points.
+        start_px: (n, 2) in the last keyframe.
+    """
+
+    def __init__(self, pixels: np.ndarray, point: np.ndarray, start_px: np.ndarray) -> None:
+        self.pixels, self.point, self.start_px = pixels, point, start_px
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    @staticmethod
+    def none() -> Tracks:
+        """No points."""
+        return Tracks(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 2)))
+
+    def keep(self, mask: np.ndarray) -> None:
+        """Give up the other points."""
+        self.pixels, self.point, self.start_px = self.pixels[mask], self.point[mask], self.start_px[mask]
+
+    def add(self, pixels: np.ndarray, point: np.ndarray) -> None:
+        """Follow more points from here on."""
+        self.pixels = np.concatenate([self.pixels, pixels])
+        self.point = np.concatenate([self.point, point])
+        self.start_px = np.concatenate([self.start_px, pixels])
+
+    def follow(
+        self, before: np.ndarray, now: np.ndarray, guess: np.ndarray, config: SlamConfig, *, and_back: bool
+    ) -> None:
+        """Find the points in the next picture; those that are not found are given up."""
+        pixels, found = follow_points(before, now, self.pixels, guess, config.flow, and_back=and_back)
+        self.pixels = pixels
+        self.keep(found)
+
+    def shift_px(self) -> float:
+        """Median motion since the last keyframe."""
+        return (
+            float(np.median(np.linalg.norm(self.pixels - self.start_px, axis=1))) if len(self.pixels) else 0.0
+        )
+
+
+def predict_pixels(
+    pixels: np.ndarray, points_in_world: np.ndarray, before: Rigid3, now: Rigid3, camera: Camera
+) -> np.ndarray:
+    """Where points will be after a motion: by their places, or, where they have none, as if at the others' median depth."""
+    in_cam = now.apply(points_in_world)
+    placed = np.isfinite(in_cam[:, 0]) & (in_cam[:, 2] > 0)
+    depth = np.median(before.apply(points_in_world[placed])[:, 2]) if placed.any() else 1.0
+    rays = camera.unproject(pixels)
+    motion = now @ before.inverse()
+    far = camera.project(motion.apply(rays / np.maximum(rays[:, 2:], 1e-6) * depth))
+    guess = np.where(placed[:, None], camera.project(np.where(placed[:, None], in_cam, 1.0)), far)
+    return np.where(np.asarray(np.isfinite(guess)).all(axis=1, keepdims=True), guess, pixels)
+
+
+def locate(
+    points_in_world: np.ndarray,
+    pixels: np.ndarray,
+    camera: Camera,
+    predicted: Rigid3,
+    disparities: Disparities | None,
+    config: SlamConfig,
+) -> tuple[RefinedPose, np.ndarray] | None:
+    """The pose of a frame and the points that agree; None if too few do.
+
+    From the predicted place by robust least squares; where too few of the points agree with what comes, from P3P in
+    RANSAC.
+    """
+    if len(pixels) < config.min_tracked:
+        return None
+    limit = config.max_error_px**2
+    coarse = refine_pose(
+        points_in_world, pixels, camera, predicted, disparities=disparities, loss_scale=COARSE_PX
+    )
+    found = refine_pose(points_in_world, pixels, camera, coarse.cam_from_world, disparities=disparities)
+    agrees = found.error_sq <= limit
+    if agrees.mean() < AGREEING_SHARE:
+        ransac = RansacConfig(
+            max_error_px=config.max_error_px, min_inliers=config.min_tracked, seed=config.seed
+        )
+        sought = estimate_absolute_pose(points_in_world, pixels, camera, ransac)
+        if sought.success:
+            again = refine_pose(points_in_world, pixels, camera, sought.model, disparities=disparities)
+            if (again.error_sq <= limit).sum() > agrees.sum():
+                found, agrees = again, again.error_sq <= limit
+    return (found, agrees) if agrees.sum() >= config.min_tracked else None

@@ -1,0 +1,95 @@
+"""Points followed from picture to picture, and patches placed to a fraction of a pixel."""
+
+import cv2
+import numpy as np
+import pytest
+
+from epipole.errors import ConfigError, ShapeError
+from epipole.features import FlowConfig, _patch_kernels, align_patches, follow_points, patches
+from kernel_references import assert_same_as_python, record_calls, reference_of
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray:
+    """Smooth noise: gradients everywhere, the same look nowhere twice."""
+    noise = np.random.default_rng(3).normal(size=(240, 320)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.5)
+    return np.clip(128 + 60 * smooth / smooth.std(), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture
+def pixels(rng) -> np.ndarray:
+    return rng.uniform([60, 60], [260, 180], (80, 2))
+
+
+def warped(picture: np.ndarray, affine: np.ndarray) -> np.ndarray:
+    return cv2.warpAffine(
+        picture, affine, picture.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
+
+
+def test_a_shift_is_followed(picture, pixels):
+    shift = np.array([7.3, -4.6])
+    moved = warped(picture, np.hstack([np.eye(2), shift[:, None]]))
+    there, found = follow_points(picture, moved, pixels)
+    assert found.mean() > 0.95
+    assert np.linalg.norm(there[found] - pixels[found] - shift, axis=1).max() < 0.15
+    guess = np.full_like(pixels, np.nan)
+    again, _ = follow_points(picture, moved, pixels, guess)
+    np.testing.assert_allclose(again[found], there[found], atol=0.05)
+
+
+def test_what_is_not_there_is_not_found(picture, pixels, rng):
+    other = rng.permuted(picture, axis=0)
+    _, found = follow_points(picture, other, pixels)
+    assert found.mean() < 0.2
+    _, found = follow_points(np.full_like(picture, 90), np.full_like(picture, 90), pixels)
+    assert not found.any()
+    there, found = follow_points(picture, picture, np.zeros((0, 2)))
+    assert there.shape == (0, 2) and found.shape == (0,)
+    with pytest.raises(ShapeError, match="too small"):
+        follow_points(picture[:15, :15], picture[:15, :15], pixels)
+    with pytest.raises(ConfigError, match="odd"):
+        FlowConfig(window_px=20)
+
+
+@pytest.mark.parametrize(("turn_deg", "scale", "gain"), [(0.0, 1.0, 1.0), (20.0, 1.0, 0.7), (-8.0, 1.3, 1.2)])
+def test_a_foretold_warp_is_placed_exactly(picture, pixels, rng, turn_deg, scale, gain):
+    affine = cv2.getRotationMatrix2D((160, 120), turn_deg, scale)
+    moved = np.clip(warped(picture, affine) * gain + 5, 0, 255).astype(np.uint8)
+    truth = pixels @ affine[:, :2].T + affine[:, 2]
+    warps = np.tile(affine[:, :2], (len(pixels), 1, 1))
+    found, score = align_patches(picture, moved, pixels, warps, truth + rng.uniform(-1.5, 1.5, truth.shape))
+    inside = (truth > 12).all(axis=1) & (truth < [308, 228]).all(axis=1)
+    good = inside & (score > 0.9)
+    assert good.sum() > 0.9 * inside.sum()
+    assert np.median(np.linalg.norm(found - truth, axis=1)[good]) < 0.06
+    if turn_deg:
+        _, plain = align_patches(picture, moved, pixels, np.tile(np.eye(2), (len(pixels), 1, 1)), truth)
+        assert np.nanmedian(plain) < np.nanmedian(score) - 0.03
+
+
+def test_patches_that_say_nothing_have_no_score(picture):
+    pixels = np.array([[2.0, 2.0], [160.0, 120.0], [np.nan, 3.0], [160.0, 120.0]])
+    warps = np.tile(np.eye(2), (4, 1, 1))
+    warps[3] = 0.0
+    _, score = align_patches(picture, picture, pixels, warps, pixels)
+    assert np.isnan(score[[0, 2, 3]]).all() and score[1] > 0.999
+    _, score = align_patches(np.full_like(picture, 9), picture, pixels, warps, pixels)
+    assert np.isnan(score).all()
+    with pytest.raises(ShapeError, match="warps must be"):
+        align_patches(picture, picture, pixels, warps[:2], pixels)
+    with pytest.raises(ConfigError, match="half_px"):
+        align_patches(picture, picture, pixels, warps, pixels, 1)
+
+
+@reference_of(_patch_kernels.align_patches)
+def test_the_kernel_is_its_source(picture, monkeypatch):
+    calls = record_calls(monkeypatch, patches, _patch_kernels.align_patches)
+    pixels = np.array([[50.3, 60.7], [3.0, 3.0], [200.0, 100.0]])
+    warps = np.tile(np.array([[1.02, 0.05], [-0.04, 0.97]]), (3, 1, 1))
+    align_patches(
+        picture, warped(picture, np.float64([[1, 0, 0.6], [0, 1, -0.3]])), pixels, warps, pixels + 0.4, 3
+    )
+    for arguments in calls:
+        assert_same_as_python(_patch_kernels.align_patches, *arguments, rtol=1e-9, atol=1e-9)

@@ -1,0 +1,78 @@
+"""Rendered rides: a camera that goes past the courtyard, with exact truth."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.pipelines.slam.slam import Slam
+from epipole.synthetic import courtyard, look_at, render
+
+CAMERA = Camera("PINHOLE", 320, 240, [260.0, 260.0, 159.5, 119.5])
+BASELINE = 0.12
+RGBD = SlamCamera(CAMERA, None, DepthCamera(CAMERA, Rigid3.identity()))
+STEREO, MONO = SlamCamera(CAMERA, BASELINE), SlamCamera(CAMERA)
+CAMERAS = {"rgbd": RGBD, "stereo": STEREO, "mono": MONO}
+RIGHT_FROM_LEFT = Rigid3(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
+
+
+@dataclass(frozen=True)
+class Ride:
+    """Frames of one ride, with the pictures of every sensor, and where they were taken."""
+
+    left: tuple
+    right: tuple
+    depth: tuple
+    cams_from_world: Rigid3
+
+    def frames(self, kind: str) -> list[Frame]:
+        """As the sensor gives them."""
+        out = []
+        for n, left in enumerate(self.left):
+            right = self.right[n] if kind == "stereo" else None
+            out.append(Frame(0.1 * n, left, right, self.depth[n] if kind == "rgbd" else None))
+        return out
+
+    def truth(self) -> Rigid3:
+        """world_from_body with the first frame as the world."""
+        return (self.cams_from_world @ self.cams_from_world[0].inverse()).inverse()
+
+
+def place(n: int, kind: str) -> Rigid3:
+    """Along an arc before the corner; or turning on the spot; or at rest."""
+    at = {"arc": n, "turn": 0, "rest": 0}[kind]
+    angle = np.deg2rad(-75.0 + 1.4 * at)
+    center = np.array([4.4 * np.cos(angle), 4.4 * np.sin(angle), 1.4 + 0.02 * np.sin(0.7 * at)])
+    target = np.array([-0.2, 0.4 + 0.02 * np.cos(0.9 * at), 0.6])
+    seen = look_at(center, target)
+    if kind == "turn":
+        seen = Rigid3.exp(np.array([0.0, 0.0, 0.0, 0.0, np.deg2rad(0.8 * n), 0.0])) @ seen
+    return seen
+
+
+@cache
+def ride(kind: str = "arc", count: int = 30) -> Ride:
+    """Rendered once for all tests of a process."""
+    places = [place(n, kind) for n in range(count)]
+    left, right, depth = [], [], []
+    for n, seen in enumerate(places):
+        picture = render(courtyard(), CAMERA, seen, noise_sigma=1.5, seed=2 * n)
+        left.append(cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY))
+        depth.append(np.nan_to_num(picture.depth, nan=0.0).astype(np.float32))
+        if kind == "arc":
+            other = render(courtyard(), CAMERA, RIGHT_FROM_LEFT @ seen, noise_sigma=1.5, seed=2 * n + 1)
+            right.append(cv2.cvtColor(other.rgb, cv2.COLOR_RGB2GRAY))
+        else:
+            right.append(left[-1])
+    together = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    return Ride(tuple(left), tuple(right), tuple(depth), together)
+
+
+def followed(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam, list]:
+    """A SLAM that has seen all frames, and its answers."""
+    slam = Slam(camera, config)
+    return slam, [slam.track(frame) for frame in frames]

@@ -1,0 +1,168 @@
+"""SLAM on rendered rides with exact truth: where the camera was, what it waits for, and what it does not claim."""
+
+import numpy as np
+import pytest
+from slam_rides import CAMERA, CAMERAS, MONO, RGBD, STEREO, followed, ride
+
+from epipole import _parallel
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rotation3
+from epipole.metrics import absolute_error
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.export import reconstruction_of
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackingState
+from epipole.pipelines.slam.slam import Slam
+
+
+@pytest.fixture(scope="module")
+def rides():
+    return {kind: followed(ride().frames(kind), camera) for kind, camera in CAMERAS.items()}
+
+
+@pytest.mark.parametrize(("kind", "most_cm"), [("rgbd", 1.0), ("stereo", 1.5)])
+def test_the_path_in_metres_where_depth_is_told(rides, kind, most_cm):
+    slam, answers = rides[kind]
+    assert [a.state for a in answers] == [TrackingState.TRACKING] * 30
+    causal = absolute_error(
+        slam.trajectory().world_from_body, ride().truth(), "none"
+    )  # in the first frame's coordinates: nothing is aligned
+    assert causal.position.rmse < 0.01 * most_cm and causal.rotation_deg.max < 0.5
+    slam.finish()
+    final = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none")
+    assert final.position.rmse < 0.01 * most_cm
+
+
+def test_one_camera_gives_the_path_up_to_scale(rides):
+    slam, answers = rides["mono"]
+    waiting = [a for a in answers if a.state is TrackingState.STARTING]
+    assert len(waiting) <= 6 and all(a.world_from_body is None and a.reason for a in waiting)
+    assert all(a.state is TrackingState.TRACKING for a in answers[len(waiting) :])
+    slam.finish()
+    path = slam.trajectory()
+    assert len(path) == 30  # the frames before the begin have their places, too
+    found = absolute_error(path.world_from_body, ride().truth(), "similarity")
+    assert found.position.rmse < 0.015 and found.rotation_deg.rmse < 0.6
+
+
+def test_keyframes_go_out_as_a_model(rides):
+    slam, _ = rides["rgbd"]
+    model = reconstruction_of(slam.map, CAMERA, [f"{n}.png" for n in range(30)])
+    assert len(model.images) == len(slam.map.keyframes) >= 3
+    assert model.mean_reprojection_error_px() < 1.0
+    assert (np.diff(model.tracks.offsets) >= 2).all()
+
+
+def test_the_covariance_is_of_the_size_of_the_error(rides):
+    slam, _ = rides["rgbd"]
+    path, truth = slam.trajectory(), ride().truth()
+    error = np.linalg.norm(path.world_from_body.translation - truth.translation, axis=1)[1:]
+    sigma = np.sqrt(path.covariance[1:, :3, :3].trace(axis1=1, axis2=2))
+    assert (sigma > 0).all() and (sigma < 0.05).all()
+    assert np.median(error / sigma) < 10  # of one frame before the map; the map's own error is not in it
+
+
+def test_a_turning_camera_gets_no_depth_out_of_nothing():
+    _, answers = followed(ride("turn", 16).frames("mono"), MONO)
+    assert all(a.state is TrackingState.STARTING and a.world_from_body is None for a in answers)
+    assert any("only turns" in a.reason for a in answers)
+    slam, answers = followed(ride("turn", 16).frames("rgbd"), RGBD)
+    assert all(a.state is TrackingState.TRACKING for a in answers)
+    path = slam.trajectory().world_from_body
+    assert np.linalg.norm(path.translation, axis=1).max() < 0.005
+    turned = Rotation3(np.swapaxes(path.rotation, -1, -2) @ ride("turn", 16).truth().rotation)
+    assert np.degrees(turned.angle_rad()).max() < 0.2
+
+
+def test_a_resting_camera_rests():
+    slam, answers = followed(ride("rest", 8).frames("rgbd"), RGBD)
+    assert all(a.state is TrackingState.TRACKING for a in answers)
+    assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 2e-3
+    _, answers = followed(ride("rest", 8).frames("mono"), MONO)
+    assert all(a.state is TrackingState.STARTING for a in answers) and "hardly moves" in answers[-1].reason
+
+
+def test_a_covered_lens_is_said_and_sight_comes_back():
+    frames = ride().frames("rgbd")[:14]
+    dark = np.full_like(frames[0].grey, 3)
+    covered = [Frame(f.timestamp_s, dark, None, f.depth) if 5 <= n < 8 else f for n, f in enumerate(frames)]
+    _, answers = followed(covered, RGBD)
+    assert [a.state for a in answers[5:8]] == [TrackingState.LOST] * 3
+    assert all(a.world_from_body is None and "agree with the map" in a.reason for a in answers[5:8])
+    assert answers[-1].state is TrackingState.TRACKING
+    last = answers[-1].world_from_body.translation - ride().truth()[13].translation
+    assert np.linalg.norm(last) < 0.03
+
+
+def test_a_blank_wall_gives_no_begin():
+    blank = np.full((240, 320), 128, np.uint8)
+    for camera, extra in (
+        (MONO, {}),
+        (STEREO, {"right_grey": blank}),
+        (RGBD, {"depth": np.ones((240, 320), np.float32)}),
+    ):
+        _, answers = followed([Frame(0.1 * n, blank, **extra) for n in range(3)], camera)
+        assert all(a.state is TrackingState.STARTING and a.world_from_body is None for a in answers)
+        assert "blank" in answers[-1].reason
+
+
+def test_the_same_answers_on_any_number_of_threads():
+    frames = ride().frames("stereo")
+    paths = []
+    try:
+        for threads in (1, 3):
+            _parallel.set_num_threads(threads)
+            again, _ = followed(frames[:12], STEREO)
+            paths.append(again.trajectory())
+    finally:
+        _parallel.set_num_threads(None)
+    assert np.array_equal(paths[0].world_from_body.translation, paths[1].world_from_body.translation)
+    assert np.array_equal(paths[0].covariance, paths[1].covariance)
+
+
+def test_depth_of_a_sensor_beside_the_camera_is_registered(rides):
+    """A sensor 10 cm to the side, with another lens: the path is as good as with registered depth."""
+    from slam_rides import courtyard, render
+
+    from epipole.cameras import Camera
+    from epipole.geometry import Rigid3
+
+    lens = Camera("PINHOLE", 280, 210, [240.0, 240.0, 139.5, 104.5])
+    beside = Rigid3(np.eye(3), np.array([-0.10, 0.0, 0.0]))
+    frames = []
+    for n, frame in enumerate(ride().frames("rgbd")[:10]):
+        seen = render(courtyard(), lens, beside @ ride().cams_from_world[n])
+        frames.append(
+            Frame(frame.timestamp_s, frame.grey, None, np.nan_to_num(seen.depth, nan=0.0).astype(np.float32))
+        )
+    truth = ride().truth()[np.arange(10)]
+    slam, answers = followed(frames, SlamCamera(CAMERA, None, DepthCamera(lens, beside)))
+    assert all(a.state is TrackingState.TRACKING for a in answers)
+    right = absolute_error(slam.trajectory().world_from_body, truth, "none").position.rmse
+    assert right < 0.01
+    wrong, _ = followed(frames, SlamCamera(CAMERA, None, DepthCamera(lens, Rigid3.identity())))
+    path = wrong.trajectory()
+    rows = np.rint(path.timestamp_s * 10).astype(int)
+    assert absolute_error(path.world_from_body, truth[rows], "none").position.rmse > 1.5 * right
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_frames_that_do_not_fit_are_refused():
+    frames = ride().frames("rgbd")
+    slam = Slam(RGBD)
+    slam.track(frames[0])
+    with pytest.raises(ConfigError, match="comes after"):
+        slam.track(frames[0])
+    with pytest.raises(ShapeError, match="the picture is 100 x 80"):
+        slam.track(Frame(5.0, np.zeros((80, 100), np.uint8), None, frames[0].depth))
+    with pytest.raises(ConfigError, match="needs its depth"):
+        slam.track(Frame(5.0, frames[0].grey))
+    with pytest.raises(ConfigError, match="right picture"):
+        Slam(STEREO).track(Frame(0.0, frames[0].grey))
+    with pytest.raises(ConfigError, match="must be a number"):
+        Frame(float("nan"), frames[0].grey)
+    with pytest.raises(ConfigError, match="baseline must be positive"):
+        SlamCamera(CAMERA, -1.0)
+    for wrong in ({"num_features": 3}, {"max_error_px": 0.0}, {"min_angle_deg": 0.0}):
+        with pytest.raises(ConfigError):
+            SlamConfig(**wrong)
+    assert slam.track(frames[1]).state is TrackingState.TRACKING  # what was refused has changed nothing

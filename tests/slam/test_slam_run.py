@@ -1,0 +1,119 @@
+"""The job: folders of frames to a path, a map and a summary; damaged frames are left out and named."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from slam_rides import CAMERA, ride
+
+from epipole.cli.main import main
+from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io import read_colmap_model, read_trajectory
+from epipole.metrics import absolute_error, associate
+from epipole.pipelines.slam.config import CameraOptions
+from epipole.pipelines.slam.run import run_slam
+from epipole.scene import Trajectory
+
+PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
+
+
+@pytest.fixture
+def stereo_folder(tmp_path):
+    """A KITTI-like folder of twelve rendered pairs."""
+    folder = tmp_path / "ride"
+    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+        (folder / name).mkdir(parents=True)
+        for n, picture in enumerate(pictures[:12]):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), picture)
+    f, _, cx, cy = CAMERA.params
+    rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * 0.12)]
+    (folder / "calib.txt").write_text(
+        "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    )
+    return folder
+
+
+def test_a_folder_becomes_a_path_and_a_map(stereo_folder, tmp_path):
+    out = tmp_path / "out"
+    result = run_slam(stereo_folder, out)
+    assert result.summary["num_placed"] == result.summary["num_frames"] == 12
+    assert result.summary["scale"] == "metres, from the baseline of 0.12 m"
+    path = read_trajectory(out / "trajectory.txt")
+    truth = ride().truth()[np.arange(12)]
+    assert absolute_error(path.world_from_body, truth, "none").position.rmse < 0.02
+    assert read_trajectory(out / "trajectory_covariance.txt").covariance.shape == (12, 6, 6)
+    assert len(read_trajectory(out / "trajectory_causal.txt")) == 12
+    model = read_colmap_model(out / "sparse" / "0")
+    assert len(model.images) == result.summary["num_keyframes"] and len(model.points) > 100
+    assert json.loads((out / "summary.json").read_text())["is_metric"] is True
+    before = (out / "trajectory.txt").read_bytes()
+    run_slam(stereo_folder, out)
+    assert (out / "trajectory.txt").read_bytes() == before
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_damaged_frame_is_left_out_and_named(stereo_folder, tmp_path):
+    (stereo_folder / "image_0" / "000005.png").write_bytes(b"no picture")
+    cv2.imwrite(str(stereo_folder / "image_0" / "000007.png"), np.zeros((40, 50), np.uint8))
+    result = run_slam(stereo_folder, tmp_path / "out")
+    assert result.summary["num_placed"] == 10
+    assert [w.split(":")[0] for w in result.warnings] == ["frame 5 is left out", "frame 7 is left out"]
+
+
+def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
+    left = stereo_folder / "image_0"
+    with pytest.raises(ConfigError, match="nothing tells the camera"):
+        run_slam(left, tmp_path / "out")
+    result = run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=PARAMS))
+    assert result.summary["scale"].startswith("up to scale") and not result.summary["is_metric"]
+    for wrong, words in (("1,2", "takes 4 camera_params"), ("a,b,c,d", "must be numbers")):
+        with pytest.raises(ConfigError, match=words):
+            run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=wrong))
+    for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth pictures")):
+        with pytest.raises(ConfigError, match=words):
+            run_slam(left, tmp_path / "out", sensor=sensor, camera=CameraOptions(camera_params=PARAMS))
+
+
+def test_frames_of_nothing_end_with_the_reason(tmp_path):
+    (tmp_path / "dark").mkdir()
+    for n in range(3):
+        cv2.imwrite(str(tmp_path / "dark" / f"{n}.png"), np.zeros((240, 320), np.uint8))
+    with pytest.raises(NoModelError, match=r"no frame got a place: .*blank"):
+        run_slam(tmp_path / "dark", tmp_path / "out", camera=CameraOptions(camera_params=PARAMS))
+    with pytest.raises(FileFormatError, match="no folder of frames"):
+        run_slam(tmp_path / "nothing", tmp_path / "out")
+
+
+def test_the_command(stereo_folder, tmp_path, capsys):
+    main(["slam", str(stereo_folder), str(tmp_path / "out"), "--num-features", "200"])
+    said = capsys.readouterr().out
+    assert "12 of 12 (12 as they came)" in said and "metres, from the baseline of 0.12 m" in said
+
+
+@pytest.mark.parametrize(
+    ("sensor", "most_cm", "alignment"), [("rgbd", 2.0, "rigid"), ("mono", 2.0, "similarity")]
+)
+def test_the_kitchen(data_dir, tmp_path, sensor, most_cm, alignment):
+    """7-Scenes, the first hundred frames against poses by structure-from-motion."""
+    folder = tmp_path / "kitchen"
+    folder.mkdir()
+    for path in sorted((data_dir / "slam" / "7scenes").glob("frame-0000*")) + sorted(
+        (data_dir / "slam" / "7scenes").glob("frame-0001*")
+    ):
+        (folder / path.name).symlink_to(path)
+    result = run_slam(folder, tmp_path / "out", sensor=sensor)
+    assert result.summary["num_placed"] == result.summary["num_frames"] == 100
+    rows = np.loadtxt(data_dir / "slam" / "7scenes" / "poses_sfm.txt")
+    (tmp_path / "truth.txt").write_text(
+        "\n".join(" ".join(map(str, [row[0] / 30, *row[1:]])) for row in rows), encoding="utf-8"
+    )
+    truth = read_trajectory(tmp_path / "truth.txt")
+    ours, theirs = associate(result.trajectory, truth)
+    found = absolute_error(result.trajectory.world_from_body[ours], truth.world_from_body[theirs], alignment)
+    assert isinstance(result.causal, Trajectory) and found.position.rmse < 0.01 * most_cm
+
+
+def test_a_resting_drone_rests(data_dir, tmp_path):
+    result = run_slam(data_dir / "slam" / "euroc_static", tmp_path / "out")
+    assert result.summary["num_placed"] == 6 and result.trajectory.path_length() < 2e-3
