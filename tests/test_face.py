@@ -19,7 +19,18 @@ from epipole.robust import PairMatches, verify_pairs
 from epipole.scene import depth_map_to_point_cloud, extent_of
 from epipole.synthetic.problems import two_view_problem
 
-CONFIGS = ("Reconstruct", "Feature", "Match", "Pairing", "Ransac", "Mapper", "Stereo", "Calibration", "Board")
+CONFIGS = (
+    "Reconstruct",
+    "Feature",
+    "Match",
+    "Pairing",
+    "Ransac",
+    "Mapper",
+    "Slam",
+    "Stereo",
+    "Calibration",
+    "Board",
+)
 
 
 def test_every_config_and_what_configs_are_made_of_is_there() -> None:

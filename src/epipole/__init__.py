@@ -12,13 +12,16 @@ from epipole._version import __version__ as __version__
 if TYPE_CHECKING:
     from epipole.api import *  # noqa: F403 - the names below, for editors and type checkers
 
-_JOBS = ("reconstruct", "stereo", "calibrate", "evaluate", "undistort", "convert", "view", "demo")
-_MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo")
+_JOBS = ("reconstruct", "slam", "stereo", "calibrate", "evaluate", "undistort", "convert", "view", "demo")
+_MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
 _CONFIGS = (
     *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
-    *("StereoConfig", "CalibrationConfig", "BoardConfig"),
+    *("SlamConfig", "StereoConfig", "CalibrationConfig", "BoardConfig"),
 )
-_DATA = ("Camera", "CameraModel", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig")
+_DATA = (
+    *("Camera", "CameraModel", "CameraOptions", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig"),
+    *("Slam", "SlamCamera", "DepthCamera", "Frame"),
+)
 _RESULTS = (
     *(
         "ReconstructionResult",
@@ -29,7 +32,7 @@ _RESULTS = (
         "Conversion",
         "Evaluation",
     ),
-    *("DemoResult", "ViewerHandle"),
+    *("DemoResult", "SlamResult", "TrackedFrame", "TrajectoryEvaluation", "ViewerHandle"),
 )
 _ROOMS = (
     *("api", "cameras", "config", "disparity_search", "errors", "features", "geometry", "image", "io"),

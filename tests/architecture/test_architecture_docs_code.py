@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -18,6 +19,7 @@ from epipole.geometry import Rigid3, Rotation3
 from epipole.io import write_colmap_model, write_g2o
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.optim import PoseGraph
+from epipole.synthetic import courtyard, look_at, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, two_view_problem
 from epipole.synthetic.stereo_rooms import stereo_room
 
@@ -102,6 +104,16 @@ def stereo_pair(folder: Path) -> dict[str, Any]:
     return {"left": pair.left, "right": pair.right}
 
 
+def ride(_: Path) -> dict[str, Any]:
+    """A depth camera that moves sideways before the courtyard."""
+    lens = Camera("PINHOLE", *SIZE, [0.8 * SIZE[0], 0.8 * SIZE[0], (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2])
+    places = [look_at((0.03 * n, -4.0, 1.4), (0.03 * n, 0.4, 0.6)) for n in range(4)]
+    seen = [render(courtyard(), lens, place) for place in places]
+    greys = [cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY) for picture in seen]
+    depths = [np.nan_to_num(picture.depth, nan=0.0).astype(np.float32) for picture in seen]
+    return {"lens": lens, "pictures": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
+
+
 def known_points(_: Path) -> dict[str, Any]:
     problem = absolute_pose_problem(100, outlier_ratio=0.2, noise_px=0.5)
     return {name: getattr(problem, name) for name in ("points_in_world", "pixels", "camera")}
@@ -125,6 +137,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pairs": lambda _: two_views(),
     "pose_graphs": pose_graph,
     "relative_pose": lambda _: two_views(),
+    "slam": ride,
     "stereo": stereo_pair,
     "triangulation": tracks,
 }

@@ -12,7 +12,7 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io import read_colmap_model, read_trajectory
 from epipole.metrics import absolute_error, associate
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.run import run_slam
+from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import Trajectory
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))

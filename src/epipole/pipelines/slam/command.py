@@ -34,9 +34,9 @@ def slam(
     from epipole.screen import progress_on_screen
 
     with progress_on_screen({"track": "Following the camera"}) as progress:
-        from epipole.pipelines.slam.run import run_slam
+        from epipole.pipelines.slam.run import slam as run
 
-        result = run_slam(source, out, config, sensor, camera, progress)
+        result = run(source, out, config, sensor, camera, progress)
     show_slam(result)
 
 

@@ -37,7 +37,7 @@ TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamResult:
-    """What `run_slam` returns; everything is also in the output folder."""
+    """What `slam` returns; everything is also in the output folder."""
 
     out: Path
     trajectory: Trajectory
@@ -52,7 +52,7 @@ class SlamResult:
         return f"SlamResult({self.trajectory!r} in {self.out})"
 
 
-def run_slam(
+def slam(
     source: str | Path,
     out: str | Path,
     config: SlamConfig | None = None,
@@ -85,16 +85,16 @@ def run_slam(
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
     with open_run(job, out) as run:
         with run.stage("track"):
-            slam, tracked, problems, times = _track(frames, config, progress)
+            system, tracked, problems, times = _track(frames, config, progress)
         with run.stage("adjust"):
-            slam.finish()
-        final, causal = slam.trajectory(), _causal(tracked)
+            system.finish()
+        final, causal = system.trajectory(), _causal(tracked)
         if not len(final):
             raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
         with run.stage("write"), run.folder.publish("slam") as aside:
-            _write(slam, frames, final, causal, aside)
+            _write(system, frames, final, causal, aside)
         run.warnings += problems
-        summary = _summary(frames, slam, tracked, times, run.warnings)
+        summary = _summary(frames, system, tracked, times, run.warnings)
         run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(out, final, causal, summary, tuple(run.warnings))
 
