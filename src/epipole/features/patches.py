@@ -10,6 +10,9 @@ from epipole._declared import checked
 from epipole.errors import ConfigError
 from epipole.features import _patch_kernels as kernels
 
+FEWEST_OF_CHUNK = 50
+"""Fewer patches take less time than handing them to another thread."""
+
 
 @checked
 def align_patches(
@@ -48,6 +51,6 @@ def align_patches(
     _parallel.map_chunks(
         lambda a, b, _: kernels.align_patches(first, second, at, warps, half_px, a, b, found, score),
         len(at),
-        4,
+        max(1, min(4, len(at) // FEWEST_OF_CHUNK)),
     )
     return found, score

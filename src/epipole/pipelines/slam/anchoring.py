@@ -11,9 +11,10 @@ from epipole.pipelines.slam.slam_map import SlamMap
 
 STEP_PX = 4.0
 """Half the distance over which the warp of a patch is measured."""
+STEPS_PX = STEP_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 LEAST_SCORE = 0.6
 FURTHEST_PX = 4.0
-LARGEST_SCALE, LEAST_FRESH_SCORE = 1.35, 0.8
+LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
 """Beyond, a point is given its present look instead."""
 
 
@@ -57,19 +58,19 @@ def hold(
 def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
     """(n, 2, 2) d(pixel now) / d(pixel when first seen), for small surfaces that faced the camera then."""
     out = np.tile(np.eye(2), (len(points), 1, 1))
-    anchors = model.anchor[points]
-    for k in np.unique(anchors):
-        rows = np.flatnonzero(anchors == k)
-        there = model.keyframes[int(k)].cam_from_world
-        depth = there.apply(model.xyz[points[rows]])[:, 2]
-        usual = np.nanmedian(depth) if np.isfinite(depth).any() else 1.0
-        depth = np.where(depth > 0, depth, usual)
-        motion = cam_from_world @ there.inverse()
-        ends = []
-        for step in ((STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX)):
-            rays = camera.unproject(model.anchor_px[points[rows]] + step)
-            ends.append(camera.project(motion.apply(rays / rays[:, 2:] * depth[:, None])))
-        warp = np.stack([ends[0] - ends[1], ends[2] - ends[3]], axis=2) / (2 * STEP_PX)
-        good = np.isfinite(warp).all(axis=(1, 2))
-        out[rows[good]] = warp[good]
-    return out
+    if not len(points):
+        return out
+    anchors, which = np.unique(model.anchor[points], return_inverse=True)
+    then = [model.keyframes[int(k)].cam_from_world for k in anchors]
+    there = Rigid3(np.stack([p.rotation for p in then]), np.stack([p.translation for p in then]))
+    motion = cam_from_world @ there.inverse()
+    in_cam = np.einsum("nj,nj->n", there.rotation[which, 2], model.xyz[points]) + there.translation[which, 2]
+    known = in_cam > 0
+    depth = np.where(known, in_cam, np.median(in_cam[known]) if known.any() else 1.0)
+    ends = model.anchor_px[points] + STEPS_PX[:, None]
+    rays = camera.unproject(ends.reshape(-1, 2)).reshape(4, -1, 3)
+    moved = np.einsum("nij,snj->sni", motion.rotation[which], rays / rays[..., 2:] * depth[:, None])
+    seen = camera.project((moved + motion.translation[which]).reshape(-1, 3)).reshape(4, -1, 2)
+    warps = np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2) / (2 * STEP_PX)
+    good = np.asarray(np.isfinite(warps)).all(axis=(1, 2), keepdims=True)
+    return np.where(good, warps, out)

@@ -33,7 +33,7 @@ def slam(
     """
     from epipole.screen import progress_on_screen
 
-    with progress_on_screen({"track": "Following the camera"}) as progress:
+    with progress_on_screen({"track": "Following the camera", "adjust": "Adjusting the map"}) as progress:
         from epipole.pipelines.slam.run import slam as run
 
         result = run(source, out, config, sensor, camera, progress)

@@ -34,7 +34,7 @@ class SlamConfig:
     """With fewer points of the map in agreement the camera is lost."""
     keyframe_share: float = 0.7
     """A new keyframe is made when fewer of the last one's points are in sight."""
-    keyframe_motion: float = 0.06
+    keyframe_motion: float = 0.04
     """... or when points have moved by more than this share of the picture's width."""
     keyframe_points: int = 150
     """... or when fewer than this many points with a place are followed."""

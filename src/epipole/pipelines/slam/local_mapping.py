@@ -102,11 +102,13 @@ class LocalMapper:
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)
 
-    def adjust_all(self) -> None:
+    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX) -> None:
         """Adjust every keyframe and every point."""
-        self.adjust(list(range(len(self.map.keyframes))), [], 40)
+        self.adjust(list(range(len(self.map.keyframes))), [], 40, loss_scale_px)
 
-    def adjust(self, window: list[int], fixed: list[int], max_iterations: int) -> None:
+    def adjust(
+        self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
+    ) -> None:
         """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit."""
         views = [*window, *fixed]
         is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
@@ -120,7 +122,7 @@ class LocalMapper:
         problem = self._problem(views, len(window), rows, (frame, local, pixels, disparity))
         config = BundleConfig(
             loss=Loss.CAUCHY,
-            loss_scale_px=LOSS_SCALE_PX,
+            loss_scale_px=loss_scale_px,
             max_iterations=max_iterations,
             function_tolerance=1e-4,
         )
@@ -128,7 +130,7 @@ class LocalMapper:
         for place, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
         self.map.xyz[rows] = result.points_in_world
-        self.forget_mistakes(views)
+        self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
 
     def _held(self, problem: BundleProblem) -> BundleProblem:
         """With what the pictures leave open held: one place, and the scale where nothing tells it."""
@@ -181,14 +183,14 @@ class LocalMapper:
             np.ones(len(rows)),
         )
 
-    def forget_mistakes(self, keyframes: list[int]) -> None:
-        """Drop observations that are off, and points that are behind a camera that saw them."""
+    def forget_mistakes(self, keyframes: list[int], max_error_px: float) -> None:
+        """Drop observations that are off by more, and points that are behind a camera that saw them."""
         for k in keyframes:
             own = self.map.keyframes[k]
             placed = self.map.has_place(own.point)
             at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
             off = np.zeros(len(own.point), bool)
-            off[placed] = ~(np.linalg.norm(at - own.pixels[placed], axis=1) <= self.config.max_error_px)
+            off[placed] = ~(np.linalg.norm(at - own.pixels[placed], axis=1) <= max_error_px)
             if off.any():
                 own.keep(~off)
 

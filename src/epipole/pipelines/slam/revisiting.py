@@ -7,14 +7,15 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.features.flow import follow_points
 from epipole.geometry import Rigid3
+from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 MOST_KEYFRAMES = 4
 LARGEST_TURN_DEG, LARGEST_SCALE = 25.0, 1.35
 """Beyond, a patch of the older picture does not look like the new one's."""
-SEARCH_PX = 8.0
-"""How far from where the map says a point may be found."""
+SEARCH_PX, DRIFT_PX = 8.0, 25.0
+"""How far from where the map says a point may be found: at once, and after the last frame."""
 
 
 def find_again(
@@ -24,6 +25,7 @@ def find_again(
     cam_from_world: Rigid3,
     followed: np.ndarray,
     config: SlamConfig,
+    search_px: float = SEARCH_PX,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pixels, points) of points that are in sight and not followed, by patches of the keyframes that see most of them."""
     missing = np.isfinite(model.xyz[:, 0])
@@ -45,7 +47,7 @@ def find_again(
             continue
         wanted = expected[keyframe.point[own]]
         there, found = follow_points(keyframe.grey, grey, keyframe.pixels[own], wanted, config.flow)
-        found &= np.linalg.norm(there - wanted, axis=1) <= SEARCH_PX
+        found &= np.linalg.norm(there - wanted, axis=1) <= search_px
         pixels.append(there[found])
         points.append(keyframe.point[own[found]])
         missing[points[-1]] = False
@@ -71,3 +73,21 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
         & (ratio > 1 / LARGEST_SCALE)
     )
     return own[fits]
+
+
+def tie_together(model: SlamMap, camera: Camera, config: SlamConfig) -> int:
+    """Let every keyframe see all points of the map that are in its picture; returns the number of new observations.
+
+    While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
+    """
+    count = 0
+    for keyframe in model.keyframes:
+        place = keyframe.cam_from_world
+        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, config, DRIFT_PX)
+        if not len(points):
+            continue
+        pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
+        good = is_same & ~is_stale
+        keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])
+        count += int(good.sum())
+    return count

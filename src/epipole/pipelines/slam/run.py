@@ -87,7 +87,9 @@ def slam(
         with run.stage("track"):
             system, tracked, problems, times = _track(frames, config, progress)
         with run.stage("adjust"):
+            run.report("adjust", 0, 1)
             system.finish()
+            run.report("adjust", 1, 1)
         final, causal = system.trajectory(), _causal(tracked)
         if not len(final):
             raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")

@@ -15,7 +15,7 @@ from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.local_mapping import LocalMapper, is_pinhole
 from epipole.pipelines.slam.relocalizing import Relocalizer
-from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.starting import Start, try_start
@@ -23,6 +23,8 @@ from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
 from epipole.scene import Trajectory
 
 START_KEYFRAMES = 6
+LAST_SCALES_PX = (8.0, 2.0, 1.0)
+"""Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 MOST_WAITING = 300
 """Frames before the map's begin that are kept, to get their places once it has begun."""
 
@@ -360,9 +362,13 @@ class Slam:
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, num_points, is_keyframe=False)
 
     def finish(self) -> None:
-        """Adjust the whole map, after the last frame."""
-        if len(self.map.keyframes) >= 2:
-            self.mapper.adjust_all()
+        """After the last frame: tie keyframes together that see the same, and adjust the whole map."""
+        if len(self.map.keyframes) < 2:
+            return
+        self.mapper.adjust_all()
+        for loss_scale_px in LAST_SCALES_PX:
+            tie_together(self.map, self.camera.camera, self.config)
+            self.mapper.adjust_all(loss_scale_px)
 
     def trajectory(self) -> Trajectory:
         """Every frame that has a place, by the map as it is now."""
