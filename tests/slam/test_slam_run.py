@@ -58,6 +58,8 @@ def test_a_damaged_frame_is_left_out_and_named(stereo_folder, tmp_path):
     cv2.imwrite(str(stereo_folder / "image_0" / "000007.png"), np.zeros((40, 50), np.uint8))
     result = run_slam(stereo_folder, tmp_path / "out")
     assert result.summary["num_placed"] == 10
+    names = read_colmap_model(tmp_path / "out" / "sparse" / "0").images.name
+    assert len(set(names)) == len(names) and not {"000005.png", "000007.png"} & set(names)
     assert [w.split(":")[0] for w in result.warnings] == ["frame 5 is left out", "frame 7 is left out"]
 
 

@@ -29,7 +29,7 @@ from epipole.pipelines.slam.source import (
     open_sequence,
     open_video_frames,
 )
-from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
@@ -85,7 +85,7 @@ def slam(
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
     with open_run(job, out) as run:
         with run.stage("track"):
-            system, tracked, problems, times = _track(frames, config, progress)
+            system, tracked, names, problems, times = _track(frames, config, progress)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
@@ -94,7 +94,7 @@ def slam(
         if not len(final):
             raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
         with run.stage("write"), run.folder.publish("slam") as aside:
-            _write(system, frames, final, causal, aside)
+            _write(system, frames, names, (final, causal), aside)
         run.warnings += problems
         summary = _summary(frames, system, tracked, times, run.warnings)
         run.finish({**summary, "timings_s": run.timings_s})
@@ -117,22 +117,30 @@ def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
 
 def _track(
     source: FrameSource, config: SlamConfig, progress: ProgressCallback
-) -> tuple[Slam, list[TrackedFrame], list[str], list[float]]:
-    """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
-    from epipole.runs import Progress
+) -> tuple[Slam, list[TrackedFrame], list[str], list[str], list[float]]:
+    """Every frame in turn; one that cannot be read, or does not fit, is left out and named.
 
-    slam, tracked, problems, times = Slam(source.camera, config), [], [], []
+    Returns:
+        The SLAM, its answers, the names of the frames that it took, what is wrong with the others, and seconds of each.
+    """
+    system = Slam(source.camera, config)
+    tracked: list[TrackedFrame] = []
+    names: list[str] = []
+    problems: list[str] = []
+    times: list[float] = []
     for number, frame in enumerate(source.frames()):
         begin = perf_counter()
+        name = source.names[number] if number < len(source.names) else f"frame_{number:06d}.jpg"
         try:
             if not isinstance(frame, Frame):
                 raise frame
-            tracked.append(slam.track(frame))
+            tracked.append(system.track(frame))
+            names.append(name)
         except EpipoleError as error:
             problems.append(f"frame {number} is left out: {error}")
         times.append(perf_counter() - begin)
         progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
-    return slam, tracked, problems, times
+    return system, tracked, names, problems, times
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
@@ -159,11 +167,18 @@ def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
     return Trajectory(trajectory.timestamp_s, places, covariance)
 
 
-def _write(slam: Slam, source: FrameSource, final: Trajectory, causal: Trajectory, folder: Path) -> None:
-    write_trajectory(_of_body(final, source), folder / TRAJECTORY)
-    write_trajectory(_of_body(causal, source), folder / CAUSAL)
-    write_trajectory(_of_body(final, source), folder / WITH_COVARIANCE, with_covariance=True)
-    model = reconstruction_of(slam.map, source.camera.camera, source.names)
+def _write(
+    system: Slam,
+    source: FrameSource,
+    names: Sequence[str],
+    paths: tuple[Trajectory, Trajectory],
+    folder: Path,
+) -> None:
+    final, causal = (_of_body(path, source) for path in paths)
+    write_trajectory(final, folder / TRAJECTORY)
+    write_trajectory(causal, folder / CAUSAL)
+    write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
+    model = reconstruction_of(system.map, source.camera.camera, names)
     if len(model.images) >= 2:
         write_colmap_model(model, folder / "sparse" / "0")
         write_scene_ply(folder / "points.ply", model)

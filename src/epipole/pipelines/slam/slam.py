@@ -109,7 +109,7 @@ class Slam:
             if self.map.has_place(keyframe.point).sum() >= self.config.min_tracked:
                 self.state = TrackingState.TRACKING
                 return self._answer(frame, np.zeros((6, 6)), len(keyframe.point), "the first frame")
-            self.map.keyframes.clear()
+            self.map.clear()
             return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
         return self._begin_with_one_camera(frame)
 

@@ -105,6 +105,11 @@ class SlamMap:
             out[self.keyframes[k].point] += 1
         return out
 
+    def clear(self) -> None:
+        """Forget everything."""
+        self.keyframes.clear()
+        self.num_points = 0
+
     def rescale(self, factor: float) -> None:
         """Change the unit of the world."""
         self.xyz[:] *= factor
