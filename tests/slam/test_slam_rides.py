@@ -35,6 +35,8 @@ def test_the_path_in_metres_where_depth_is_told(rides, kind, most_cm):
 def test_one_camera_gives_the_path_up_to_scale(rides):
     slam, answers = rides["mono"]
     waiting = [a for a in answers if a.state is TrackingState.STARTING]
+    begin = answers[len(waiting)].covariance  # a place that is not the world's origin is never known exactly
+    assert (np.diag(begin) > 0).all() and np.isfinite(begin).all()
     assert len(waiting) <= 6 and all(a.world_from_body is None and a.reason for a in waiting)
     assert all(a.state is TrackingState.TRACKING for a in answers[len(waiting) :])
     slam.finish()
@@ -154,6 +156,8 @@ def test_frames_that_do_not_fit_are_refused():
         slam.track(frames[0])
     with pytest.raises(ShapeError, match="the picture is 100 x 80"):
         slam.track(Frame(5.0, np.zeros((80, 100), np.uint8), None, frames[0].depth))
+    with pytest.raises(ShapeError, match="the depth is 100 x 80, the depth camera's 320 x 240"):
+        slam.track(Frame(5.0, frames[0].grey, None, np.ones((80, 100), np.float32)))
     with pytest.raises(ConfigError, match="needs its depth"):
         slam.track(Frame(5.0, frames[0].grey))
     with pytest.raises(ConfigError, match="right picture"):

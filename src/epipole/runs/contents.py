@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import WorkspaceError
-from epipole.io.files import open_file
+from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened
 from epipole.runs.units import is_done, load, store
 
@@ -45,8 +45,8 @@ def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
 
 
 def _state_of(path: Path) -> str:
-    state = path.stat()
-    return f"{state.st_size}-{state.st_mtime_ns}"
+    num_bytes = require_file(path)
+    return f"{num_bytes}-{path.stat().st_mtime_ns}"
 
 
 def _remembered(memory: Path) -> dict[str, tuple[str, str]]:

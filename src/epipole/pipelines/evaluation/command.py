@@ -26,22 +26,21 @@ def evaluate(
     from epipole.io.json_files import json_text
     from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
 
-    found: dict[str, Evaluation | TrajectoryEvaluation]
     if paths := trajectories_of(out, truth):
         found = {path.name: evaluate_trajectory(path, truth) for path in paths}
-    else:
-        from epipole.pipelines.evaluation.run import evaluate as run
-
-        found = {"": run(out, truth)}
-    if json:
-        content = {name: asdict(result) for name, result in found.items()}
-        print(json_text(content.get("", content)), end="")
-        return
-    for name, result in found.items():
-        if name:
-            show_trajectory_evaluation(name, result)  # type: ignore[arg-type]
+        if json:
+            print(json_text({name: asdict(result) for name, result in found.items()}), end="")
         else:
-            show_evaluation(result)  # type: ignore[arg-type]
+            for name, result in found.items():
+                show_trajectory_evaluation(name, result)
+        return
+    from epipole.pipelines.evaluation.run import evaluate as run
+
+    cameras = run(out, truth)
+    if json:
+        print(json_text(asdict(cameras)), end="")
+    else:
+        show_evaluation(cameras)
 
 
 def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:

@@ -15,9 +15,11 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model
+from epipole.io.photographs import read_header
 from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import write_trajectory
+from epipole.io.video import frame_size, is_video
 from epipole.pipelines.slam.config import CameraOptions, SlamConfig
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
@@ -25,7 +27,6 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import (
     FrameSource,
     Sensor,
-    is_video_source,
     open_sequence,
     open_video_frames,
 )
@@ -102,15 +103,11 @@ def slam(
 
 
 def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
-    if is_video_source(source):
-        from epipole.io.video import frame_size
-
+    if is_video(source):
         if sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
         return open_video_frames(source, given.camera(frame_size(source) or (0, 0)))
     sequence = read_sequence(source)
-    from epipole.io.photographs import read_header
-
     header = read_header(sequence.frames[0].picture)
     return open_sequence(sequence, sensor, given.camera((header.width, header.height)))
 

@@ -97,8 +97,14 @@ class Slam:
             )
         if self.camera.baseline is not None and frame.right_grey is None:
             raise ConfigError("a frame of a stereo camera needs its right picture")
-        if self.camera.depth is not None and frame.depth is None:
+        if self.camera.depth is None:
+            return
+        if frame.depth is None:
             raise ConfigError("a frame of a depth camera needs its depth")
+        sensor = self.camera.depth.camera
+        if frame.depth.shape != (sensor.height, sensor.width):
+            size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
+            raise ShapeError(f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height}")
 
     # The begin of the map.
 
@@ -171,7 +177,10 @@ class Slam:
         self.map.rescale(1.0 / float(np.nanmedian(self.map.xyz[points, 2])))
         self._cam_from_world = self.map.keyframes[-1].cam_from_world
         self._placed += self._place_waiting(waiting, chosen, row_of_track)
-        return self._answer(frame, np.zeros((6, 6)), int(self.map.has_place(points).sum()), "the map begins")
+        newest = self.map.keyframes[-1]
+        here = self._place_in_map(newest.point, newest.pixels, self._cam_from_world)
+        covariance = np.full((6, 6), np.inf) if here is None else here.covariance()
+        return self._answer(frame, covariance, int(self.map.has_place(points).sum()), "the map begins")
 
     def _place_in_map(self, rows: np.ndarray, pixels: np.ndarray, start: Rigid3) -> RefinedPose | None:
         kept = self.map.has_place(rows)
@@ -247,12 +256,10 @@ class Slam:
         again = self._relocalizer.find(frame.grey)
         if again is None:
             return None
-        self._cam_from_world, pixels, points = again
+        place, pixels, points = again
         self._tracks = Tracks(pixels, points, pixels)
-        self._tracks.add(
-            *find_again(self.map, self.camera.camera, frame.grey, self._cam_from_world, points, self.config)
-        )
-        return self._locate(frame, self._cam_from_world)
+        self._tracks.add(*find_again(self.map, self.camera.camera, frame.grey, place, points, self.config))
+        return self._locate(frame, place)
 
     def _guess(self, predicted: Rigid3) -> np.ndarray:
         points = self.map.xyz[self._tracks.point]

@@ -18,7 +18,7 @@ from epipole.image.undistort import undistort_image, undistorted_camera
 from epipole.io.depth_maps import read_png16
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import FrameFiles, ImageSequence
-from epipole.io.video import is_video, opened_video
+from epipole.io.video import opened_video
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 
 Sensor = Literal["auto", "mono", "stereo", "rgbd"]
@@ -93,11 +93,6 @@ def open_video_frames(path: Path, camera: Camera | None) -> FrameSource:
             number += 1
 
     return FrameSource(SlamCamera(camera), count, frames, names, Rigid3.identity())
-
-
-def is_video_source(path: Path) -> bool:
-    """Whether a source is a video file."""
-    return is_video(path)
 
 
 def _kind_of(sequence: ImageSequence, sensor: Sensor) -> str:
