@@ -12,4 +12,5 @@ from epipole.features.patches import align_patches as align_patches
 from epipole.features.retrieve import describe_image as describe_image
 from epipole.features.retrieve import most_similar as most_similar
 from epipole.features.retrieve import train_vocabulary as train_vocabulary
+from epipole.features.sift import describe_upright as describe_upright
 from epipole.features.sift import root_sift as root_sift

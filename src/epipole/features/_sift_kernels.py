@@ -67,6 +67,21 @@ def describe_all(levels, extrema, sigma, pixel, columns, descriptors):
 
 
 @kernel(allocates=True)
+def describe_upright(level, pixels, sigma, descriptors):
+    """Describe windows of one size that are not turned.
+
+    Args:
+        level: the blurred image.
+        pixels: (n, 2) their middles.
+        sigma: scale in pixels, of all of them.
+        descriptors: (n, 128) uint8, written.
+    """
+    tables = window_tables()
+    for i in range(len(pixels)):
+        describe(level, pixels[i, 0], pixels[i, 1], sigma, 0.0, tables, descriptors[i])
+
+
+@kernel(allocates=True)
 def find_orientations(level, x, y, sigma, angles):
     """Peaks of the histogram of gradient directions around (x, y); up to len(angles), strongest first.
 

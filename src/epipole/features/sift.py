@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Float64, UInt8
 
 from epipole._declared import checked
 from epipole.config import FeatureConfig
+from epipole.errors import ConfigError, ShapeError
 from epipole.features import _scale_space_kernels as space
 from epipole.features import _sift_kernels as kernels
 from epipole.features.features import Features, in_order
@@ -112,6 +113,35 @@ def _describe(octave: _Octave, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarr
     columns, descriptors = np.empty((most, 4), np.float32), np.empty((most, 128), np.uint8)
     count = kernels.describe_all(octave.levels, extrema, sigma, octave.pixel, columns, descriptors)
     return columns[:count], descriptors[:count]
+
+
+@checked
+def describe_upright(
+    grey: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"], sigma_px: float = 5.0
+) -> UInt8[np.ndarray, "n 128"]:
+    """Root-SIFT of windows of one size that are not turned: for corners of a camera that stays upright.
+
+    Work: one blur of the picture, and 0.9 k samples for each window.
+
+    Args:
+        grey: the picture.
+        pixels: middles of the windows; what of a window lies outside is the picture's rim.
+        sigma_px: scale; a window's side is 12 times as long.
+
+    Raises:
+        ConfigError: sigma_px is not positive.
+        ShapeError: a pixel is not finite.
+    """
+    if not 0 < sigma_px < 1000:
+        raise ConfigError(f"sigma_px must be positive, and less than 1000, got {sigma_px}")
+    if not np.isfinite(pixels).all():
+        raise ShapeError("pixels must be finite")
+    descriptors = np.zeros((len(pixels), 128), np.uint8)
+    if len(pixels) and min(grey.shape) >= 2:
+        # The samples are 0.75 sigma apart: blurred by half of that they skip nothing.
+        level = _blurred(grey.astype(np.float32), 0.4 * sigma_px)
+        kernels.describe_upright(level, np.ascontiguousarray(pixels), float(sigma_px), descriptors)
+    return descriptors
 
 
 @checked

@@ -46,7 +46,9 @@ class SlamConfig:
     """... and under a wider one than this a point that only one keyframe has seen gets its place from a frame between."""
     start_angle_deg: float = 0.7
     """One camera: median angle of the rays at which the map begins."""
-    window: int = 8
+    lost_patience: int = 3
+    """Frames without a place after which a map of its own begins."""
+    window: int = 20
     """Keyframes adjusted together after each new one."""
     max_fixed: int = 12
     """Further keyframes that hold the window in its place."""

@@ -21,6 +21,8 @@ class TrackingState(StrEnum):
     """One camera: the map has not begun."""
     TRACKING = "tracking"
     LOST = "lost"
+    SUBMAP = "submap"
+    """Followed in a map of its own, begun after the camera was lost; its place in the first map is not known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +101,8 @@ class TrackedFrame:
     """Why there is no place, or why a keyframe was made; empty for nothing to say."""
     world_from_body: Rigid3 | None
     """None where the place is not known."""
+    submap_from_body: Rigid3 | None
+    """The place in the map that the camera is followed in, where that is not the first one."""
     covariance: Float64[np.ndarray, "6 6"] | None
     """Of xi = (translation, rotation) in body_from_world = exp(xi) @ what is stated."""
     num_points: int

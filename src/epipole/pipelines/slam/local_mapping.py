@@ -12,6 +12,7 @@ from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.robust import triangulate_points
 
 LOSS_SCALE_PX = 1.0
+GROWTH = 1.1
 
 
 class LocalMapper:
@@ -23,6 +24,8 @@ class LocalMapper:
         self.map, self.camera, self.config = model, camera, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for one camera."""
+        self._num_settled = config.window
+        """Keyframes when all were adjusted last."""
 
     def triangulate(self, newest: int) -> int:
         """Give places to points of the newest keyframe that have none yet; returns their number."""
@@ -83,28 +86,31 @@ class LocalMapper:
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes that share most points with the newest, and those that share points with these."""
-        shared = self._num_shared([newest])
+        shared = self.map.num_shared([newest])
         shared[newest] = len(self.map.xyz) + 1
         order = np.argsort(-shared, kind="stable")[: self.config.window]
         window = sorted(int(k) for k in order if shared[k] > 0)
-        shared = self._num_shared(window)
+        shared = self.map.num_shared(window)
         shared[window] = 0
         order = np.argsort(-shared, kind="stable")[: self.config.max_fixed]
         return window, sorted(int(k) for k in order if shared[k] > 0)
 
-    def _num_shared(self, keyframes: list[int]) -> np.ndarray:
-        """Of every keyframe, how many placed points it shares with any of these."""
-        is_theirs = (self.map.counts(keyframes) > 0) & np.isfinite(self.map.xyz[:, 0])
-        return np.array([int(is_theirs[k.point].sum()) for k in self.map.keyframes])
-
     def adjust_around(self, newest: int) -> None:
-        """Adjust the window of the newest keyframe; keyframes outside hold it."""
+        """Adjust the window of the newest keyframe; keyframes outside hold it.
+
+        Each time that the map has grown by a tenth all of it is adjusted: for a keyframe that is ten times its share of
+        the whole, whatever the map's size.
+        """
+        if len(self.map.keyframes) >= GROWTH * self._num_settled:
+            self._num_settled = len(self.map.keyframes)
+            self.adjust_all(max_iterations=8)
+            return
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)
 
-    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX) -> None:
+    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> None:
         """Adjust every keyframe and every point."""
-        self.adjust(list(range(len(self.map.keyframes))), [], 40, loss_scale_px)
+        self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX

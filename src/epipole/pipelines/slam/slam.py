@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from epipole.errors import ConfigError, ShapeError
@@ -14,36 +12,39 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.local_mapping import LocalMapper, is_pinhole
-from epipole.pipelines.slam.relocalizing import Relocalizer
+from epipole.pipelines.slam.loop_closing import LoopCandidate, LoopCloser, Tie
+from epipole.pipelines.slam.loop_correction import fuse, spread_drift
+from epipole.pipelines.slam.path import Path
+from epipole.pipelines.slam.place_recognition import describe_keyframe
+from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
-from epipole.pipelines.slam.starting import Start, try_start
+from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
 from epipole.scene import Trajectory
 
-START_KEYFRAMES = 6
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
-MOST_WAITING = 300
-"""Frames before the map's begin that are kept, to get their places once it has begun."""
-
-
-@dataclass(slots=True, eq=False)
-class _Placed:
-    """A frame in the final trajectory: its place is told from its keyframe, which goes on to be adjusted."""
-
-    timestamp_s: float
-    keyframe: int
-    cam_from_keyframe: Rigid3
-    covariance: np.ndarray
+LOOP_ITERATIONS = 10
+"""Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
+LEAST_KEYFRAMES = 3
+"""A map of its own with fewer is given up when the camera is lost again."""
 
 
 class Slam:
     """Follows a camera, frame by frame, and makes a map. The same frames give the same answers on any machine's load.
 
     The world is the first frame's camera; its unit is the metre where the camera tells depth, else the median depth of
-    the first points.
+    the first points. After the camera was lost it is sought in the map; meanwhile a new map begins, which is joined to the
+    first when a place is seen again.
+
+    Attributes:
+        config: options.
+        camera: what is followed.
+        maps: the first, in whose world answers are given, and those that are not joined to it yet.
+        map: the one that the camera is followed in.
+        state: of the last frame.
     """
 
     def __init__(self, camera: SlamCamera, config: SlamConfig | None = None) -> None:
@@ -57,17 +58,24 @@ class Slam:
                 "with depth, or a second camera, pictures are undistorted and the camera a PINHOLE"
             )
         self.focal_baseline = None if baseline is None else lens.focal_px * baseline
-        self.map = SlamMap()
-        self.mapper = LocalMapper(self.map, lens, self.focal_baseline, self.config)
         self.state = TrackingState.STARTING
-        self._relocalizer = Relocalizer(self.map, lens, self.config)
+        self.maps: list[SlamMap] = [SlamMap()]
+        self._enter(self.maps[0])
+        self._closer = LoopCloser(lens, self.config, is_metric=camera.tells_depth)
+        self._start = OneCameraStart(lens, self.config)
         self._tracks = Tracks.none()
         self._before: Frame | None = None
         self._cam_from_world = Rigid3.identity()
-        self._placed: list[_Placed] = []
-        self._waiting: list[tuple[Frame, np.ndarray, np.ndarray]] = []
+        self._path = Path()
         self._num_frames = 0
+        self._num_lost = 0
+        self._num_at_keyframe = 1
         self._is_stale = np.zeros(0, np.int64)
+
+    @property
+    def loops(self) -> list[LoopCandidate]:
+        """Every place that looked like one seen before, and what came of it."""
+        return self._closer.ledger
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -79,6 +87,8 @@ class Slam:
         self._check(frame)
         if self.state is TrackingState.STARTING:
             answer = self._begin(frame)
+        elif self.state is TrackingState.LOST:
+            answer = self._find_place(frame)
         else:
             answer = self._follow(frame)
         self._before = frame
@@ -106,141 +116,86 @@ class Slam:
             size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
             raise ShapeError(f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height}")
 
-    # The begin of the map.
+    # The begin of a map.
 
     def _begin(self, frame: Frame) -> TrackedFrame:
+        """A map from this frame, where it tells depth; else with those that waited before it."""
         if self.camera.tells_depth:
             self._cam_from_world = Rigid3.identity()
-            keyframe = self._insert_keyframe(frame, None)
+            keyframe = self._insert_keyframe(frame, is_first=True)
             if self.map.has_place(keyframe.point).sum() >= self.config.min_tracked:
-                self.state = TrackingState.TRACKING
-                return self._answer(frame, np.zeros((6, 6)), len(keyframe.point), "the first frame")
+                return self._begun(frame, np.zeros((6, 6)))
             self.map.clear()
+            self._tracks = Tracks.none()
             return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
-        return self._begin_with_one_camera(frame)
+        begun = self._start.add(frame, self._num_frames)
+        if isinstance(begun, str):
+            return self._no_place(frame, begun, len(self._start.tracks))
+        return self._begin_with_one_camera(frame, begun)
 
-    def _begin_with_one_camera(self, frame: Frame) -> TrackedFrame:
-        if self._before is None or not self._waiting:
-            return self._wait_from(frame, "the first frame: depth needs a second place")
-        self._tracks.follow(self._before.grey, frame.grey, self._tracks.pixels, self.config, and_back=True)
-        started = try_start(self._tracks.start_px, self._tracks.pixels, self.camera.camera, self.config)
-        if started.cam_from_first is not None:
-            return self._start_map(frame, started)
-        self._waiting.append((frame, self._tracks.pixels, self._tracks.point))
-        is_thin = len(self._tracks.pixels) < 0.4 * self._num_at_start
-        if is_thin or len(self._waiting) > MOST_WAITING:
-            return self._wait_from(frame, started.reason)
-        return self._no_place(frame, started.reason)
-
-    def _wait_from(self, frame: Frame, reason: str) -> TrackedFrame:
-        """Begin to wait for a second place, apart from this frame's."""
-        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config)
-        self._tracks = Tracks(corners, np.arange(len(corners)), corners)
-        self._num_at_start = len(corners)
-        self._waiting = [(frame, corners, self._tracks.point)]
-        return self._no_place(frame, reason)
-
-    def _start_map(self, frame: Frame, started: Start) -> TrackedFrame:
-        """Keyframes from the first to this one, adjusted together, and places for the frames between them.
-
-        At a narrow angle the many frames in between tell as much as the two at the ends.
-        """
-        assert started.cam_from_first is not None and started.points_in_first is not None
-        waiting, self._waiting = self._waiting, []
-        points = self.map.add_points(started.points_in_first, self._tracks.start_px, 0)
-        row_of_track = np.full(self._num_at_start, -1)
-        row_of_track[self._tracks.point] = points
-        number = self._num_frames - len(waiting)
-        chosen = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
-        place = Rigid3.identity()
-        for n in chosen:
-            then, pixels, track = waiting[n]
-            rows = row_of_track[track]
-            kept = rows >= 0
-            found = self._place_in_map(rows[kept], pixels[kept], place)
-            place = found.cam_from_world if found is not None and n > 0 else place
-            none = np.full(int(kept.sum()), np.nan)
-            self.map.keyframes.append(
-                Keyframe(
-                    number + int(n),
-                    then.timestamp_s,
-                    then.grey,
-                    place,
-                    Observations(pixels[kept], none, rows[kept]),
-                )
-            )
-        self._tracks.point = points
-        self._cam_from_world = started.cam_from_first
-        self.state = TrackingState.TRACKING
-        self._insert_keyframe(frame, None)
+    def _begin_with_one_camera(self, frame: Frame, begun: Begun) -> TrackedFrame:
+        self.maps[self.maps.index(self.map)] = begun.model
+        self._enter(begun.model)
+        self._tracks, self._cam_from_world = begun.tracks, begun.cam_from_world
+        points = self._tracks.point
+        self._insert_keyframe(frame, is_first=True)
         self.mapper.adjust_all()
         self.map.rescale(1.0 / float(np.nanmedian(self.map.xyz[points, 2])))
-        self._cam_from_world = self.map.keyframes[-1].cam_from_world
-        self._placed += self._place_waiting(waiting, chosen, row_of_track)
         newest = self.map.keyframes[-1]
-        here = self._place_in_map(newest.point, newest.pixels, self._cam_from_world)
-        covariance = np.full((6, 6), np.inf) if here is None else here.covariance()
-        return self._answer(frame, covariance, int(self.map.has_place(points).sum()), "the map begins")
+        self._cam_from_world = newest.cam_from_world
+        for one, keyframe, place, covariance in begun.place_waiting(self.camera.camera, self.config):
+            self._path.add(one.number, one.frame.timestamp_s, keyframe, place, covariance)
+        lens, place = self.camera.camera, self._cam_from_world
+        here = place_in_map(self.map, newest.point, newest.pixels, place, lens, self.config)
+        self._start = OneCameraStart(lens, self.config)
+        return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
-    def _place_in_map(self, rows: np.ndarray, pixels: np.ndarray, start: Rigid3) -> RefinedPose | None:
-        kept = self.map.has_place(rows)
-        found = locate(self.map.xyz[rows[kept]], pixels[kept], self.camera.camera, start, None, self.config)
-        return None if found is None else found[0]
+    def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
+        for keyframe in self.map.keyframes:
+            describe_keyframe(keyframe)
+        is_first = self.map is self.maps[0]
+        self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
+        self._num_lost = 0
+        num_points = int(self.map.has_place(self._tracks.point).sum())
+        return self._answer(frame, covariance, num_points, "the map begins" if is_first else "a new map begins")
 
-    def _place_waiting(
-        self,
-        waiting: list[tuple[Frame, np.ndarray, np.ndarray]],
-        chosen: np.ndarray,
-        row_of_track: np.ndarray,
-    ) -> list[_Placed]:
-        """Places of the frames that came before the map had begun; each sought from that of the keyframe before."""
-        out = []
-        for n, (frame, pixels, track) in enumerate(waiting):
-            keyframe = int(np.searchsorted(chosen, n, side="right")) - 1
-            start = self.map.keyframes[keyframe].cam_from_world
-            rows = row_of_track[track]
-            found = self._place_in_map(rows[rows >= 0], pixels[rows >= 0], start)
-            if found is not None:
-                place = start if n == chosen[keyframe] else found.cam_from_world
-                out.append(_Placed(frame.timestamp_s, keyframe, place @ start.inverse(), found.covariance()))
-        return out
+    def _enter(self, model: SlamMap) -> None:
+        """Go on in this map."""
+        self.map = model
+        self.mapper = LocalMapper(model, self.camera.camera, self.focal_baseline, self.config)
 
     # A frame in the map.
 
     def _follow(self, frame: Frame) -> TrackedFrame:
+        """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
         # The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
         # velocity such a share of the error came back enlarged, from frame to frame.
         predicted = self._cam_from_world
         self._tracks.follow(self._before.grey, frame.grey, self._guess(predicted), self.config, and_back=True)
         self._hold(frame, predicted)
-        found = self._locate(frame, predicted)
-        if found is None and self.state is TrackingState.TRACKING:
-            again = find_again(
-                self.map, self.camera.camera, frame.grey, predicted, self._tracks.point, self.config
-            )
-            self._tracks.add(*again)
-            found = self._locate(frame, predicted)
+        found = self._locate(frame, predicted) or self._search_wider(frame, predicted)
         if found is None:
-            found = self._relocate(frame)
-        if found is None:
-            self.state = TrackingState.LOST
-            return self._no_place(
-                frame, f"{len(self._tracks.pixels)} points are followed, too few agree with the map"
-            )
-        self.state = TrackingState.TRACKING
-        refined, num_agreeing = found
+            return self._find_place(frame)
+        return self._placed(frame, *found)
+
+    def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         self._cam_from_world = refined.cam_from_world
         self.mapper.place_from(self._cam_from_world, self._tracks.point, self._tracks.pixels)
         reason = self._why_keyframe(num_agreeing)
         if reason:
-            self._insert_keyframe(frame, refined)
-            newest = len(self.map.keyframes) - 1
-            self.mapper.triangulate(newest)
-            self.mapper.adjust_around(newest)
-            self._forget_untracked()
-            self._cam_from_world = self.map.keyframes[newest].cam_from_world
+            self._extend(frame)
+            reason = self._close_loop() or reason
         return self._answer(frame, refined.covariance(), num_agreeing, reason)
+
+    def _extend(self, frame: Frame) -> None:
+        """A keyframe, new points, and the adjustment of the keyframes around it."""
+        self._insert_keyframe(frame)
+        newest = len(self.map.keyframes) - 1
+        self.mapper.triangulate(newest)
+        self.mapper.adjust_around(newest)
+        self._forget_untracked()
+        self._cam_from_world = self.map.keyframes[newest].cam_from_world
 
     def _hold(self, frame: Frame, predicted: Rigid3) -> None:
         """Place the points by their first looks; those that look otherwise are given up."""
@@ -251,15 +206,10 @@ class Slam:
         self._is_stale = tracks.point[self._is_stale]
         tracks.keep(is_same)
 
-    def _relocate(self, frame: Frame) -> tuple[RefinedPose, int] | None:
-        """The frame's pose by descriptors, wherever it is in the map; it then follows the points that were found."""
-        again = self._relocalizer.find(frame.grey)
-        if again is None:
-            return None
-        place, pixels, points = again
-        self._tracks = Tracks(pixels, points, pixels)
-        self._tracks.add(*find_again(self.map, self.camera.camera, frame.grey, place, points, self.config))
-        return self._locate(frame, place)
+    def _search_wider(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
+        lens, followed = self.camera.camera, self._tracks.point
+        self._tracks.add(*find_again(self.map, lens, frame.grey, predicted, followed, self.config))
+        return self._locate(frame, predicted)
 
     def _guess(self, predicted: Rigid3) -> np.ndarray:
         points = self.map.xyz[self._tracks.point]
@@ -297,13 +247,96 @@ class Slam:
             return "time has passed"
         return ""
 
+    # A camera that is lost.
+
+    def _find_place(self, frame: Frame) -> TrackedFrame:
+        """The frame's place in one of the maps by what it looks like; else a new map begins."""
+        reason = f"{len(self._tracks)} points are followed, too few agree with the map"
+        if self.state is not TrackingState.LOST:
+            self._lose()
+        for model in self.maps:
+            again = relocalize(frame.grey, model, self.camera.camera, self.config)
+            if again is not None:
+                self._enter(model)
+                self._tracks = Tracks(again.pixels, again.points, again.pixels)
+                found = self._locate(frame, again.cam_from_world)
+                if found is not None:
+                    is_first = model is self.maps[0]
+                    self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
+                    self._num_lost = 0
+                    return self._placed(frame, *found)
+        self._num_lost += 1
+        if self._num_lost <= self.config.lost_patience:
+            return self._no_place(frame, reason)
+        return self._begin_submap(frame, reason)
+
+    def _lose(self) -> None:
+        self.state = TrackingState.LOST
+        self._closer.forget()
+        if self.map is not self.maps[0] and len(self.map.keyframes) < LEAST_KEYFRAMES:
+            self.maps.remove(self.map)
+            self._path.forget(self.map.keyframes)
+
+    def _begin_submap(self, frame: Frame, reason: str) -> TrackedFrame:
+        self.maps.append(SlamMap())
+        self._enter(self.maps[-1])
+        answer = self._begin(frame)
+        if answer.submap_from_body is not None:
+            return answer
+        self.maps = [m for m in self.maps if m is not self.map]
+        self._enter(self.maps[0])
+        return self._no_place(frame, f"{reason}; {answer.reason}")
+
+    # Places seen again.
+
+    def _close_loop(self) -> str:
+        """Correct the map, or join it to an older one, if the newest keyframe shows a place seen before."""
+        describe_keyframe(self.map.keyframes[-1])
+        for there in self.maps:
+            tie = self._closer.consider(self.map, there)
+            if tie is not None and (self._joined(tie) if there is not self.map else self._corrected(tie)):
+                self._closer.forget()
+                return "a place seen before"
+        return ""
+
+    def _corrected(self, tie: Tie) -> bool:
+        if not spread_drift(self.map, tie, is_metric=self.camera.tells_depth):
+            self._closer.reject_last("the pose graph does not agree")
+            return False
+        self._settle()
+        return True
+
+    def _joined(self, tie: Tie) -> bool:
+        self.map.move(tie.there_from_here)
+        self.maps.remove(self.map)
+        offset = tie.there.absorb(self.map)
+        self._tracks.point = self._tracks.point + offset
+        self._enter(tie.there)
+        if self.map is self.maps[0]:
+            self.state = TrackingState.TRACKING
+        self._settle()
+        return True
+
+    def _settle(self) -> None:
+        """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
+        newest = len(self.map.keyframes) - 1
+        window, _ = self.mapper.window_of(newest)
+        into = fuse(self.map, window[::-1], self.camera.camera, self.config)
+        self.mapper.adjust_around(newest)
+        self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
+        self._tracks.rename(into)
+        self._forget_untracked()
+        self._cam_from_world = self.map.keyframes[-1].cam_from_world
+
     # Keyframes.
 
-    def _insert_keyframe(self, frame: Frame, refined: RefinedPose | None) -> Keyframe:
+    def _insert_keyframe(self, frame: Frame, *, is_first: bool = False) -> Keyframe:
         """A keyframe at the present place: points in sight, older points found again, and new ones."""
         lens, place = self.camera.camera, self._cam_from_world
-        if refined is not None:
+        if not is_first:
             self._tracks.add(*find_again(self.map, lens, frame.grey, place, self._tracks.point, self.config))
+        elif self.camera.tells_depth:
+            self._tracks = Tracks.none()
         corners = new_corners(frame.grey, self._tracks.pixels, self.config)
         number = len(self.map.keyframes)
         pixels = np.concatenate([self._tracks.pixels, corners])
@@ -355,36 +388,37 @@ class Slam:
     # Answers.
 
     def _answer(self, frame: Frame, covariance: np.ndarray, num_points: int, reason: str) -> TrackedFrame:
-        newest = len(self.map.keyframes) - 1
-        relative = self._cam_from_world @ self.map.keyframes[newest].cam_from_world.inverse()
-        self._placed.append(_Placed(frame.timestamp_s, newest, relative, covariance))
-        is_keyframe = self.map.keyframes[newest].number == self._num_frames
-        place = self._cam_from_world.inverse()
+        newest = self.map.keyframes[-1]
+        self._path.add(self._num_frames, frame.timestamp_s, newest, self._cam_from_world, covariance)
+        place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
-            *(frame.timestamp_s, self.state, reason, place, covariance, num_points, is_keyframe),
+            frame.timestamp_s,
+            self.state,
+            reason,
+            place if is_first else None,
+            None if is_first else place,
+            covariance,
+            num_points,
+            newest.number == self._num_frames,
         )
 
-    def _no_place(self, frame: Frame, reason: str) -> TrackedFrame:
-        num_points = len(self._tracks.pixels)
-        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, num_points, is_keyframe=False)
+    def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
+        count = len(self._tracks) if num_points is None else num_points
+        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, None, count, is_keyframe=False)
 
     def finish(self) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust the whole map."""
-        if len(self.map.keyframes) < 2:
-            return
-        self.mapper.adjust_all()
-        for loss_scale_px in LAST_SCALES_PX:
-            tie_together(self.map, self.camera.camera, self.config)
-            self.mapper.adjust_all(loss_scale_px)
+        """After the last frame: tie keyframes together that see the same, and adjust the whole of every map."""
+        here = self.map
+        for model in self.maps:
+            if len(model.keyframes) < 2:
+                continue
+            self._enter(model)
+            self.mapper.adjust_all()
+            for loss_scale_px in LAST_SCALES_PX:
+                tie_together(model, self.camera.camera, self.config)
+                self.mapper.adjust_all(loss_scale_px)
+        self._enter(here)
 
-    def trajectory(self) -> Trajectory:
-        """Every frame that has a place, by the map as it is now."""
-        keyframes = [k.cam_from_world for k in self.map.keyframes]
-        places = [(p.cam_from_keyframe @ keyframes[p.keyframe]).inverse() for p in self._placed]
-        if not places:
-            return Trajectory(np.zeros(0), Rigid3.identity(0), np.zeros((0, 6, 6)))
-        return Trajectory(
-            np.array([p.timestamp_s for p in self._placed]),
-            Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
-            np.stack([p.covariance for p in self._placed]),
-        )
+    def trajectory(self, number: int = 0) -> Trajectory:
+        """Every frame that has a place in one of the maps, the first unless told, by the map as it is now."""
+        return self._path.trajectory(self.maps[number].keyframes)

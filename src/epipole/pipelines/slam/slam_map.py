@@ -1,4 +1,4 @@
-"""The map: keyframes, and points with the keyframes that saw them; it grows and is adjusted."""
+"""The map: keyframes, and points with the keyframes that saw them; it grows, is adjusted, and forgets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Similarity3
 
 
 class Observations(NamedTuple):
@@ -28,32 +28,33 @@ class Keyframe:
         pixels: (n, 2) of its observations.
         disparity_px: (n,) of them, NaN for none.
         point: (n,) rows of the map's points, each at most once.
+        descriptors: (n, 128) of them, zeros where none was made.
+        look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
+        unit: by what lengths around it were multiplied since it was made.
     """
 
     def __init__(
         self, number: int, timestamp_s: float, grey: np.ndarray, cam_from_world: Rigid3, seen: Observations
     ) -> None:
-        self.number, self.timestamp_s, self.grey, self.cam_from_world = (
-            number,
-            timestamp_s,
-            grey,
-            cam_from_world,
-        )
+        self.number, self.timestamp_s, self.grey = number, timestamp_s, grey
+        self.cam_from_world = cam_from_world
         self.pixels, self.disparity_px, self.point = seen
+        self.descriptors = np.zeros((len(self.point), 128), np.uint8)
+        self.look: np.ndarray | None = None
+        self.unit = 1.0
 
     def keep(self, mask: np.ndarray) -> None:
         """Forget the other observations."""
-        self.pixels, self.disparity_px, self.point = (
-            self.pixels[mask],
-            self.disparity_px[mask],
-            self.point[mask],
-        )
+        self.pixels, self.disparity_px = self.pixels[mask], self.disparity_px[mask]
+        self.point, self.descriptors = self.point[mask], self.descriptors[mask]
 
     def add(self, pixels: np.ndarray, disparity_px: np.ndarray, point: np.ndarray) -> None:
         """Add observations."""
         self.pixels = np.concatenate([self.pixels, pixels])
         self.disparity_px = np.concatenate([self.disparity_px, disparity_px])
         self.point = np.concatenate([self.point, point])
+        none = np.zeros((len(point), 128), np.uint8)
+        self.descriptors = np.concatenate([self.descriptors, none])
 
 
 class SlamMap:
@@ -81,7 +82,9 @@ class SlamMap:
         """(p, 2) where in that keyframe. May be written to, with `anchor`."""
         return self._anchor_px[: self.num_points]
 
-    def add_points(self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int) -> np.ndarray:
+    def add_points(
+        self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray
+    ) -> np.ndarray:
         """Rows of new points, first seen in a keyframe at these pixels."""
         first, self.num_points = self.num_points, self.num_points + len(xyz)
         if self.num_points > len(self._xyz):
@@ -105,6 +108,11 @@ class SlamMap:
             out[self.keyframes[k].point] += 1
         return out
 
+    def num_shared(self, keyframes: list[int]) -> np.ndarray:
+        """Of every keyframe, how many placed points it shares with any of these."""
+        is_theirs = (self.counts(keyframes) > 0) & np.isfinite(self.xyz[:, 0])
+        return np.array([int(is_theirs[k.point].sum()) for k in self.keyframes], np.int64)
+
     def clear(self) -> None:
         """Forget everything."""
         self.keyframes.clear()
@@ -112,10 +120,48 @@ class SlamMap:
 
     def rescale(self, factor: float) -> None:
         """Change the unit of the world."""
-        self.xyz[:] *= factor
+        self.move(Similarity3(np.array(factor), np.eye(3), np.zeros(3)))
+
+    def move(self, new_from_old: Similarity3) -> None:
+        """Tell everything in another world's coordinates."""
+        self.xyz[:] = new_from_old.apply(self.xyz)
         for keyframe in self.keyframes:
-            place = keyframe.cam_from_world
-            keyframe.cam_from_world = Rigid3(place.rotation, place.translation * factor)
+            keyframe.cam_from_world = new_from_old.move_cam_from_source(keyframe.cam_from_world)
+            keyframe.unit *= float(new_from_old.scale)
+
+    def absorb(self, other: SlamMap) -> int:
+        """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows."""
+        offset, before = self.num_points, len(self.keyframes)
+        self.add_points(other.xyz, other.anchor_px, other.anchor + before)
+        for keyframe in other.keyframes:
+            keyframe.point = keyframe.point + offset
+        self.keyframes += other.keyframes
+        other.keyframes, other.num_points = [], 0
+        return offset
+
+    def merge_points(self, gone: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Points that are the same thing become one, with the observations of both.
+
+        Args:
+            gone: (n,) rows, each at most once and none of them in `kept`.
+            kept: (n,) rows that they become.
+
+        Returns:
+            (p,) what each row has become.
+        """
+        into = np.arange(self.num_points)
+        into[gone] = kept
+        for keyframe in self.keyframes:
+            point = into[keyframe.point]
+            # Where a keyframe saw both, the observation that was the kept point's already stays.
+            order = np.lexsort((point != keyframe.point, point))
+            first = np.ones(len(point), bool)
+            first[order[1:]] = point[order[1:]] != point[order[:-1]]
+            keyframe.point = point
+            if not first.all():
+                keyframe.keep(first)
+        self.xyz[gone] = np.nan
+        return into
 
     def __repr__(self) -> str:
         return f"SlamMap({len(self.keyframes)} keyframes, {int(np.isfinite(self.xyz[:, 0]).sum())} points)"

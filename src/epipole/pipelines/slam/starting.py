@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
+from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.corners import new_corners
+from epipole.pipelines.slam.frames import Frame
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.tracking import Tracks, locate
 from epipole.robust import PairKind, triangulate_points, verify_pair
 
 MIN_POINTS = 50
 LEAST_SHIFT = 0.015
 """Median shift of the points, as a share of the picture's width, below which nothing is tried."""
+START_KEYFRAMES = 6
+MOST_WAITING = 300
+"""Frames before the map's begin that are kept, to get their places once it has begun."""
+LEAST_KEPT = 0.4
+"""With a smaller share of the first frame's points still followed, another frame becomes the first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,3 +80,109 @@ def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: 
     points = np.where(good[:, None], made.points_in_world / depth, np.nan)
     motion = Rigid3(found.cam2_from_cam1.rotation, found.cam2_from_cam1.translation / depth)
     return Start("", motion, points)
+
+
+class WaitingFrame(NamedTuple):
+    """A frame before the map's begin."""
+
+    frame: Frame
+    number: int
+    pixels: np.ndarray  # (n, 2) of the points that are followed
+    track: np.ndarray  # (n,) their numbers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Begun:
+    """A map of one camera that has just begun, without the present frame and not adjusted yet."""
+
+    model: SlamMap
+    tracks: Tracks
+    """Points that are followed in the present frame."""
+    cam_from_world: Rigid3
+    """Of the present frame."""
+    waiting: list[WaitingFrame]
+    row_of_track: np.ndarray
+    """Of each track the map's point, -1 for none."""
+
+    def place_waiting(
+        self, camera: Camera, config: SlamConfig
+    ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
+        """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance."""
+        out, keyframes = [], self.model.keyframes
+        numbers = [k.number for k in keyframes]
+        for one in self.waiting:
+            keyframe = keyframes[int(np.searchsorted(numbers, one.number, side="right")) - 1]
+            rows = self.row_of_track[one.track]
+            pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
+            found = place_in_map(self.model, rows, pixels, keyframe.cam_from_world, camera, config)
+            if found is not None:
+                is_keyframe = keyframe.number == one.number
+                place = keyframe.cam_from_world if is_keyframe else found.cam_from_world
+                out.append((one, keyframe, place, found.covariance()))
+        return out
+
+
+class OneCameraStart:
+    """Frames of one camera until a map can begin."""
+
+    def __init__(self, camera: Camera, config: SlamConfig) -> None:
+        self.camera, self.config = camera, config
+        self.tracks = Tracks.none()
+        self._waiting: list[WaitingFrame] = []
+        self._num_at_start = 0
+
+    def add(self, frame: Frame, number: int) -> Begun | str:
+        """The map, if it begins with this frame; else what it waits for."""
+        if not self._waiting:
+            return self._wait_from(frame, number, "the first frame: depth needs a second place")
+        tracks = self.tracks
+        tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
+        if not started.reason:
+            return self._begin(started)
+        self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
+        is_thin = len(tracks.pixels) < LEAST_KEPT * self._num_at_start
+        if is_thin or len(self._waiting) > MOST_WAITING:
+            return self._wait_from(frame, number, started.reason)
+        return started.reason
+
+    def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
+        """Begin to wait for a second place, apart from this frame's."""
+        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config)
+        self.tracks = Tracks(corners, np.arange(len(corners)), corners)
+        self._num_at_start = len(corners)
+        self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
+        return reason
+
+    def _begin(self, started: Start) -> Begun:
+        """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
+        assert started.cam_from_first is not None and started.points_in_first is not None
+        model, waiting = SlamMap(), self._waiting
+        points = model.add_points(started.points_in_first, self.tracks.start_px, 0)
+        row_of_track = np.full(self._num_at_start, -1)
+        row_of_track[self.tracks.point] = points
+        place = Rigid3.identity()
+        for n in np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int)):
+            one = waiting[n]
+            rows = row_of_track[one.track]
+            pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
+            found = place_in_map(model, rows, pixels, place, self.camera, self.config)
+            place = found.cam_from_world if found is not None and n > 0 else place
+            seen = Observations(pixels, np.full(len(rows), np.nan), rows)
+            model.keyframes.append(Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, place, seen))
+        tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
+        return Begun(model, tracks, started.cam_from_first, waiting, row_of_track)
+
+
+def place_in_map(
+    model: SlamMap,
+    rows: np.ndarray,
+    pixels: np.ndarray,
+    start: Rigid3,
+    camera: Camera,
+    config: SlamConfig,
+) -> RefinedPose | None:
+    """The pose with which points of a map agree, by pixels alone; None if too few do."""
+    kept = model.has_place(rows)
+    found = locate(model.xyz[rows[kept]], pixels[kept], camera, start, None, config)
+    return None if found is None else found[0]

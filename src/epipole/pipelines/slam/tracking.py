@@ -48,6 +48,12 @@ class Tracks:
         self.point = np.concatenate([self.point, point])
         self.start_px = np.concatenate([self.start_px, pixels])
 
+    def rename(self, into: np.ndarray) -> None:
+        """Points that have become others; of two that are one now, one is followed on."""
+        self.point = into[self.point]
+        _, first = np.unique(self.point, return_index=True)
+        self.keep(np.isin(np.arange(len(self.point)), first))
+
     def follow(
         self, before: np.ndarray, now: np.ndarray, guess: np.ndarray, config: SlamConfig, *, and_back: bool
     ) -> None:

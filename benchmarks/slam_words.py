@@ -1,0 +1,38 @@
+"""Train the words by which SLAM finds places that look alike: `python -m benchmarks.slam_words DATA`.
+
+From photographs of buildings, statues and rooms; no sequence that SLAM is measured on is among them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from epipole.features import describe_upright, train_vocabulary
+from epipole.io.photographs import read_grey
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.corners import new_corners
+from epipole.pipelines.slam.place_recognition import WORDS
+
+SETS = ("sfm", "failure/moving_person", "failure/panorama", "calibration/opencv_stereo", "twoview/graf")
+NUM_WORDS = 64
+
+
+def main(data: Path) -> None:
+    """Describe corners of all photographs, and cluster them."""
+    described = []
+    for folder in SETS:
+        for path in sorted(p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")):
+            grey = read_grey(path)
+            grey = np.ascontiguousarray(grey[:: max(1, grey.shape[1] // 640), :: max(1, grey.shape[1] // 640)])
+            corners = new_corners(grey, np.zeros((0, 2)), SlamConfig())
+            described.append(describe_upright(grey, corners))
+    words = train_vocabulary(described, NUM_WORDS, rounds=50)
+    np.save(WORDS, np.rint(words).astype(np.uint8))
+    print(f"{len(described)} photographs, {len(words)} words")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
