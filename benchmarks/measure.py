@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import subprocess
@@ -25,8 +26,13 @@ class ProcessMeasure:
     """Greatest sum of resident memory over the process tree, seen 20 times a second; None without psutil."""
 
 
-def run_measured(command: list[str], log: Path, num_threads: int) -> ProcessMeasure:
-    """Run a command from the repository's root with its output in `log`, holding its libraries to `num_threads`."""
+def run_measured(
+    command: list[str], log: Path, num_threads: int, limit_s: float = math.inf
+) -> ProcessMeasure:
+    """Run a command from the repository's root with its output in `log`, holding its libraries to `num_threads`.
+
+    It is ended after `limit_s`; its exit code is then that of a killed process.
+    """
     threads = {name: str(num_threads) for name in ("EPIPOLE_NUM_THREADS", "OMP_NUM_THREADS")}
     blas = {name: str(num_threads) for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -42,6 +48,8 @@ def run_measured(command: list[str], log: Path, num_threads: int) -> ProcessMeas
         )
         while True:
             peak = max(peak, _tree_memory(process.pid))
+            if time.perf_counter() - start > limit_s:
+                process.kill()
             try:
                 exit_code = process.wait(_SAMPLE_EVERY_S)
                 break

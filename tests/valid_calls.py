@@ -33,7 +33,8 @@ from epipole.optim.block_cholesky import BlockPattern, plan_cholesky
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.robust import PairMatches
 from epipole.solvers.two_view import hartley_normalization
-from epipole.synthetic import problems, stereo_rooms
+from epipole.synthetic import problems, rides, stereo_rooms
+from epipole.synthetic.ride import Shutter
 
 ROOMS = (cameras, geometry, image, solvers, optim, features, robust, scene, metrics, synthetic, mapping)
 
@@ -554,10 +555,26 @@ def _synthetic() -> Iterator[Row]:
     yield _row(synthetic.SyntheticScene, **{name: getattr(yard, name) for name in yard.__slots__})
     place = synthetic.look_at((0, 0, 0), (0, 5, 0))
     yield _row(synthetic.render, scene=yard, camera=PINHOLE, cam_from_world=place, noise_sigma=1.0, seed=1)
+    places = Rigid3(place.rotation[None, None], place.translation[None, None])
+    yield _row(synthetic.render_exposures, scene=yard, camera=PINHOLE, cam_from_world=places, gain=0.9)
+    for make in (
+        rides.loop_room,
+        rides.turn_on_the_spot,
+        rides.corridor,
+        rides.tiled_room,
+        rides.walking_box,
+    ):
+        yield _row(make, num_frames=2, size=(32, 24))
+    yield _row(rides.shuttered, num_frames=2, size=(32, 24), readout_s=0.02)
+    yield _row(Shutter, readout_s=0.01, exposure_s=0.01, num_exposures=2, noise_sigma=1.0)
+    ride = rides.loop_room(2, (32, 24))
+    yield _row(ride.left, frame=1)
+    yield _row(ride.right, frame=1)
     surface = {
         "color": (0.5, 0.5, 0.5),
         "texture": synthetic.Texture.RICH,
         "seed": 1,
+        "tile_m": 0.5,
         "center": (0.0, 5.0, 0.0),
     }
     across = {"direction_u": (1.0, 0.0, 0.0), "direction_v": (0.0, 0.0, 1.0)}

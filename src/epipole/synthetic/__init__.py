@@ -5,6 +5,7 @@ from epipole.synthetic.courtyard import courtyard_views as courtyard_views
 from epipole.synthetic.courtyard import look_at as look_at
 from epipole.synthetic.render import Rendering as Rendering
 from epipole.synthetic.render import render as render
+from epipole.synthetic.render import render_exposures as render_exposures
 from epipole.synthetic.scene import Box as Box
 from epipole.synthetic.scene import HeightField as HeightField
 from epipole.synthetic.scene import Plane as Plane

@@ -17,7 +17,7 @@ from epipole.synthetic._surface_kernels import (
 )
 
 PLANE, BOX, SPHERE, HEIGHT_FIELD = 0, 1, 2, 3
-RICH, PLAIN = 0, 1
+RICH, PLAIN, TILED = 0, 1, 2
 
 
 @kernel
@@ -165,6 +165,28 @@ def _light_on(light, normal, d):
     return 0.62 + 0.38 * max(0.0, shine), abs(facing)
 
 
+@kernel
+def _texture_place(kind, texture, p, tile, x, y, z, place):
+    """Where in the solid texture a point of a surface lies: in the world, or, tiled, in the surface's own axes."""
+    place[0], place[1], place[2] = x, y, z
+    if texture != TILED or not tile > 0.0:
+        return
+    x, y, z = x - p[0], y - p[1], z - p[2]
+    if kind == PLANE:
+        place[0] = x * p[3] + y * p[4] + z * p[5] + p[9]
+        place[1] = x * p[6] + y * p[7] + z * p[8] + p[10]
+        place[2] = 0.0
+    elif kind == BOX:
+        place[0] = p[7] * x + p[8] * y + p[3]
+        place[1] = -p[8] * x + p[7] * y + p[4]
+        place[2] = z + p[5]
+    else:
+        place[0], place[1], place[2] = x, y, z
+    for c in range(3):
+        place[c] += 0.137 * tile  # a face at zero would lie on the seam
+        place[c] -= tile * math.floor(place[c] / tile)
+
+
 @kernel(allocates=True)
 def _row(width):
     return np.empty((width + 2, 3)), np.empty(width + 2, np.int64), np.empty((width + 2, 7))
@@ -174,13 +196,15 @@ def _row(width):
 def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, depth):
     """Rows start..stop of a picture: rgb (h, w, 3) in [0, 1], four samples a pixel; depth of the pixel's centre.
 
+    Colours are added to what rgb holds, so that several exposures make a sum.
+
     Smooth texture is computed once a pixel, at the centre: it has no detail finer than two footprints. Edges of
     cells are sampled four times; so are edges of things, while inside one the samples lie on the tangent plane of
     the centre (exact but for terms of second order in the quarter of a pixel).
     """
     kinds, given, textures, colors, seeds, light = scene
     normal, trial, d, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    smooth, texture = np.empty(3), np.empty(3)
+    smooth, texture, place = np.empty(3), np.empty(3), np.empty(3)
     for c in range(3):
         o[c] = -(motion[c] * motion[9] + motion[3 + c] * motion[10] + motion[6 + c] * motion[11])
     params = _prepared(kinds, given, o)
@@ -199,9 +223,11 @@ def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, de
                 depth[v, u] = surface[6] * here[0][u + 1, 2]
                 _turned(motion, here[0][u + 1, 0], here[0][u + 1, 1], here[0][u + 1, 2], d)
                 _, facing = _light_on(light, surface[3:6], d)
-                if textures[own] == RICH:
+                if textures[own] != PLAIN:
                     covered = 0.6 * surface[6] * spacing / math.sqrt(max(facing, 0.05))
-                    fill_noise(seeds[own], surface[0], surface[1], surface[2], covered, smooth)
+                    x, y, w = surface[0], surface[1], surface[2]
+                    _texture_place(kinds[own], textures[own], params[own], given[own, 11], x, y, w, place)
+                    fill_noise(seeds[own], place[0], place[1], place[2], covered, smooth)
             for sample in range(4):
                 du, dv = (0.25 if sample % 2 else -0.25), (0.25 if sample // 2 else -0.25)
                 if not _ray_beside(
@@ -221,12 +247,13 @@ def render_rows(scene, model, camera_params, motion, start, stop, width, rgb, de
                     continue
                 brightness, facing = _light_on(light, normal, d)
                 texture[:] = 0.0
-                if textures[hit] == RICH:
+                if textures[hit] != PLAIN:
                     x, y, w = o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]
+                    _texture_place(kinds[hit], textures[hit], params[hit], given[hit, 11], x, y, w, place)
                     covered = 0.6 * t * spacing / math.sqrt(max(facing, 0.05))
                     if hit == own:
                         texture[:] = smooth
                     else:
-                        fill_noise(seeds[hit], x, y, w, covered, texture)
-                    add_cells(seeds[hit], x, y, w, covered, texture)
+                        fill_noise(seeds[hit], place[0], place[1], place[2], covered, texture)
+                    add_cells(seeds[hit], place[0], place[1], place[2], covered, texture)
                 add_color(colors[hit], texture, brightness, 0.25, rgb[v, u])

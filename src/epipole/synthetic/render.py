@@ -47,21 +47,71 @@ def render(
         raise ConfigError(f"noise_sigma and seed must not be negative, got {noise_sigma} and {seed}")
     if cam_from_world.batch_shape() != ():
         raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
-    height, width = camera.height, camera.width
-    check_pixels(width, height, 1 << 27)
-    rgb, depth = np.zeros((height, width, 3), np.float32), np.full((height, width), np.nan)
-    motion = np.concatenate([cam_from_world.rotation.ravel(), cam_from_world.translation])
-    columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
-    params = camera.padded_params()
-    _parallel.map_chunks(
-        lambda start, stop, _: kernels.render_rows(
-            columns, int(camera.model), params, motion, start, stop, width, rgb, depth
-        ),
-        height,
-        16,
-    )
+    rgb, depth = _blank(camera)
+    _add_exposure(scene, camera, cam_from_world, rgb, depth)
     levels = np.float32(255.0) * rgb
     if noise_sigma > 0:
         random = np.random.default_rng(seed)
         levels += np.float32(noise_sigma) * random.standard_normal(levels.shape, np.float32)
     return Rendering(np.clip(np.rint(levels), 0, 255).astype(np.uint8), depth)
+
+
+@checked
+def render_exposures(
+    scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, *, gain: float = 1.0
+) -> Rendering:
+    """A picture taken while the camera moves: rows are read one after another, light is gathered over time.
+
+    Each row is drawn from the place that the camera has while that row is read, and the mean of several exposures is
+    motion blur. The scene stands still meanwhile.
+
+    Args:
+        scene: what there is.
+        camera: any model, distortion included.
+        cam_from_world: places, (exposures, rows); one row instead of the picture's height is a global shutter.
+        gain: brightness of the picture; what goes beyond white stays white.
+
+    Returns:
+        The picture, and the depth of its middle exposure, for each row from where the camera was then.
+
+    Raises:
+        ConfigError: the gain is negative or not finite, or the picture too large.
+        ShapeError: the places are not (exposures, rows), or there are none.
+    """
+    if not 0 <= gain < np.inf:
+        raise ConfigError(f"gain must not be negative, got {gain}")
+    shape = cam_from_world.batch_shape()
+    if len(shape) != 2 or shape[0] < 1 or shape[1] not in (1, camera.height):
+        raise ShapeError(f"cam_from_world must be (exposures, 1 or {camera.height} rows), got {shape}")
+    rgb, depth = _blank(camera)
+    for n in range(shape[0]):
+        one = depth if n == shape[0] // 2 else np.empty_like(depth)
+        _add_exposure(scene, camera, cam_from_world[n], rgb, one)
+    levels = np.float32(255.0 * gain / shape[0]) * rgb
+    return Rendering(np.clip(np.rint(levels), 0, 255).astype(np.uint8), depth)
+
+
+def _blank(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    height, width = camera.height, camera.width
+    check_pixels(width, height, 1 << 27)
+    return np.zeros((height, width, 3), np.float32), np.full((height, width), np.nan)
+
+
+def _add_exposure(
+    scene: SyntheticScene, camera: Camera, cam_from_world: Rigid3, rgb: np.ndarray, depth: np.ndarray
+) -> None:
+    """Add a picture to rgb and write its depth; of one place, or of as many as there are rows."""
+    height, width = depth.shape
+    rotation, translation = cam_from_world.rotation.reshape(-1, 9), cam_from_world.translation.reshape(-1, 3)
+    motion = np.concatenate([rotation, translation], axis=1)
+    columns = (scene.kind, scene.params, scene.texture, scene.color, scene.seed, scene.light)
+    given = (columns, int(camera.model), camera.padded_params())
+
+    def draw(start: int, stop: int, _: int) -> None:
+        if len(motion) == 1:
+            kernels.render_rows(*given, motion[0], start, stop, width, rgb, depth)
+            return
+        for row in range(start, stop):
+            kernels.render_rows(*given, motion[row], row, row + 1, width, rgb, depth)
+
+    _parallel.map_chunks(draw, height, 16)

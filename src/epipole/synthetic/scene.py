@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,11 +11,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole._declared import Declared, checked
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.synthetic import _render_kernels as kernels
 
 Vector = tuple[float, float, float]
 _NUM_PARAMS = 12
+_TILE = 11
 
 
 class Texture(IntEnum):
@@ -24,6 +26,9 @@ class Texture(IntEnum):
     """Detail at all scales, nowhere repeated."""
     PLAIN = kernels.PLAIN
     """One colour: a blank wall."""
+    TILED = kernels.TILED
+    """One patch of the rich texture, repeated. It is fixed to the surface's own axes: surfaces of one kind, size and
+    seed look the same wherever they stand, and one that moves takes its texture along."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +36,8 @@ class _Surface(Declared):
     color: Vector = (0.5, 0.5, 0.5)
     texture: Texture = Texture.RICH
     seed: int = 0
+    tile_m: float = 1.0
+    """Side of the patch that is repeated; of TILED alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,13 +99,16 @@ class SyntheticScene(Declared):
 
         Raises:
             ShapeError: there are none.
+            ConfigError: the side of a tile is not positive.
         """
         if not primitives:
             raise ShapeError("a scene needs at least one primitive")
+        if not all(0 < p.tile_m < math.inf for p in primitives):
+            raise ConfigError("tile_m must be positive and finite")
         rows = [_row(p) for p in primitives]
         params = np.zeros((len(rows), _NUM_PARAMS))
         for n, (_, values) in enumerate(rows):
-            params[n, : len(values)] = values
+            params[n, : len(values)], params[n, _TILE] = values, primitives[n].tile_m
         direction = np.array(light, np.float64)
         return SyntheticScene(
             np.array([kind for kind, _ in rows], np.int64),

@@ -1,0 +1,109 @@
+"""epipole's `Slam` over a sequence, frame by frame: `python -m benchmarks.peers.epipole_slam FRAMES SENSOR OUT`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.peers.slam_frames import SlamFrames, load_frames, save_answers
+
+WARM_UP_FRAMES = 12
+
+
+class EpipoleSlam:
+    """`Slam` of the environment that runs the benchmark. Frames come as fast as it takes them: no answer depends on time."""
+
+    name = "epipole"
+
+    def version(self) -> str | None:
+        """The installed version; None where it is not installed."""
+        try:
+            return metadata.version("epipole")
+        except metadata.PackageNotFoundError:
+            return None
+
+    def command(self, frames: Path, sensor: str, out: Path) -> list[str]:
+        """The command line of one run."""
+        return [sys.executable, "-m", "benchmarks.peers.epipole_slam", str(frames), sensor, str(out)]
+
+
+def main() -> None:
+    """Track every frame, then adjust the map; write the path as it was known then, and the final one."""
+    folder, sensor, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
+    from epipole.io.trajectories import write_trajectory
+    from epipole.pipelines.slam.slam import Slam
+
+    frames = load_frames(folder)
+    camera = _camera(frames, sensor)
+    for few in (Slam(camera),):  # kernels are compiled, or read from disk
+        for frame in _frames(frames, sensor, WARM_UP_FRAMES):
+            few.track(frame)
+        few.finish()
+    slam, ms, causal = Slam(camera), [], []
+    states: Counter[str] = Counter()
+    reasons: Counter[str] = Counter()
+    for frame in _frames(frames, sensor, len(frames)):
+        begin = time.perf_counter()
+        found = slam.track(frame)
+        ms.append(1e3 * (time.perf_counter() - begin))
+        causal.append(None if found.world_from_body is None else found.world_from_body.as_matrix())
+        states[found.state.value] += 1
+        if found.world_from_body is None:
+            reasons["".join("#" if c.isdigit() else c for c in found.reason)] += 1
+    begin = time.perf_counter()
+    slam.finish()
+    finish_s = time.perf_counter() - begin
+    path = slam.trajectory()
+    if len(path):
+        write_trajectory(path, out / "final.txt")
+    more = {
+        "states": states,
+        "reasons": reasons,
+        "finish_s": finish_s,
+        "num_keyframes": len(slam.map.keyframes),
+    }
+    save_answers(out, ms, causal, **more)
+
+
+def _camera(frames: SlamFrames, sensor: str):
+    from epipole.cameras import Camera, CameraModel
+    from epipole.geometry import Rigid3
+    from epipole.pipelines.slam.frames import DepthCamera, SlamCamera
+
+    about = frames.about
+    size = (about["width"], about["height"])
+    lens = Camera(CameraModel.PINHOLE, *size, np.array(about["params"]))
+    if sensor == "stereo":
+        return SlamCamera(lens, about["baseline_m"])
+    if sensor == "mono":
+        return SlamCamera(lens)
+    told = about.get("depth_sensor")
+    if told is None:
+        return SlamCamera(lens, None, DepthCamera(lens, Rigid3.identity()))
+    place = Rigid3.from_matrix(np.array(told["depth_from_color"]))
+    return SlamCamera(
+        lens, None, DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(told["params"])), place)
+    )
+
+
+def _frames(frames: SlamFrames, sensor: str, count: int) -> Iterator:
+    from epipole.pipelines.slam.frames import Frame
+
+    factor = frames.about.get("depth_sensor", {}).get("factor", frames.about.get("depth_factor"))
+    for n in range(min(count, len(frames))):
+        right, depth = None, None
+        if sensor == "stereo":
+            right = np.array(frames.right[n])
+        if sensor == "rgbd":
+            depth = (frames.depth[n] / np.float32(factor)).astype(np.float32)
+        yield Frame(float(frames.timestamp_s[n]), np.array(frames.left[n]), right, depth)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""Sequences for SLAM with their truth, written once as arrays that both programs read."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.io.depth_maps import read_png16
+from epipole.io.photographs import read_grey
+from epipole.io.sequences import read_sequence
+from epipole.io.trajectories import write_trajectory
+from epipole.scene import Trajectory
+from epipole.synthetic import rides
+from epipole.synthetic.ride import Ride
+
+DEPTH_FACTOR = 5000.0
+"""Depth of rides is kept in steps of 0.2 mm, as 16 bits: up to 13 m."""
+FORMAT = 1
+"""Another one draws kept frames anew."""
+
+
+@dataclass(frozen=True)
+class SlamTask:
+    """A sequence: what is tracked, and how its frames come to the disk."""
+
+    sensors: tuple[str, ...]
+    write: Callable[[Path, Path], None]
+    """(data folder, folder to be written)."""
+    unit: str = "m"
+
+
+def prepare(name: str, data: Path, cache: Path) -> Path:
+    """The folder of a sequence's frames, written now unless it is there.
+
+    Raises:
+        FileNotFoundError: its data are not there.
+    """
+    folder = cache / f"{name}-{FORMAT}"
+    if folder.is_dir():
+        return folder
+    aside = cache / f".{name}-{os.getpid()}"
+    aside.mkdir(parents=True)
+    try:
+        TASKS[name].write(data, aside)
+        aside.rename(folder)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return folder
+
+
+def truths_of(folder: Path) -> dict[str, Path]:
+    """Files of true paths by name; their times are those of the frames."""
+    return {path.stem.removeprefix("truth_"): path for path in sorted(folder.glob("truth_*.txt"))}
+
+
+def _arrays(folder: Path, count: int, size: tuple[int, int], names: tuple[str, ...]) -> dict[str, np.memmap]:
+    kinds = {"left": np.uint8, "right": np.uint8, "depth": np.uint16}
+    shape = (count, size[1], size[0])
+    return {
+        name: np.lib.format.open_memmap(folder / f"{name}.npy", "w+", kinds[name], shape) for name in names
+    }
+
+
+def _finish(folder: Path, about: dict[str, Any], times: np.ndarray, truths: dict[str, Trajectory]) -> None:
+    np.save(folder / "times.npy", times)
+    for name, truth in truths.items():
+        write_trajectory(truth, folder / f"truth_{name}.txt")
+    (folder / "about.json").write_text(json.dumps(about, indent=1))
+
+
+def _write_ride(make: Callable[[], Ride]) -> Callable[[Path, Path], None]:
+    def write(_: Path, folder: Path) -> None:
+        ride = make()
+        camera = ride.camera
+        arrays = _arrays(folder, len(ride), (camera.width, camera.height), ("left", "right", "depth"))
+        for n in range(len(ride)):
+            left = ride.left(n)
+            arrays["left"][n], arrays["right"][n] = left.grey, ride.right(n).grey
+            arrays["depth"][n] = np.rint(left.depth * DEPTH_FACTOR).astype(np.uint16)
+        about = {
+            **_lens(camera.width, camera.height, camera.params),
+            "baseline_m": ride.baseline,
+            "depth_factor": DEPTH_FACTOR,
+        }
+        _finish(folder, about, ride.timestamp_s, {"exact": ride.truth()})
+
+    return write
+
+
+def _lens(width: int, height: int, params: np.ndarray) -> dict[str, Any]:
+    return {"width": width, "height": height, "params": [float(value) for value in params]}
+
+
+def _write_7scenes(data: Path, folder: Path) -> None:
+    source = _there(data / "slam" / "7scenes")
+    sequence = read_sequence(source)
+    lens, told, count = sequence.camera, sequence.depth, len(sequence)
+    assert lens is not None and told is not None and told.camera is not None
+    assert told.depth_from_color is not None
+    arrays = _arrays(folder, count, (lens.width, lens.height), ("left", "depth"))
+    poses = []
+    for n, files in enumerate(sequence.frames):
+        assert files.depth is not None
+        arrays["left"][n] = read_grey(files.picture)
+        depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
+        arrays["depth"][n] = np.where(depth == 65535, 0, depth).astype(np.uint16)
+        pose = files.picture.name.replace("color.jpg", "pose.txt")
+        poses.append(np.loadtxt(source / pose))
+    about = {
+        **_lens(lens.width, lens.height, lens.params),
+        "depth_factor": 1000.0,
+        "depth_sensor": {
+            "factor": told.unit,
+            "params": told.camera.params.tolist(),
+            "depth_from_color": told.depth_from_color.as_matrix().tolist(),
+        },
+    }
+    times = np.array([files.timestamp_s for files in sequence.frames])
+    rows = np.loadtxt(source / "poses_sfm.txt")
+    # The numbers of frames, at the set's 30 Hz.
+    by_sfm = Trajectory(rows[:, 0] / 30.0, Rigid3.from_quat_wxyz(rows[:, [7, 4, 5, 6]], rows[:, 1:4].copy()))
+    by_fusion = Trajectory(times, _rigid(np.stack(poses)[:, :3]))
+    _finish(folder, about, times, {"sfm": by_sfm, "kinectfusion": by_fusion})
+
+
+def _write_kitti(name: str, lefts: str, rights: str | None) -> Callable[[Path, Path], None]:
+    def write(data: Path, folder: Path) -> None:
+        source = _there(data / "slam" / name)
+        files = sorted((source / lefts).glob("*.png"))
+        first = read_grey(files[0])
+        height, width = first.shape
+        arrays = _arrays(folder, len(files), (width, height), ("left", "right") if rights else ("left",))
+        for n, file in enumerate(files):
+            arrays["left"][n] = read_grey(file)
+            if rights:
+                arrays["right"][n] = read_grey(source / rights / file.name)
+        if rights:
+            left, right = np.loadtxt(source / "calib.txt").reshape(2, 3, 4)
+            params = left[[0, 1, 0, 1], [0, 1, 2, 2]]
+            about = {**_lens(width, height, params), "baseline_m": float(-right[0, 3] / right[0, 0])}
+        else:
+            about = _lens(width, height, np.loadtxt(source / "intrinsics.txt"))
+        listed = source / "times.txt"
+        times = np.loadtxt(listed) if listed.is_file() else np.arange(len(files)) / 10.0
+        poses = np.loadtxt(source / "poses.txt").reshape(-1, 3, 4)
+        _finish(folder, about, times, {"gps": Trajectory(times, _rigid(poses[: len(files)]))})
+
+    return write
+
+
+def _there(folder: Path) -> Path:
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is not there")
+    return folder
+
+
+def _rigid(matrices: np.ndarray) -> Rigid3:
+    """Of (n, 3, 4) matrices as text files round them."""
+    last = np.broadcast_to([0.0, 0.0, 0.0, 1.0], (len(matrices), 1, 4))
+    from epipole.geometry import Rotation3
+
+    whole = np.concatenate([matrices, last], axis=1)
+    return Rigid3(Rotation3.nearest(whole[:, :3, :3]).matrix, whole[:, :3, 3].copy())
+
+
+ALL = ("stereo", "rgbd", "mono")
+TASKS = {
+    "7scenes": SlamTask(("rgbd", "mono"), _write_7scenes),
+    "kitti06_stereo": SlamTask(("stereo",), _write_kitti("kitti06_stereo", "image_l", "image_r")),
+    "kitti00_mono": SlamTask(("mono",), _write_kitti("kitti00_mono", ".", None)),
+    "loop_room": SlamTask(ALL, _write_ride(rides.loop_room)),
+    "turn_on_the_spot": SlamTask(ALL, _write_ride(rides.turn_on_the_spot)),
+    "corridor": SlamTask(ALL, _write_ride(rides.corridor)),
+    "tiled_room": SlamTask(ALL, _write_ride(rides.tiled_room)),
+    "walking_box": SlamTask(ALL, _write_ride(rides.walking_box)),
+    "shuttered": SlamTask(ALL, _write_ride(rides.shuttered)),
+    "unshuttered": SlamTask(ALL, _write_ride(lambda: rides.shuttered(readout_s=0.0))),
+}

@@ -1,0 +1,150 @@
+"""A camera carried through a synthetic scene: its pictures, one by one, with exact places and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+from epipole._declared import check_fields, checked
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3
+from epipole.scene import Trajectory
+from epipole.synthetic.render import render_exposures
+from epipole.synthetic.scene import SyntheticScene
+
+MOST_EXPOSURES = 64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shutter:
+    """How a picture is taken. The row in the middle is exposed around the frame's time."""
+
+    readout_s: float = 0.0
+    """From the first row to the one after the last; 0 is a global shutter."""
+    exposure_s: float = 0.0
+    """How long a row gathers light; 0 draws without motion blur."""
+    num_exposures: int = 5
+    """Pictures of which motion blur is the mean."""
+    noise_sigma: float = 2.0
+    """Standard deviation of the sensor's noise, in grey levels."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        for name in ("readout_s", "exposure_s", "noise_sigma"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not 1 <= self.num_exposures <= MOST_EXPOSURES:
+            raise ConfigError(f"num_exposures must be 1 to {MOST_EXPOSURES}, got {self.num_exposures}")
+
+    def times_of(self, timestamp_s: float, num_rows: int) -> Float64[np.ndarray, "exposures rows"]:
+        """Instants at which the rows of a frame are drawn."""
+        row = (np.arange(num_rows) - 0.5 * (num_rows - 1)) / num_rows if self.readout_s > 0 else np.zeros(1)
+        count = self.num_exposures if self.exposure_s > 0 else 1
+        exposure = (np.arange(count) + 0.5) / count - 0.5
+        return timestamp_s + self.exposure_s * exposure[:, None] + self.readout_s * row
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RidePicture:
+    """A grey picture and its depth."""
+
+    grey: UInt8[np.ndarray, "h w"]
+    depth: Float32[np.ndarray, "h w"]
+    """Exact, in metres along the optical axis; 0 for the sky."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ride:
+    """A rectified pair of cameras on its way. Frames are drawn when they are asked for."""
+
+    name: str
+    camera: Camera
+    """Left and right."""
+    baseline: float
+    """From the left camera to the right one, along its x axis, in metres."""
+    timestamp_s: Float64[np.ndarray, " n"]
+    world_from_camera_at: Callable[[np.ndarray], Rigid3] = field(repr=False)
+    """Places of the left camera at instants (k,)."""
+    scene_at: Callable[[float], SyntheticScene] = field(repr=False)
+    """What stands where at an instant."""
+    shutter: Shutter = field(default_factory=Shutter)
+    gain: Float64[np.ndarray, " n"] | None = None
+    """Brightness of each frame; None for 1."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ShapeError: times fall, or there are not as many gains.
+            ConfigError: the baseline is not positive.
+        """
+        check_fields(self)
+        if not np.isfinite(self.timestamp_s).all() or (np.diff(self.timestamp_s) <= 0).any():
+            raise ShapeError("timestamp_s must be finite and rise")
+        if not 0 < self.baseline < np.inf:
+            raise ConfigError(f"baseline must be positive and finite, got {self.baseline}")
+
+    def __len__(self) -> int:
+        return len(self.timestamp_s)
+
+    def __repr__(self) -> str:
+        return f"Ride({self.name}, {len(self)} frames)"
+
+    @property
+    def world_from_camera(self) -> Rigid3:
+        """(n,) true places of the left camera at the frames' times."""
+        return self.world_from_camera_at(self.timestamp_s)
+
+    def truth(self) -> Trajectory:
+        """The true path of the left camera."""
+        return Trajectory(self.timestamp_s, self.world_from_camera)
+
+    @checked
+    def left(self, frame: int) -> RidePicture:
+        """The left picture of a frame.
+
+        Raises:
+            ConfigError: there is no such frame.
+        """
+        return self._picture(frame, 0)
+
+    @checked
+    def right(self, frame: int) -> RidePicture:
+        """The right picture of a frame.
+
+        Raises:
+            ConfigError: there is no such frame.
+        """
+        return self._picture(frame, 1)
+
+    def _picture(self, frame: int, side: int) -> RidePicture:
+        if not 0 <= frame < len(self):
+            raise ConfigError(f"frame must be 0 to {len(self) - 1}, got {frame}")
+        time = float(self.timestamp_s[frame])
+        times = self.shutter.times_of(time, self.camera.height)
+        places = self.world_from_camera_at(times.ravel()) @ Rigid3(
+            np.eye(3), np.array([side * self.baseline, 0.0, 0.0])
+        )
+        cam_from_world = places.inverse()
+        rows = Rigid3(
+            cam_from_world.rotation.reshape(*times.shape, 3, 3),
+            cam_from_world.translation.reshape(*times.shape, 3),
+        )
+        gain = 1.0 if self.gain is None else float(self.gain[frame])
+        drawn = render_exposures(self.scene_at(time), self.camera, rows, gain=gain)
+        grey = cv2.cvtColor(drawn.rgb, cv2.COLOR_RGB2GRAY)
+        if self.shutter.noise_sigma > 0:
+            noise = np.random.default_rng([frame, side]).standard_normal(grey.shape, np.float32)
+            noisy = grey + np.float32(self.shutter.noise_sigma) * noise
+            grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return RidePicture(grey, np.nan_to_num(drawn.depth, nan=0.0).astype(np.float32))
