@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Similarity3
-from epipole.optim import PoseGraph, optimize_pose_graph_robustly
+from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loop_closing import Tie, paired_rows
@@ -16,8 +16,14 @@ from epipole.pipelines.slam.slam_map import SlamMap
 
 EDGES_EACH, EDGE_POINTS = 5, 30
 """Every keyframe is tied to so many that share most points with it, if they share enough."""
-LENGTH_SHARE, DEPTH_SHARE, TURN_RAD, SCALE = 0.01, 0.002, 0.002, 0.01
-"""Standard deviations of an edge: shares of its length and of the scene's depth, rotation, logarithm of the scale."""
+LENGTH_SHARE, DEPTH_SHARE, TURN_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
+"""Standard deviations of an edge: shares of its length and of the scene's depth, rotation, logarithm of the scale.
+
+Drift is systematic, and edges that overlap repeat each other: a graph of edges as good as they are alone would not bend.
+"""
+CONFIDENCE = 1.0 - 1e-9
+"""A loop that bends the way by more than these deviations allow is rejected. What is usual is no measure: drift is not noise."""
+LOOP_DEPTH_SHARE, LOOP_TURN_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 
 def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
@@ -39,15 +45,11 @@ def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
     loop = then @ tie.there_from_here @ here
     between = places[first] @ world_from_cam[second]
     depth = _median_depth(model)
-    length = np.append(np.linalg.norm(between.translation, axis=1), 0.0)
-    deviation = np.concatenate(
-        [
-            np.repeat((LENGTH_SHARE * length + DEPTH_SHARE * depth)[:, None], 3, axis=1),
-            np.full((len(length), 3), TURN_RAD),
-            np.full((len(length), 1), SCALE),
-        ],
-        axis=1,
-    )
+    length = np.linalg.norm(between.translation, axis=1)
+    deviation = np.empty((len(length) + 1, 7))
+    deviation[:-1, :3] = (LENGTH_SHARE * length + DEPTH_SHARE * depth)[:, None]
+    deviation[:-1, 3:] = [TURN_RAD, TURN_RAD, TURN_RAD, SCALE]
+    deviation[-1, :3], deviation[-1, 3:] = LOOP_DEPTH_SHARE * depth, [*3 * [LOOP_TURN_RAD], LOOP_SCALE]
     first, second = np.append(first, tie.keyframe), np.append(second, newest)
     size = 6 if is_metric else 7
     information = np.eye(size) / deviation[:, :size, None] ** 2
@@ -60,7 +62,7 @@ def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
     else:
         ones = Similarity3(np.ones(len(places)), world_from_cam.rotation, world_from_cam.translation)
         graph = PoseGraph(ones, first, second, Similarity3(scale, rotation, translation), information)
-    found = optimize_pose_graph_robustly(graph, is_loop)
+    found = optimize_pose_graph_robustly(graph, is_loop, PoseGraphConfig(confidence=CONFIDENCE))
     if not found.kept_mask[-1]:
         return False
     _move(model, places, found.world_from_body)
