@@ -21,6 +21,16 @@ _TUM, _TUM_WITH_COVARIANCE, _KITTI, _EUROC = 8, 29, 12, 8
 _NS = 1e-9
 
 
+def trajectory_format(path: str | Path) -> TrajectoryFormat:
+    """The form of a trajectory's file, seen from its first line; KITTI's is the one without times.
+
+    Raises:
+        FileFormatError: no such file, or one of another kind.
+    """
+    path = Path(path)
+    return _format_of(path, _rows(path)[0])
+
+
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
