@@ -73,6 +73,23 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
     return Trajectory(times, Rigid3(nearest, np.ascontiguousarray(translation)), covariance)
 
 
+def read_pose_matrix(path: str | Path) -> Rigid3:
+    """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
+
+    Raises:
+        FileFormatError: no such file, or no such matrix.
+    """
+    path = Path(path)
+    values = _numbers(path, _rows(path), 4)
+    if values.shape not in ((3, 4), (4, 4)):
+        raise FileFormatError(path, f"a matrix of 3 or 4 rows and 4 columns expected, got {values.shape}")
+    rotation = np.ascontiguousarray(values[:3, :3])
+    nearest = Rotation3.nearest(rotation).matrix
+    if not np.abs(nearest - rotation).max() <= _ROTATION_TOLERANCE:
+        raise FileFormatError(path, "its first three columns are no rotation matrix")
+    return Rigid3(nearest, np.ascontiguousarray(values[:3, 3]))
+
+
 @checked
 def write_trajectory(
     trajectory: Trajectory,

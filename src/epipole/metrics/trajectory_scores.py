@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 from epipole._declared import checked
 from epipole.geometry import Rigid3
-from epipole.metrics.trajectories import Alignment, absolute_error, associate, drift_per_length, relative_error
+from epipole.metrics.trajectories import (
+    Alignment,
+    absolute_error,
+    associate,
+    drift_per_length,
+    relative_error,
+)
 from epipole.scene import Trajectory
 
 

@@ -47,6 +47,8 @@ def path_segments(
         ShapeError: the rows differ in number.
     """
     if len(points_in_world) != len(is_joined):
-        raise ShapeError(f"{len(points_in_world)} points need as many rows of is_joined, not {len(is_joined)}")
+        raise ShapeError(
+            f"{len(points_in_world)} points need as many rows of is_joined, not {len(is_joined)}"
+        )
     ends = np.flatnonzero(is_joined[1:]) + 1
     return np.stack([points_in_world[ends - 1], points_in_world[ends]], axis=1)

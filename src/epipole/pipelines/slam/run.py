@@ -20,9 +20,12 @@ from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import write_trajectory
 from epipole.io.video import frame_size, is_video
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.pipelines.slam.config import CameraOptions, SlamConfig, WatchOptions
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
+from epipole.pipelines.slam.live import LiveView, open_live
+from epipole.pipelines.slam.page import SlamPage, render_page
+from epipole.pipelines.slam.record import FrameRecord, write_records
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import (
     FrameSource,
@@ -30,10 +33,12 @@ from epipole.pipelines.slam.source import (
     open_sequence,
     open_video_frames,
 )
+from epipole.pipelines.slam.truth import read_truth, truth_at_frames, truth_summary
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
-from epipole.scene import Trajectory
+from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+FRAMES = "frames.csv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +65,7 @@ def slam(
     sensor: Sensor = "auto",
     camera: CameraOptions | None = None,
     progress: ProgressCallback = ignore_progress,
+    watch: WatchOptions | None = None,
     **options: Any,
 ) -> SlamResult:
     """Follow a camera through a folder of frames or a video, and write its path and map.
@@ -71,6 +77,7 @@ def slam(
         sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
+        watch: the true path to compare with, and whether to show the run in the browser while it goes on.
         **options: single options of the config by name, which override it.
 
     Raises:
@@ -80,24 +87,40 @@ def slam(
         WorkspaceError: the output folder cannot be used.
     """
     config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
-    given = options_of(CameraOptions, camera)
+    given, watch = options_of(CameraOptions, camera), options_of(WatchOptions, watch)
     frames = _open(source, sensor, given)
+    truth = None if watch.truth is None else read_truth(as_path(watch.truth))
     settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
-    with open_run(job, out) as run:
+    with open_run(job, out) as run, open_live(frames, watch) as live:
         with run.stage("track"):
-            system, tracked, names, problems, times = _track(frames, config, progress)
+            system, records = _track(frames, config, progress, live)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
             run.report("adjust", 1, 1)
-        final, causal = system.trajectory(), _causal(tracked)
-        if not len(final):
+        tracked = [record.answer for record in records if record.answer is not None]
+        problems = [record.problem for record in records if record.problem]
+        if not len(system.trajectory()):
             raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-        with run.stage("write"), run.folder.publish("slam") as aside:
-            _write(system, frames, names, (final, causal), aside)
+        final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
+        model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
+        live.finish(system)
         run.warnings += problems
-        summary = _summary(frames, system, tracked, times, run.warnings)
+        summary = _summary(frames, system, records, run.warnings)
+        known = None
+        if truth is not None:
+            known = truth_at_frames(truth, records)
+            summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
+            run.warnings += doubts
+        with run.stage("write"), run.folder.publish("slam") as aside:
+            _write(model, (final, causal), records, aside)
+        with run.stage("report"):
+            page = SlamPage(
+                *(source.name, summary, records, model),
+                *(final, causal, known, frames.body_from_camera, settings, run.timings_s),
+            )
+            run.folder.write_text("report.html", render_page(page))
         run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(out, final, causal, summary, tuple(run.warnings))
 
@@ -113,31 +136,26 @@ def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
 
 
 def _track(
-    source: FrameSource, config: SlamConfig, progress: ProgressCallback
-) -> tuple[Slam, list[TrackedFrame], list[str], list[str], list[float]]:
-    """Every frame in turn; one that cannot be read, or does not fit, is left out and named.
-
-    Returns:
-        The SLAM, its answers, the names of the frames that it took, what is wrong with the others, and seconds of each.
-    """
+    source: FrameSource, config: SlamConfig, progress: ProgressCallback, live: LiveView
+) -> tuple[Slam, list[FrameRecord]]:
+    """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
     system = Slam(source.camera, config)
-    tracked: list[TrackedFrame] = []
-    names: list[str] = []
-    problems: list[str] = []
-    times: list[float] = []
+    records: list[FrameRecord] = []
     for number, frame in enumerate(source.frames()):
         begin = perf_counter()
         name = source.names[number] if number < len(source.names) else f"frame_{number:06d}.jpg"
+        answer, problem = None, ""
         try:
             if not isinstance(frame, Frame):
                 raise frame
-            tracked.append(system.track(frame))
-            names.append(name)
+            answer = system.track(frame)
         except EpipoleError as error:
-            problems.append(f"frame {number} is left out: {error}")
-        times.append(perf_counter() - begin)
+            problem = f"frame {number} is left out: {error}"
+        records.append(FrameRecord(number, name, perf_counter() - begin, answer, problem))
+        if answer is not None:
+            live.show(system, frame, answer)
         progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
-    return system, tracked, names, problems, times
+    return system, records
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
@@ -165,35 +183,31 @@ def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
 
 
 def _write(
-    system: Slam,
-    source: FrameSource,
-    names: Sequence[str],
+    model: Reconstruction,
     paths: tuple[Trajectory, Trajectory],
+    records: Sequence[FrameRecord],
     folder: Path,
 ) -> None:
-    final, causal = (_of_body(path, source) for path in paths)
+    final, causal = paths
     write_trajectory(final, folder / TRAJECTORY)
     write_trajectory(causal, folder / CAUSAL)
     write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
-    model = reconstruction_of(system.map, source.camera.camera, names)
+    write_records(records, folder / FRAMES)
     if len(model.images) >= 2:
         write_colmap_model(model, folder / "sparse" / "0")
         write_scene_ply(folder / "points.ply", model)
 
 
 def _summary(
-    source: FrameSource,
-    slam: Slam,
-    tracked: Sequence[TrackedFrame],
-    times: Sequence[float],
-    warnings: list[str],
+    source: FrameSource, slam: Slam, records: Sequence[FrameRecord], warnings: list[str]
 ) -> dict[str, Any]:
+    tracked = [record.answer for record in records if record.answer is not None]
     states = [t.state for t in tracked]
-    ms = 1e3 * np.array(times) if len(times) else np.zeros(1)
+    ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
     placed = len(slam.trajectory())
     tells = source.camera.tells_depth
     return {
-        "num_frames": len(times),
+        "num_frames": len(records),
         "num_placed": placed,
         "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
         "states": {state.value: states.count(state) for state in TrackingState},

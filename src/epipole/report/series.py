@@ -1,0 +1,146 @@
+"""Values over frames, and what state each frame was in, as inline SVG."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+from markupsafe import Markup
+
+from epipole.report.charts import nice_ticks, svg, tick_text
+from epipole.report.markup import escape
+
+_WIDTH, _HEIGHT = 560, 220
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 30, 40
+_STRIP_HEIGHT = 26
+_TOP_PERCENT, _HEADROOM = 99.0, 1.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """One value for each of some frames."""
+
+    name: str
+    x: Float64[np.ndarray, " n"]
+    """In order."""
+    y: Float64[np.ndarray, " n"]
+    """NaN breaks the line."""
+    color: str = "accent"
+    """accent, warn or soft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Frames in a row of one kind."""
+
+    first: int
+    last: int
+    kind: str
+    """Of the style sheet's band-... classes."""
+    hint: str
+    """What is shown when the mouse is over it."""
+
+
+def draw_lines(
+    lines: Sequence[Line], span: tuple[float, float], y_label: str, x_label: str = "frame"
+) -> Markup:
+    """Lines over one axis, from zero up; empty for nothing finite.
+
+    The axis ends a little above the 99th percentile: what lies higher is cut off, and said.
+    """
+    every = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
+    every = every[np.isfinite(every)]
+    if not len(every):
+        return Markup("")
+    top = float(np.percentile(every, _TOP_PERCENT))
+    high = float(every.max()) if every.max() <= _HEADROOM * top else top
+    high = 1.05 * high if high > 0 else 1.0
+    low, bottom = min(0.0, float(every.min())), _HEIGHT - _BOTTOM
+
+    def y_of(value: float) -> float:
+        return bottom - (min(value, high) - low) / (high - low) * (bottom - _TOP)
+
+    parts = [
+        f'<path class="grid" d="M{_LEFT} {y_of(t):.1f}H{_WIDTH - _RIGHT}"/>'
+        f'<text class="tick" x="{_LEFT - 7}" y="{y_of(t) + 4:.1f}" text-anchor="end">{tick_text(t)}</text>'
+        for t in nice_ticks(low, high, 4)
+    ]
+    parts += _x_axis(span, bottom)
+    for line in lines:
+        path = _path(line, span, y_of)
+        parts.append(f'<path class="series {escape(line.color)}" d="{path}"/>')
+    parts.append(f'<text class="label" x="{_LEFT - 44}" y="{_TOP - 14}">{escape(y_label)}</text>')
+    if len(lines) > 1:
+        parts += _legend(lines)
+    num_beyond = int((every > high).sum())
+    if num_beyond:
+        words = f"{num_beyond} beyond, up to {every.max():.3g}"
+        parts.append(
+            f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_TOP + 10}" text-anchor="end">{words}</text>'
+        )
+    parts.append(
+        f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 6}" text-anchor="middle">'
+        f"{escape(x_label)}</text>"
+    )
+    return svg(_WIDTH, _HEIGHT, parts, f"{y_label} over {x_label}")
+
+
+def draw_strip(bands: Sequence[Band], marks: Sequence[int], span: tuple[float, float]) -> Markup:
+    """A strip of bands over the frames' numbers, with ticks above it at `marks`."""
+    bottom = 12 + _STRIP_HEIGHT
+    parts = []
+    for band in bands:
+        left, right = _x_of(band.first - 0.5, span), _x_of(band.last + 0.5, span)
+        parts.append(
+            f'<rect class="band-{escape(band.kind)}" x="{left:.2f}" y="12" width="{max(right - left, 0.8):.2f}" '
+            f'height="{_STRIP_HEIGHT}"><title>{escape(band.hint)}</title></rect>'
+        )
+    ticks = "".join(f"M{_x_of(m, span):.1f} 3V10" for m in marks)
+    if ticks:
+        parts.append(f'<path class="axis" d="{ticks}"/>')
+    parts += _x_axis(span, bottom)
+    return svg(_WIDTH, bottom + 22, parts, "state of each frame")
+
+
+def _x_of(value: float, span: tuple[float, float]) -> float:
+    low, high = span
+    return _LEFT + (value - low) / max(high - low, 1e-12) * (_WIDTH - _LEFT - _RIGHT)
+
+
+def _x_axis(span: tuple[float, float], bottom: int) -> list[str]:
+    out = [f'<path class="axis" d="M{_LEFT} {bottom}H{_WIDTH - _RIGHT}"/>']
+    for t in nice_ticks(*span, 5):
+        out.append(
+            f'<text class="tick" x="{_x_of(t, span):.1f}" y="{bottom + 16}" text-anchor="middle">{tick_text(t)}</text>'
+        )
+    return out
+
+
+def _path(line: Line, span: tuple[float, float], y_of: object) -> str:
+    assert callable(y_of)
+    steps, is_open = [], False
+    for x, y in zip(line.x.tolist(), line.y.tolist()):
+        if not math.isfinite(y):
+            is_open = False
+            continue
+        # A value alone between gaps is a stroke of no length, which round caps make a dot.
+        verb = "L" if is_open else "M"
+        at = f"{_x_of(x, span):.1f} {y_of(y):.1f}"
+        steps.append(f"{verb}{at}" if is_open else f"{verb}{at}h0")
+        is_open = True
+    return "".join(steps)
+
+
+def _legend(lines: Sequence[Line]) -> list[str]:
+    """Names in their colours, from the right."""
+    out, x = [], _WIDTH - _RIGHT
+    for line in reversed(lines):
+        out.append(
+            f'<text class="name-{escape(line.color)}" x="{x}" y="{_TOP - 14}" text-anchor="end">'
+            f"{escape(line.name)}</text>"
+        )
+        x -= 14 + int(6.6 * len(line.name))
+    return out
