@@ -19,7 +19,16 @@ _CONFIGS = (
     *("SlamConfig", "StereoConfig", "CalibrationConfig", "BoardConfig"),
 )
 _DATA = (
-    *("Camera", "CameraModel", "CameraOptions", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig"),
+    *(
+        "Camera",
+        "CameraModel",
+        "CameraOptions",
+        "WatchOptions",
+        "Reconstruction",
+        "RectifiedRig",
+        "Rigid3",
+        "StereoRig",
+    ),
     *("Slam", "SlamCamera", "DepthCamera", "Frame"),
 )
 _RESULTS = (

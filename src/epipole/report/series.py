@@ -13,8 +13,8 @@ from markupsafe import Markup
 from epipole.report.charts import nice_ticks, svg, tick_text
 from epipole.report.markup import escape
 
-_WIDTH, _HEIGHT = 560, 220
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 30, 40
+_WIDTH, _HEIGHT = 560, 230
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 30, 50
 _STRIP_HEIGHT = 26
 _TOP_PERCENT, _HEADROOM = 99.0, 1.15
 
@@ -73,8 +73,6 @@ def draw_lines(
         path = _path(line, span, y_of)
         parts.append(f'<path class="series {escape(line.color)}" d="{path}"/>')
     parts.append(f'<text class="label" x="{_LEFT - 44}" y="{_TOP - 14}">{escape(y_label)}</text>')
-    if len(lines) > 1:
-        parts += _legend(lines)
     num_beyond = int((every > high).sum())
     if num_beyond:
         words = f"{num_beyond} beyond, up to {every.max():.3g}"
@@ -132,15 +130,3 @@ def _path(line: Line, span: tuple[float, float], y_of: object) -> str:
         steps.append(f"{verb}{at}" if is_open else f"{verb}{at}h0")
         is_open = True
     return "".join(steps)
-
-
-def _legend(lines: Sequence[Line]) -> list[str]:
-    """Names in their colours, from the right."""
-    out, x = [], _WIDTH - _RIGHT
-    for line in reversed(lines):
-        out.append(
-            f'<text class="name-{escape(line.color)}" x="{x}" y="{_TOP - 14}" text-anchor="end">'
-            f"{escape(line.name)}</text>"
-        )
-        x -= 14 + int(6.6 * len(line.name))
-    return out

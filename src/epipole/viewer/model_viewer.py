@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import viser
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.image import downscaled
-from epipole.scene import Reconstruction, extent_of, frustum_size
+from epipole.scene import Curve, Reconstruction, extent_of, frustum_size
+from epipole.viewer.curves import add_curves
 from epipole.viewer.selection import PICTURE_SIDE_PX, LoadImage, glide, vertical_fov_rad, visible_points
 from epipole.viewer.server import close_server
 
@@ -24,7 +25,9 @@ _CAMERA_RGB, _CHOSEN_RGB = (60, 130, 160), (240, 170, 40)
 class ModelViewer:
     """Points and cameras on a server with its controls, which the callbacks change."""
 
-    def __init__(self, server: viser.ViserServer, reconstruction: Reconstruction) -> None:
+    def __init__(
+        self, server: viser.ViserServer, reconstruction: Reconstruction, curves: Sequence[Curve] = ()
+    ) -> None:
         self.server, self.reconstruction = server, reconstruction
         self.images = np.flatnonzero(reconstruction.is_registered())
         centers = reconstruction.camera_centers_in_world()[self.images]
@@ -39,6 +42,8 @@ class ModelViewer:
         self._add_controls()
         self._add_points()
         self._add_cameras()
+        if curves:
+            add_curves(server, curves)
 
     def _set_first_view(self) -> None:
         extent, camera = self.extent, self.server.initial_camera

@@ -129,3 +129,5 @@ class WatchOptions:
     """Show path, map and picture in the browser while it runs."""
     port: int | None = None
     """Of the live view; None: 8080, or the next free one."""
+    host: str = "127.0.0.1"
+    """Address of the live view; 0.0.0.0 lets other machines in."""

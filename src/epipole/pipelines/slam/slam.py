@@ -18,6 +18,7 @@ from epipole.pipelines.slam.relocalizing import Relocalizer
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Start, try_start
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
 from epipole.scene import Trajectory
@@ -388,3 +389,7 @@ class Slam:
             Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
             np.stack([p.covariance for p in self._placed]),
         )
+
+    def snapshot(self) -> Snapshot:
+        """Map and followed points as they are now, to be shown."""
+        return snapshot_of(self.map, self.state, self._tracks)

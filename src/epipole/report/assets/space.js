@@ -141,8 +141,9 @@ function spaceView(canvas, data) {
 
   function drawCurves(b, ratio) {
     const near = 0.01 * data.radius;
-    curves.forEach((curve, k) => {
-      if (!curveBoxes[k].checked) return;
+    for (let k = curves.length - 1; k >= 0; k--) {
+      const curve = curves[k]; // the first on top
+      if (!curveBoxes[k].checked) continue;
       pen.strokeStyle = curve.rgb;
       pen.lineWidth = 1.8 * ratio;
       pen.lineCap = "round";
@@ -154,7 +155,7 @@ function spaceView(canvas, data) {
         pen.lineTo(...toPixel(ends[1]));
       }
       pen.stroke();
-    });
+    }
   }
 
   function drawTriad(b, ratio) {
