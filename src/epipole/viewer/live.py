@@ -20,7 +20,7 @@ class LiveScene:
     """A path, its map and what is known now; the world has y down (a camera's axes)."""
 
     words: str
-    """State and counts, as Markdown."""
+    """Counts, as Markdown."""
     places_in_world: Float64[np.ndarray, "n 3"]
     """Of the path so far."""
     path_in_world: Float64[np.ndarray, "m 2 3"]

@@ -39,6 +39,7 @@ class LiveViewer:
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False)
         self.words = gui.add_markdown("waiting for the first frame")
+        self.counts = gui.add_markdown("")
         blank = np.zeros((max(1, 320 * camera.height // camera.width), 320, 3), np.uint8)
         self.picture = gui.add_image(blank, label="green: in the map", format="jpeg", jpeg_quality=70)
         self.follow = gui.add_checkbox("Follow the camera", initial_value=True)
@@ -68,7 +69,7 @@ class LiveViewer:
             self._set_first_view(newest)
         size = self.depth or 1.0
         with self.server.atomic():
-            self.words.content = scene.words
+            self.counts.content = scene.words
             self._add_points(scene.points_in_world, size)
             keyframes = scene.world_from_keyframes
             if not self.show_keyframes.value:

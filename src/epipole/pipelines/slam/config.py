@@ -131,3 +131,13 @@ class WatchOptions:
     """Of the live view; None: 8080, or the next free one."""
     host: str = "127.0.0.1"
     """Address of the live view; 0.0.0.0 lets other machines in."""
+
+    def __post_init__(self) -> None:
+        """Check that a port has a view.
+
+        Raises:
+            ConfigError: a port is given, and no view.
+        """
+        check_fields(self)
+        if self.port is not None and not self.view:
+            raise ConfigError("port is that of the live view: give view, too")

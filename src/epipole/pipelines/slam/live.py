@@ -58,12 +58,13 @@ class BrowserView(LiveView):
             self.pictures.spend(perf_counter() - begin)
         if self.scenes.allows():
             begin = perf_counter()
-            self.viewer.show_scene(_scene(system, words))
+            self.viewer.show_scene(_scene(system))
             self.scenes.spend(perf_counter() - begin)
 
     def finish(self, system: Slam) -> None:
         """The final path and map."""
-        self.viewer.show_scene(_scene(system, f"**finished**: {self.count} frames"))
+        self.viewer.show_scene(_scene(system))
+        self.viewer.words.content = f"**finished**: {self.count} frames"
 
 
 @contextmanager
@@ -98,12 +99,12 @@ def _words(first: str, answer: TrackedFrame) -> str:
     return f"**{answer.state.value}**{reason}  \n{first}, {answer.num_points} points"
 
 
-def _scene(system: Slam, words: str) -> LiveScene:
+def _scene(system: Slam) -> LiveScene:
     now, path = system.snapshot(), system.trajectory()
     num_keyframes = len(now.world_from_keyframes.translation)
     counts = f"{num_keyframes} keyframes, {len(now.points_in_world):,} points in the map"
     return LiveScene(
-        f"{words}  \n{counts}",
+        counts,
         path.world_from_body.translation,
         path_curve("path", path, FINAL_RGB).segments_in_world,
         now.world_from_keyframes,

@@ -12,8 +12,7 @@ import numpy as np
 
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.convert import read_model
-from epipole.io.files import file_text
-from epipole.io.json_files import read_json
+from epipole.io.files import file_text, read_json
 from epipole.io.photographs import read_rgb
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import read_trajectory
