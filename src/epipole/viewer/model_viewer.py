@@ -18,6 +18,8 @@ from epipole.viewer.server import close_server
 
 _RADIUS_PERCENT = 90.0
 _FRUSTUM_SIZES = (0.01, 0.08)  # of the radius
+_FROM_A_CORNER, _FROM_BEHIND = np.array([-1.2, -1.2, 0.9]), np.array([-0.2, -1.8, 1.0])
+"""Where the first view stands; a path begins along +y."""
 _FLIGHT_SECONDS, _FLIGHT_STEPS = 0.8, 40
 _CAMERA_RGB, _CHOSEN_RGB = (60, 130, 160), (240, 170, 40)
 
@@ -38,17 +40,17 @@ class ModelViewer:
         self.stopped = threading.Event()
         self.loader: threading.Thread | None = None
         self.chosen: viser.CameraFrustumHandle | None = None
-        self._set_first_view()
+        self._set_first_view(_FROM_BEHIND if curves else _FROM_A_CORNER)
         self._add_controls()
         self._add_points()
         self._add_cameras()
         if curves:
             add_curves(server, curves)
 
-    def _set_first_view(self) -> None:
+    def _set_first_view(self, direction: np.ndarray) -> None:
         extent, camera = self.extent, self.server.initial_camera
         self.server.scene.set_up_direction("+z")
-        camera.position = extent.focus + extent.radius * np.array([-1.2, -1.2, 0.9])
+        camera.position = extent.focus + extent.radius * direction
         camera.look_at = extent.focus
         camera.near, camera.far = 1e-3 * extent.radius, 1e3 * extent.radius
 
