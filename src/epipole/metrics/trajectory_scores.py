@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.metrics.trajectories import (
     Alignment,
@@ -14,6 +15,9 @@ from epipole.metrics.trajectories import (
     relative_error,
 )
 from epipole.scene import Trajectory
+
+MIN_COMPARED = 3
+"""Instants: an alignment needs as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +81,11 @@ def score_trajectory(
         DegenerateGeometryError: too few instants belong together, or the path is a line.
     """
     rows, rows_of_truth = associate(estimate, truth, max_difference_s)
+    if len(rows) < MIN_COMPARED:
+        raise DegenerateGeometryError(
+            f"{len(rows)} of {len(estimate)} instants have one of the truth within {max_difference_s:g} s,"
+            f" {MIN_COMPARED} are needed: are the clocks and their units the same?"
+        )
     ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
     _, turn = relative_error(ours, theirs)
     drift = drift_per_length(ours, theirs)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,7 @@ from epipole.report.charts import nice_ticks, svg, tick_text
 from epipole.report.markup import escape
 
 _WIDTH, _HEIGHT = 560, 230
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 30, 50
+_LEFT, _RIGHT, _TOP, _BOTTOM = 68, 14, 30, 50
 _STRIP_HEIGHT = 26
 _TOP_PERCENT, _HEADROOM = 99.0, 1.15
 
@@ -117,16 +116,13 @@ def _x_axis(span: tuple[float, float], bottom: int) -> list[str]:
     return out
 
 
-def _path(line: Line, span: tuple[float, float], y_of: object) -> str:
-    assert callable(y_of)
-    steps, is_open = [], False
-    for x, y in zip(line.x.tolist(), line.y.tolist()):
-        if not math.isfinite(y):
-            is_open = False
-            continue
-        # A value alone between gaps is a stroke of no length, which round caps make a dot.
-        verb = "L" if is_open else "M"
-        at = f"{_x_of(x, span):.1f} {y_of(y):.1f}"
-        steps.append(f"{verb}{at}" if is_open else f"{verb}{at}h0")
-        is_open = True
+def _path(line: Line, span: tuple[float, float], y_of: Callable[[float], float]) -> str:
+    """The line, broken at gaps; a value alone between gaps is a short stroke."""
+    known = np.isfinite(line.y)
+    steps = []
+    for k in np.flatnonzero(known):
+        at = f"{_x_of(float(line.x[k]), span):.1f} {y_of(float(line.y[k])):.1f}"
+        is_first = k == 0 or not known[k - 1]
+        is_alone = is_first and (k + 1 == len(known) or not known[k + 1])
+        steps.append(f"M{at}m-2 0h4" if is_alone else f"{'M' if is_first else 'L'}{at}")
     return "".join(steps)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from epipole._checks import as_path
 from epipole.errors import FileFormatError
+from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
 from epipole.io.trajectories import read_trajectory, trajectory_format
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory
@@ -34,7 +37,9 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
 def evaluate_trajectory(
     estimate: str | Path, truth: str | Path, max_difference_s: float = 0.01
 ) -> TrajectoryEvaluation:
-    """Compare a trajectory with a known one; instants without times (KITTI) belong together in their order.
+    """Compare a trajectory with a known one.
+
+    Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs.
 
     Args:
         estimate: TUM, KITTI or EuRoC file.
@@ -49,12 +54,23 @@ def evaluate_trajectory(
     found, known = read_trajectory(estimate), read_trajectory(truth)
     is_timed, is_truth_timed = (trajectory_format(path) != "kitti" for path in (estimate, truth))
     if is_timed != is_truth_timed:
-        if len(found) != len(known):
+        times = _times_of_rows(estimate) if is_timed else None
+        if times is not None and len(times) == len(known):
+            told = np.flatnonzero(np.isfinite(times))
+            known = Trajectory(times[told], known.world_from_body[told])
+        elif len(found) == len(known):
+            known = Trajectory(found.timestamp_s, known.world_from_body)
+        else:
             without, others = (estimate, len(known)) if is_truth_timed else (truth, len(found))
             raise FileFormatError(
                 without,
-                f"holds no times (KITTI's form), and the other trajectory has {others} instants: which of the"
-                " rows are theirs cannot be told (`epipole slam --truth` can, by the frames)",
+                f"holds no times (KITTI's form), and the other trajectory has {others} instants: which of its rows"
+                " are theirs cannot be told",
             )
-        known = Trajectory(found.timestamp_s, known.world_from_body)
     return score_trajectory(found, known, max_difference_s)
+
+
+def _times_of_rows(estimate: Path) -> np.ndarray | None:
+    """Of all frames that a trajectory of `epipole slam` was made from, those without a place too; None for another."""
+    table = estimate.with_name(FRAME_TABLE)
+    return read_frame_table(table).timestamp_s if table.is_file() else None

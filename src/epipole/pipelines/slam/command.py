@@ -60,6 +60,8 @@ def show_slam(result: SlamResult) -> None:
         "frames with a place", f"{summary['num_placed']} of {summary['num_frames']} ({causal} as they came)"
     )
     table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
+    if summary["mean_reprojection_error_px"] is not None:
+        table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px (mean)")
     length = result.trajectory.path_length()
     unit = "m" if summary["is_metric"] else "units of the map, not metres"
     table.add_row("length of the path", f"{length:.4g} {unit}")
@@ -71,7 +73,11 @@ def show_slam(result: SlamResult) -> None:
     table.add_row("time for a frame", f"{ms['median']:.1f} ms (median), {ms['p95']:.1f} ms (95 %)")
     console.print(table)
     for reason, count in summary["reasons"].items():
-        console.print(f"  {count} frames without a place: {reason}", highlight=False, markup=False)
+        console.print(
+            f"  {count} {'frame' if count == 1 else 'frames'} without a place as they came: {reason}",
+            highlight=False,
+            markup=False,
+        )
     print_warnings(console, result.warnings[:10])
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)

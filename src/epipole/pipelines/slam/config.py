@@ -140,4 +140,4 @@ class WatchOptions:
         """
         check_fields(self)
         if self.port is not None and not self.view:
-            raise ConfigError("port is that of the live view: give view, too")
+            raise ConfigError("port is that of the live view: it needs view")

@@ -12,7 +12,7 @@ from epipole.scene import Curve, Reconstruction, Trajectory, path_segments
 
 FINAL_RGB, CAUSAL_RGB, TRUTH_RGB, LOOP_RGB = (31, 138, 176), (150, 150, 160), (226, 134, 42), (196, 62, 142)
 FINAL, CAUSAL, TRUTH, LOOPS = "final", "as it came", "truth", "loops"
-GAP = 2.5
+GAP, TRUTH_GAP = 1.5, 20.0
 """Instants further apart than so many usual steps of time are not joined: the place between them is not known."""
 
 
@@ -32,11 +32,13 @@ def upright_from_world(world_from_body: Rigid3) -> Similarity3:
     return Similarity3(np.asarray(1.0), turn @ start, np.zeros(3))
 
 
-def path_curve(name: str, path: Trajectory, rgb: tuple[int, int, int], *, is_shown: bool = True) -> Curve:
+def path_curve(
+    name: str, path: Trajectory, rgb: tuple[int, int, int], gap: float = GAP, *, is_shown: bool = True
+) -> Curve:
     """A path, broken where the place was not known for a while."""
     steps = np.diff(path.timestamp_s, prepend=path.timestamp_s[:1])
     usual = float(np.median(steps[1:])) if len(steps) > 1 else 0.0
-    return Curve(name, path_segments(path.world_from_body.translation, steps <= GAP * usual), rgb, is_shown)
+    return Curve(name, path_segments(path.world_from_body.translation, steps <= gap * usual), rgb, is_shown)
 
 
 def loop_curve(loops: Sequence[Mapping[str, Any]], model: Reconstruction, numbers: Sequence[int]) -> Curve:

@@ -16,6 +16,7 @@ from epipole.pipelines.slam.drawing import (
     FINAL,
     FINAL_RGB,
     TRUTH,
+    TRUTH_GAP,
     TRUTH_RGB,
     loop_curve,
     path_curve,
@@ -128,7 +129,9 @@ def _curves(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None])
         rows = np.flatnonzero(
             (page.truth.timestamp_s >= span[0] - 0.5) & (page.truth.timestamp_s <= span[1] + 0.5)
         )
-        known = path_curve(TRUTH, page.truth[rows], TRUTH_RGB).transformed(errors[0].estimate_from_truth)
+        known = path_curve(TRUTH, page.truth[rows], TRUTH_RGB, TRUTH_GAP).transformed(
+            errors[0].estimate_from_truth
+        )
     frames = [record.number for record in page.records if record.name in set(page.model.images.name)]
     return [*out, known, loop_curve(page.summary.get("loops") or [], page.model, frames)]
 
@@ -138,9 +141,9 @@ def _tiles(page: SlamPage) -> list[tuple[str, str, str]]:
     summary = page.summary
     tiles = [
         ("Frames with a place", count(summary["num_placed"]), f"of {count(summary['num_frames'])}"),
-        ("Known as they came", count(summary["num_placed_causal"]), f"of {count(summary['num_frames'])}"),
         ("Keyframes", count(summary["num_keyframes"]), ""),
         ("Points", count(summary["num_points"]), ""),
+        ("Mean reprojection error", number(_or_nan(summary["mean_reprojection_error_px"])), "px"),
         ("Length of the path", f"{page.final.path_length():.4g}", "m" if page.is_metric else "up to scale"),
         ("Time for a frame", number(summary["ms_per_frame"]["median"], 1), "ms, median"),
     ]
@@ -150,6 +153,10 @@ def _tiles(page: SlamPage) -> list[tuple[str, str, str]]:
         words = "SE(3)" if page.is_metric else "Sim(3)"
         tiles.append(("Error (ATE, rmse)", f"{final[kind]['ate_rmse']:.3g}", words))
     return tiles
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value
 
 
 def _scores(page: SlamPage) -> list[tuple[str, str, list[str], bool]]:

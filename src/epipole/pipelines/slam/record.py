@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +79,11 @@ def write_records(records: Sequence[FrameRecord], path: Path) -> None:
             table.writerow(row)
 
 
+def without_numbers(reason: str) -> str:
+    """What reasons that differ in numbers alone have in common."""
+    return re.sub(r"\d+(\.\d+)?", "#", reason)
+
+
 @dataclass(frozen=True, slots=True)
 class Stretch:
     """Frames in a row of which the same is to be said."""
@@ -101,7 +107,7 @@ def stretches(records: Sequence[FrameRecord]) -> list[Stretch]:
     for record in records:
         has_place = record.answer is not None and record.answer.world_from_body is not None
         reason = "" if has_place else record.reason
-        now = "".join(c for c in reason if not (c.isdigit() or c == "."))
+        now = without_numbers(reason)
         if out and out[-1].state == record.state and words == now:
             out[-1] = Stretch(out[-1].first, record.number, record.state, reason)
         else:

@@ -15,6 +15,7 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model
+from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.photographs import read_header
 from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
@@ -25,7 +26,7 @@ from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.page import SlamPage, render_page
-from epipole.pipelines.slam.record import FrameRecord, write_records
+from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import (
     FrameSource,
@@ -38,7 +39,6 @@ from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
-FRAMES = "frames.csv"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +107,7 @@ def slam(
         model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
         live.finish(system)
         run.warnings += problems
-        summary = _summary(frames, system, records, run.warnings)
+        summary = _summary(frames, system, records, model, run.warnings)
         known = None
         if truth is not None:
             known = truth_at_frames(truth, records)
@@ -192,19 +192,23 @@ def _write(
     write_trajectory(final, folder / TRAJECTORY)
     write_trajectory(causal, folder / CAUSAL)
     write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
-    write_records(records, folder / FRAMES)
+    write_records(records, folder / FRAME_TABLE)
     if len(model.images) >= 2:
         write_colmap_model(model, folder / "sparse" / "0")
         write_scene_ply(folder / "points.ply", model)
 
 
 def _summary(
-    source: FrameSource, slam: Slam, records: Sequence[FrameRecord], warnings: list[str]
+    source: FrameSource,
+    slam: Slam,
+    records: Sequence[FrameRecord],
+    model: Reconstruction,
+    warnings: list[str],
 ) -> dict[str, Any]:
     tracked = [record.answer for record in records if record.answer is not None]
     states = [t.state for t in tracked]
     ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
-    placed = len(slam.trajectory())
+    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
     tells = source.camera.tells_depth
     return {
         "num_frames": len(records),
@@ -213,6 +217,7 @@ def _summary(
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.map.keyframes),
         "num_points": int(np.isfinite(slam.map.xyz[:, 0]).sum()),
+        "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
         "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
         "is_metric": tells,
         "ms_per_frame": {
@@ -232,13 +237,14 @@ def _scale_words(source: FrameSource) -> str:
 
 
 def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """Why frames have no place, and how many."""
-    out: dict[str, int] = {}
+    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
+    last: dict[str, str] = {}
+    count: dict[str, int] = {}
     for frame in tracked:
         if frame.world_from_body is None:
-            words = "".join("#" if c.isdigit() else c for c in frame.reason)
-            out[words] = out.get(words, 0) + 1
-    return out
+            words = without_numbers(frame.reason)
+            last[words], count[words] = frame.reason, count.get(words, 0) + 1
+    return {last[words]: number for words, number in count.items()}
 
 
 def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +10,8 @@ import numpy as np
 
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.convert import read_model
-from epipole.io.files import file_text, read_json
+from epipole.io.files import read_json
+from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
 from epipole.io.photographs import read_rgb
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import read_trajectory
@@ -28,7 +27,7 @@ from epipole.pipelines.slam.drawing import (
 from epipole.runs.folder import read_mark
 from epipole.viewer import ViewerHandle, view
 
-TRAJECTORY, CAUSAL_TRAJECTORY, FRAMES = "trajectory.txt", "trajectory_causal.txt", "frames.csv"
+TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
 PICTURE_PX = 640
 
 
@@ -94,9 +93,6 @@ def _loops(path: Path) -> list[dict[str, Any]]:
 
 def _frame_numbers(path: Path) -> dict[str, int]:
     """Numbers of the frames by their pictures' names."""
-    if not (path / FRAMES).is_file():
+    if not (path / FRAME_TABLE).is_file():
         return {}
-    rows = csv.DictReader(io.StringIO(file_text(path / FRAMES)))
-    return {
-        str(row.get("picture")): int(row["frame"]) for row in rows if str(row.get("frame", "")).isdecimal()
-    }
+    return {name: number for number, name in enumerate(read_frame_table(path / FRAME_TABLE).picture)}
