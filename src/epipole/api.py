@@ -32,7 +32,6 @@ from epipole.pipelines.sfm.run import reconstruct as reconstruct
 from epipole.pipelines.slam import scene as _slam_scene
 from epipole.pipelines.slam.config import CameraOptions as CameraOptions
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig
-from epipole.pipelines.slam.config import WatchOptions as WatchOptions
 from epipole.pipelines.slam.frames import DepthCamera as DepthCamera
 from epipole.pipelines.slam.frames import Frame as Frame
 from epipole.pipelines.slam.frames import SlamCamera as SlamCamera

@@ -106,7 +106,7 @@ def associate(
     kept = np.flatnonzero(np.abs(second[nearest] - first) <= max_difference_s)
     if not len(kept):
         raise DegenerateGeometryError(
-            f"no instant of one trajectory is within {max_difference_s:g} s of one of the other: are the clocks and their units the same?"
+            f"no instant of one trajectory is within {max_difference_s:g} s of one of the other: are the clocks the same?"
         )
     return kept.astype(np.int64), nearest[kept].astype(np.int64)
 

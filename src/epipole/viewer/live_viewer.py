@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 import numpy as np
 import viser
@@ -116,7 +117,10 @@ class LiveViewer:
 
     def _set_first_view(self, place: Float64[np.ndarray, " 3"]) -> None:
         """Behind and above the camera; for those who come later, too."""
-        cameras = [self.server.initial_camera, *(c.camera for c in self.server.get_clients().values())]
+        cameras: list[Any] = [
+            self.server.initial_camera,
+            *(c.camera for c in self.server.get_clients().values()),
+        ]
         for camera in cameras:
             camera.position = place + self.depth * _VIEW_SHARE
             camera.look_at = place + self.depth * np.array([0.0, 0.0, 0.6])

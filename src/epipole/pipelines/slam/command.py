@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -40,7 +41,8 @@ def slam(
     with progress_on_screen({"track": "Following the camera", "adjust": "Adjusting the map"}) as progress:
         from epipole.pipelines.slam.run import slam as run
 
-        result = run(source, out, config, sensor, camera, progress, watch)
+        named = {field.name: getattr(watch, field.name) for field in fields(watch)}
+        result = run(source, out, config, sensor, camera, progress, **named)
     show_slam(result)
     if watch.view:
         _stay(result.out, watch)

@@ -32,9 +32,6 @@ class LiveView:
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
         """A frame was followed."""
 
-    def finish(self, system: Slam) -> None:
-        """The map is final."""
-
 
 class BrowserView(LiveView):
     """Shows the run, as often as a tenth of its time allows."""
@@ -60,11 +57,6 @@ class BrowserView(LiveView):
             begin = perf_counter()
             self.viewer.show_scene(_scene(system))
             self.scenes.spend(perf_counter() - begin)
-
-    def finish(self, system: Slam) -> None:
-        """The final path and map."""
-        self.viewer.show_scene(_scene(system))
-        self.viewer.words.content = f"**finished**: {self.count} frames"
 
 
 @contextmanager

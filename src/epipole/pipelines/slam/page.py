@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from epipole.geometry import Rigid3
 from epipole.pipelines.slam.drawing import (
     CAUSAL,
     CAUSAL_RGB,
@@ -50,8 +49,6 @@ class SlamPage:
     final: Trajectory
     causal: Trajectory
     truth: Trajectory | None
-    body_from_camera: Rigid3
-    """From the camera that the model is of to the body whose path is told."""
     settings: Mapping[str, Any]
     timings: Mapping[str, float]
 

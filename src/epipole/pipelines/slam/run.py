@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -34,8 +34,8 @@ from epipole.pipelines.slam.source import (
     open_sequence,
     open_video_frames,
 )
-from epipole.pipelines.slam.truth import read_truth, truth_at_frames, truth_summary
-from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
+from epipole.pipelines.slam.truth import Truth, read_true_path, truth_at_frames, truth_summary
+from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
@@ -65,7 +65,6 @@ def slam(
     sensor: Sensor = "auto",
     camera: CameraOptions | None = None,
     progress: ProgressCallback = ignore_progress,
-    watch: WatchOptions | None = None,
     **options: Any,
 ) -> SlamResult:
     """Follow a camera through a folder of frames or a video, and write its path and map.
@@ -77,19 +76,20 @@ def slam(
         sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        watch: the true path to compare with, and whether to show the run in the browser while it goes on.
-        **options: single options of the config by name, which override it.
+        **options: single options of the config by name, which override it; and `truth` (a known path to compare with),
+            `view` (show the run in the browser), `port` and `host`, as in `WatchOptions`.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
-        ConfigError: options do not fit the frames.
-        FileFormatError: the source cannot be read.
+        ConfigError: options do not fit the frames, or a known path without times does not fit their number.
+        FileFormatError: the source, or the known path, cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
+    watch = _watch_of(options)
     config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
-    given, watch = options_of(CameraOptions, camera), options_of(WatchOptions, watch)
+    given = options_of(CameraOptions, camera)
     frames = _open(source, sensor, given)
-    truth = None if watch.truth is None else read_truth(as_path(watch.truth))
+    truth = None if watch.truth is None else read_true_path(watch.truth)
     settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
     with open_run(job, out) as run, open_live(frames, watch) as live:
@@ -99,30 +99,43 @@ def slam(
             run.report("adjust", 0, 1)
             system.finish()
             run.report("adjust", 1, 1)
-        tracked = [record.answer for record in records if record.answer is not None]
-        problems = [record.problem for record in records if record.problem]
-        if not len(system.trajectory()):
-            raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-        final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
-        model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
-        live.finish(system)
-        run.warnings += problems
-        summary = _summary(frames, system, records, model, run.warnings)
-        known = None
-        if truth is not None:
-            known = truth_at_frames(truth, records)
-            summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
-            run.warnings += doubts
-        with run.stage("write"), run.folder.publish("slam") as aside:
-            _write(model, (final, causal), records, aside)
-        with run.stage("report"):
-            page = SlamPage(
-                *(source.name, summary, records, model),
-                *(final, causal, known, frames.body_from_camera, settings, run.timings_s),
-            )
-            run.folder.write_text("report.html", render_page(page))
-        run.finish({**summary, "timings_s": run.timings_s})
-    return SlamResult(out, final, causal, summary, tuple(run.warnings))
+        return _results(frames, system, records, truth, run)
+
+
+def _watch_of(options: dict[str, Any]) -> WatchOptions:
+    """The options that are not the config's, taken out."""
+    names = [field.name for field in fields(WatchOptions)]
+    own = {name: options.pop(name) for name in names if name in options}
+    if own.get("truth") is not None:
+        own["truth"] = as_path(own["truth"])
+    return options_of(WatchOptions, None, own)
+
+
+def _results(
+    frames: FrameSource, system: Slam, records: list[FrameRecord], truth: Truth | None, run: Run
+) -> SlamResult:
+    """Write what was found, and tell it."""
+    tracked = [record.answer for record in records if record.answer is not None]
+    problems = [record.problem for record in records if record.problem]
+    if not len(system.trajectory()):
+        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+    final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
+    model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
+    run.warnings += problems
+    summary, known = _summary(frames, system, records, model, run.warnings), None
+    if truth is not None:
+        known = truth_at_frames(truth, records)
+        summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
+        run.warnings += doubts
+    with run.stage("write"), run.folder.publish("slam") as aside:
+        _write(model, (final, causal), records, aside)
+    with run.stage("report"):
+        title = run.job.inputs[0].resolve().name
+        paths = (final, causal, known)
+        page = SlamPage(title, summary, records, model, *paths, run.job.settings, run.timings_s)
+        run.folder.write_text("report.html", render_page(page))
+    run.finish({**summary, "timings_s": run.timings_s})
+    return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
 
 
 def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
@@ -152,7 +165,7 @@ def _track(
         except EpipoleError as error:
             problem = f"frame {number} is left out: {error}"
         records.append(FrameRecord(number, name, perf_counter() - begin, answer, problem))
-        if answer is not None:
+        if answer is not None and isinstance(frame, Frame):
             live.show(system, frame, answer)
         progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
     return system, records
