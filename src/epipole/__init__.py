@@ -19,16 +19,7 @@ _CONFIGS = (
     *("SlamConfig", "StereoConfig", "CalibrationConfig", "BoardConfig"),
 )
 _DATA = (
-    *(
-        "Camera",
-        "CameraModel",
-        "CameraOptions",
-        "WatchOptions",
-        "Reconstruction",
-        "RectifiedRig",
-        "Rigid3",
-        "StereoRig",
-    ),
+    *("Camera", "CameraModel", "CameraOptions", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig"),
     *("Slam", "SlamCamera", "DepthCamera", "Frame"),
 )
 _RESULTS = (

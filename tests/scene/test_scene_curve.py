@@ -13,7 +13,7 @@ def test_pieces_join_what_is_joined():
     pieces = path_segments(points, np.array([True, True, False, True]))
     np.testing.assert_array_equal(pieces, [points[[0, 1]], points[[2, 3]]])
     assert path_segments(np.zeros((0, 3)), np.zeros(0, bool)).shape == (0, 2, 3)
-    with pytest.raises(ShapeError, match="4 points"):
+    with pytest.raises(ShapeError, match="n = 4"):
         path_segments(points, np.ones(3, bool))
 
 

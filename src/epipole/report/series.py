@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float64
 from markupsafe import Markup
 
-from epipole.report.charts import nice_ticks, svg, tick_text
-from epipole.report.markup import escape
+from epipole.report.charts import nice_ticks, tick_text
+from epipole.report.frame import render_piece
 
 _WIDTH, _HEIGHT = 560, 230
 _LEFT, _RIGHT, _TOP, _BOTTOM = 68, 14, 30, 50
-_STRIP_HEIGHT = 26
+_STRIP_TOP, _STRIP_HEIGHT = 12, 26
 _TOP_PERCENT, _HEADROOM = 99.0, 1.15
 
 
@@ -62,44 +62,35 @@ def draw_lines(
     def y_of(value: float) -> float:
         return bottom - (min(value, high) - low) / (high - low) * (bottom - _TOP)
 
-    parts = [
-        f'<path class="grid" d="M{_LEFT} {y_of(t):.1f}H{_WIDTH - _RIGHT}"/>'
-        f'<text class="tick" x="{_LEFT - 7}" y="{y_of(t) + 4:.1f}" text-anchor="end">{tick_text(t)}</text>'
-        for t in nice_ticks(low, high, 4)
-    ]
-    parts += _x_axis(span, bottom)
-    for line in lines:
-        path = _path(line, span, y_of)
-        parts.append(f'<path class="series {escape(line.color)}" d="{path}"/>')
-    parts.append(f'<text class="label" x="{_LEFT - 44}" y="{_TOP - 14}">{escape(y_label)}</text>')
     num_beyond = int((every > high).sum())
-    if num_beyond:
-        words = f"{num_beyond} beyond, up to {every.max():.3g}"
-        parts.append(
-            f'<text class="tick" x="{_WIDTH - _RIGHT}" y="{_TOP + 10}" text-anchor="end">{words}</text>'
-        )
-    parts.append(
-        f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 6}" text-anchor="middle">'
-        f"{escape(x_label)}</text>"
+    return render_piece(
+        "epipole.report",
+        "series.html.jinja",
+        **_axes(span, _HEIGHT, bottom),
+        top=_TOP,
+        x_label=x_label,
+        y_label=y_label,
+        y_ticks=[(f"{y_of(t):.1f}", f"{y_of(t) + 4:.1f}", tick_text(t)) for t in nice_ticks(low, high, 4)],
+        lines=[(line.color, _path(line, span, y_of)) for line in lines],
+        beyond=f"{num_beyond} beyond, up to {every.max():.3g}" if num_beyond else "",
     )
-    return svg(_WIDTH, _HEIGHT, parts, f"{y_label} over {x_label}")
 
 
 def draw_strip(bands: Sequence[Band], marks: Sequence[int], span: tuple[float, float]) -> Markup:
     """A strip of bands over the frames' numbers, with ticks above it at `marks`."""
-    bottom = 12 + _STRIP_HEIGHT
-    parts = []
+    bottom = _STRIP_TOP + _STRIP_HEIGHT
+    places = []
     for band in bands:
         left, right = _x_of(band.first - 0.5, span), _x_of(band.last + 0.5, span)
-        parts.append(
-            f'<rect class="band-{escape(band.kind)}" x="{left:.2f}" y="12" width="{max(right - left, 0.8):.2f}" '
-            f'height="{_STRIP_HEIGHT}"><title>{escape(band.hint)}</title></rect>'
-        )
-    ticks = "".join(f"M{_x_of(m, span):.1f} 3V10" for m in marks)
-    if ticks:
-        parts.append(f'<path class="axis" d="{ticks}"/>')
-    parts += _x_axis(span, bottom)
-    return svg(_WIDTH, bottom + 22, parts, "state of each frame")
+        places.append((band.kind, f"{left:.2f}", f"{max(right - left, 0.8):.2f}", band.hint))
+    return render_piece(
+        "epipole.report",
+        "strip.html.jinja",
+        **_axes(span, bottom + 22, bottom),
+        top=_STRIP_TOP,
+        bands=places,
+        marks="".join(f"M{_x_of(m, span):.1f} 3V{_STRIP_TOP - 2}" for m in marks),
+    )
 
 
 def _x_of(value: float, span: tuple[float, float]) -> float:
@@ -107,13 +98,16 @@ def _x_of(value: float, span: tuple[float, float]) -> float:
     return _LEFT + (value - low) / max(high - low, 1e-12) * (_WIDTH - _LEFT - _RIGHT)
 
 
-def _x_axis(span: tuple[float, float], bottom: int) -> list[str]:
-    out = [f'<path class="axis" d="M{_LEFT} {bottom}H{_WIDTH - _RIGHT}"/>']
-    for t in nice_ticks(*span, 5):
-        out.append(
-            f'<text class="tick" x="{_x_of(t, span):.1f}" y="{bottom + 16}" text-anchor="middle">{tick_text(t)}</text>'
-        )
-    return out
+def _axes(span: tuple[float, float], height: int, bottom: int) -> dict[str, object]:
+    """What both drawings have: their size, and the axis of the frames."""
+    return {
+        "width": _WIDTH,
+        "height": height,
+        "left": _LEFT,
+        "right": _WIDTH - _RIGHT,
+        "bottom": bottom,
+        "x_ticks": [(f"{_x_of(t, span):.1f}", tick_text(t)) for t in nice_ticks(*span, 5)],
+    }
 
 
 def _path(line: Line, span: tuple[float, float], y_of: Callable[[float], float]) -> str:

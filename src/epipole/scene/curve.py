@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._declared import Declared, checked
-from epipole.errors import ShapeError
 from epipole.geometry import Similarity3
 
 
@@ -42,13 +41,6 @@ def path_segments(
     Args:
         points_in_world: in order.
         is_joined: whether a point is joined to the one before it; the first row does not count.
-
-    Raises:
-        ShapeError: the rows differ in number.
     """
-    if len(points_in_world) != len(is_joined):
-        raise ShapeError(
-            f"{len(points_in_world)} points need as many rows of is_joined, not {len(is_joined)}"
-        )
     ends = np.flatnonzero(is_joined[1:]) + 1
     return np.stack([points_in_world[ends - 1], points_in_world[ends]], axis=1)
