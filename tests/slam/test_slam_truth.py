@@ -18,7 +18,7 @@ from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.record import FrameRecord, stretches, without_numbers, write_records
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.truth import errors_of, read_true_path, truth_at_frames, truth_summary
+from epipole.pipelines.slam.truth import errors_of, true_path_at, truth_at_frames, truth_summary
 from epipole.scene import Trajectory
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
@@ -40,7 +40,7 @@ def records_of(times: list[float | None], names: list[str] | None = None) -> lis
 def kitti_truth(tmp_path):
     truth = Trajectory(np.arange(4) * 1.0, Rigid3.exp(np.arange(24.0).reshape(4, 6) * 0.01))
     write_trajectory(truth, tmp_path / "poses.txt", "kitti")
-    return truth, read_true_path(tmp_path / "poses.txt")
+    return truth, true_path_at(tmp_path / "poses.txt")
 
 
 def test_rows_without_times_get_those_of_the_frames(kitti_truth):
@@ -129,7 +129,7 @@ def test_the_truth_of_seven_scenes_lies_beside_its_pictures(tmp_path):
         np.savetxt(
             tmp_path / f"frame-{n:06d}.pose.txt", [[0, -1, 0, n], [1, 0, 0, 5], [0, 0, 1, 6], [0, 0, 0, 1]]
         )
-    found = read_true_path(tmp_path)
+    found = true_path_at(tmp_path)
     assert found.has_times and found.trajectory.timestamp_s.tolist() == [0.0, 2 / 30]
     assert found.trajectory.world_from_body.translation.tolist() == [[0, 5, 6], [2, 5, 6]]
     (tmp_path / "frame-000002.pose.txt").write_text("1 0 0 0\n0 2 0 0\n0 0 1 0\n")

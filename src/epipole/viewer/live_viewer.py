@@ -22,7 +22,7 @@ _PATH_RGB, _KEYFRAME_RGB, _NOW_RGB, _LOOP_RGB = (
     (226, 62, 142),
 )
 _POINT_RGB = (110, 118, 124)
-_KEYFRAME_SHARE, _NOW_SHARE, _POINT_SHARE = 0.05, 0.12, 0.006
+_KEYFRAME_SHARE, _NOW_SHARE, _POINT_SHARE = 0.05, 0.12, 0.004
 """Of the usual distance of the points from the camera."""
 _VIEW_SHARE = np.array([-0.25, -0.9, -1.3])
 """Where the first view stands, beside, above and behind the first camera."""
@@ -36,7 +36,6 @@ class LiveViewer:
         self.stopped = threading.Event()
         self.corners_in_cam = frustum_corners_in_cam(camera.K, camera.width, camera.height)
         self.depth = 0.0
-        self.last_place: np.ndarray | None = None
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False)
         self.words = gui.add_markdown("waiting for the first frame")
@@ -123,14 +122,15 @@ class LiveViewer:
         ]
         for camera in cameras:
             camera.position = place + self.depth * _VIEW_SHARE
-            camera.look_at = place + self.depth * np.array([0.0, 0.0, 0.6])
+            camera.look_at = place
         self.server.initial_camera.near, self.server.initial_camera.far = 1e-3 * self.depth, 1e3 * self.depth
 
     def _move_views(self, place: Float64[np.ndarray, " 3"]) -> None:
-        """Go along with the camera, without turning."""
-        before, self.last_place = self.last_place, place
-        if before is None or not self.follow.value:
+        """Go along with the camera, from the side that each user has turned to."""
+        if not self.depth or not self.follow.value:
             return
         for client in self.server.get_clients().values():
+            aside = np.asarray(client.camera.position) - np.asarray(client.camera.look_at)
             with client.atomic():
-                client.camera.position = np.asarray(client.camera.position) + place - before
+                client.camera.position = place + aside
+                client.camera.look_at = place

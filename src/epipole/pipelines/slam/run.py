@@ -34,7 +34,7 @@ from epipole.pipelines.slam.source import (
     open_sequence,
     open_video_frames,
 )
-from epipole.pipelines.slam.truth import Truth, read_true_path, truth_at_frames, truth_summary
+from epipole.pipelines.slam.truth import Truth, true_path_at, truth_at_frames, truth_summary
 from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene import Reconstruction, Trajectory
 
@@ -89,7 +89,7 @@ def slam(
     config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
     given = options_of(CameraOptions, camera)
     frames = _open(source, sensor, given)
-    truth = None if watch.truth is None else read_true_path(watch.truth)
+    truth = None if watch.truth is None else true_path_at(watch.truth)
     settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
     with open_run(job, out) as run, open_live(frames, watch) as live:

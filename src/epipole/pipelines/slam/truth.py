@@ -35,7 +35,7 @@ class Truth:
     """Else there is a row for each frame (KITTI)."""
 
 
-def read_true_path(path: Path) -> Truth:
+def true_path_at(path: Path) -> Truth:
     """A known path from a file, or that which a folder of frames brings (7-Scenes, TUM RGB-D, KITTI).
 
     Raises:
@@ -49,7 +49,7 @@ def read_true_path(path: Path) -> Truth:
 def _of_folder(folder: Path) -> Truth:
     for name in FILES_OF_FOLDERS:
         if (folder / name).is_file():
-            return read_true_path(folder / name)
+            return true_path_at(folder / name)
     sequence = read_sequence(folder)
     if sequence.kind is SequenceKind.SEVEN_SCENES:
         rows = [
