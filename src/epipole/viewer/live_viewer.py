@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from typing import Any
 
 import numpy as np
 import viser
@@ -36,6 +35,7 @@ class LiveViewer:
         self.stopped = threading.Event()
         self.corners_in_cam = frustum_corners_in_cam(camera.K, camera.width, camera.height)
         self.depth = 0.0
+        self.with_view: set[int] = set()
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False)
         self.words = gui.add_markdown("waiting for the first frame")
@@ -66,7 +66,9 @@ class LiveViewer:
         newest = scene.places_in_world[-1]
         if not self.depth and len(scene.points_in_world):
             self.depth = float(np.median(np.linalg.norm(scene.points_in_world - newest, axis=1)))
-            self._set_first_view(newest)
+            self.server.initial_camera.near = 1e-3 * self.depth
+            self.server.initial_camera.far = 1e3 * self.depth
+        self._set_first_views(newest)
         size = self.depth or 1.0
         with self.server.atomic():
             self.counts.content = scene.words
@@ -114,22 +116,22 @@ class LiveViewer:
             name, pieces.astype(np.float32), rgb, thickness=thickness, thickness_units="screen"
         )
 
-    def _set_first_view(self, place: Float64[np.ndarray, " 3"]) -> None:
-        """Behind and above the camera; for those who come later, too."""
-        cameras: list[Any] = [
-            self.server.initial_camera,
-            *(c.camera for c in self.server.get_clients().values()),
-        ]
-        for camera in cameras:
-            camera.position = place + self.depth * _VIEW_SHARE
-            camera.look_at = place
-        self.server.initial_camera.near, self.server.initial_camera.far = 1e-3 * self.depth, 1e3 * self.depth
+    def _set_first_views(self, place: Float64[np.ndarray, " 3"]) -> None:
+        """Behind and above the camera, for each user once: they may come before the first points, or later."""
+        for number, client in self.server.get_clients().items():
+            if self.depth and number not in self.with_view:
+                self.with_view.add(number)
+                with client.atomic():
+                    client.camera.position = place + self.depth * _VIEW_SHARE
+                    client.camera.look_at = place
 
     def _move_views(self, place: Float64[np.ndarray, " 3"]) -> None:
         """Go along with the camera, from the side that each user has turned to."""
         if not self.depth or not self.follow.value:
             return
-        for client in self.server.get_clients().values():
+        for number, client in self.server.get_clients().items():
+            if number not in self.with_view:
+                continue
             aside = np.asarray(client.camera.position) - np.asarray(client.camera.look_at)
             with client.atomic():
                 client.camera.position = place + aside
