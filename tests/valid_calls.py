@@ -397,6 +397,10 @@ def _columns() -> Iterator[Row]:
     yield _row(scene.Extent, low=-np.ones(3), high=np.ones(3), focus=np.zeros(3), radius=1.0)
     box = scene.extent_of(_some(9, 3), _some(4, 3), 90.0)
     yield _row(box.contains, points_in_world=_some(9, 3))
+    curve = scene.Curve("path", _some(5, 2, 3), (10, 20, 30))
+    yield _row(scene.Curve, name="path", segments_in_world=_some(5, 2, 3), rgb=(10, 20, 30), is_shown=False)
+    yield _row(curve.transformed, target_from_world=Similarity3.exp(0.1 * _some(7)))
+    yield _row(scene.path_segments, points_in_world=_some(4, 3), is_joined=np.ones(4, bool))
     yield _row(scene.extent_of, points_in_world=_some(9, 3), centers_in_world=_some(4, 3), percent=90.0)
     yield _row(scene.frustum_corners_in_cam, K=LENS.K, width=64, height=48)
     yield _row(scene.frustum_size, centers_in_world=_some(4, 3), least=0.1, most=1.0)
@@ -621,6 +625,7 @@ def _metrics() -> Iterator[Row]:
     timed = scene.Trajectory(**columns, covariance=np.tile(np.eye(6), (4, 1, 1)))
     yield _row(scene.Trajectory, **columns, covariance=timed.covariance)
     yield _row(metrics.associate, estimate=timed, truth=timed, max_difference_s=0.1)
+    yield _row(metrics.score_trajectory, estimate=timed, truth=timed, max_difference_s=0.1)
     yield _row(metrics.ErrorStatistics, values=_some(5))
     yield _row(metrics.area_under_recall, errors=np.abs(_some(6)), thresholds=(1.0, 5.0))
 

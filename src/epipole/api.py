@@ -29,6 +29,7 @@ from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
+from epipole.pipelines.slam import scene as _slam_scene
 from epipole.pipelines.slam.config import CameraOptions as CameraOptions
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera as DepthCamera
@@ -57,7 +58,7 @@ from epipole.viewer import ViewerHandle as ViewerHandle
 def view(
     out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
 ) -> ViewerHandle:
-    """Show an output folder in the browser: a model with its cameras and pictures, or a pair's depth.
+    """Show an output folder in the browser: a model with its pictures, a path and its map, or a pair's depth.
 
     Args:
         out: output folder of a job, or a COLMAP model.
@@ -70,5 +71,6 @@ def view(
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     path = as_path(out)
-    scene = _stereo_scene if _stereo_scene.is_mine(path) else _sfm_scene
+    own = (scene for scene in (_stereo_scene, _slam_scene) if scene.is_mine(path))
+    scene = next(own, _sfm_scene)
     return scene.show(path, port=port, host=host, block=block)

@@ -42,8 +42,10 @@ from epipole.io.calibration_files import (
 )
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
+from epipole.io.frame_tables import read_frame_table
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.stereo_video import extract_pairs
+from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
 from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.sfm.pairing import read_pairs
@@ -146,6 +148,15 @@ def _trajectory(name: str) -> Callable[[Path], None]:
         assert_motions(found.world_from_body)
 
     return read
+
+
+def _pose_matrix(folder: Path) -> None:
+    assert_motions(read_pose_matrix(folder / "a.pose.txt"))
+
+
+def _frame_table(folder: Path) -> None:
+    found = read_frame_table(folder / "frames.csv")
+    assert len(found.picture) == len(found.timestamp_s)
 
 
 def _cloud(folder: Path) -> None:
@@ -392,6 +403,18 @@ FORMATS: dict[str, Format] = {
             b"#t [ns],x\n1403636580838555648,0.1,0.2,0.3,1,0,0,0,0.5\n1403636580888555648,0.1,0.2,0.4,1,0,0,0,0.5\n",
         ),
         *("a.csv", "text", _trajectory("a.csv"), ("read_trajectory",)),
+    ),
+    "trajectory-format": Format(
+        _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n"),
+        *("a.txt", "text", lambda folder: trajectory_format(folder / "a.txt"), ("trajectory_format",)),
+    ),
+    "pose-matrix": Format(
+        _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
+        *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),
+    ),
+    "frame-table": Format(
+        _put("frames.csv", b'frame,timestamp_s,picture\n0,0.5,a.png\n1,,"b,c.png"\n'),
+        *("frames.csv", "text", _frame_table, ("read_frame_table",)),
     ),
     "truth-strecha": Format(_put("a.png.camera", STRECHA), "a.png.camera", "text", _truth, ("read_truth",)),
     "truth-middlebury": Format(_put("t_par.txt", _PAR), "t_par.txt", "text", _truth, ("read_truth",)),

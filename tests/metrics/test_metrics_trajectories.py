@@ -8,7 +8,7 @@ import pytest
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.io import read_trajectory
-from epipole.metrics import absolute_error, associate, drift_per_length, relative_error
+from epipole.metrics import absolute_error, associate, drift_per_length, relative_error, score_trajectory
 from epipole.scene import Trajectory
 
 
@@ -99,3 +99,20 @@ def test_the_figures_are_those_of_evo(data_dir, alignment):
 def assert_same(found, theirs):
     for name in ("rmse", "mean", "median", "max"):
         assert getattr(found, name) == pytest.approx(theirs[name], abs=1e-9)
+
+
+def test_scores_of_another_scale_are_told_with_it(places):
+    """Steps and KITTI's drift of a path of unknown scale count after the scale is aligned."""
+    along = np.linspace(0, 300, 301)[:, None] * np.array([1.0, 0.0, 0.0])
+    along[:, 1] = 20 * np.sin(along[:, 0] / 40)
+    truth = Trajectory(np.arange(301.0), Rigid3(np.tile(np.eye(3), (301, 1, 1)), along))
+    half = Trajectory(truth.timestamp_s, Rigid3(truth.world_from_body.rotation, 0.5 * along))
+    found = score_trajectory(half, truth)
+    assert found.similarity.ate_rmse < 1e-9 and found.similarity.scale == pytest.approx(2.0)
+    assert found.similarity.step_rmse < 1e-9 and found.similarity.kitti_percent < 1e-9
+    steps = np.linalg.norm(np.diff(along, axis=0), axis=1)
+    assert found.rigid.step_rmse == pytest.approx(0.5 * np.sqrt(np.mean(steps**2)))
+    assert found.rigid.scale == 1.0 and 40 < found.rigid.kitti_percent < 55 and found.coverage == 1.0
+    few = Trajectory(np.array([0.0, 1.0, 7.5]), places[:3])
+    with pytest.raises(DegenerateGeometryError, match="2 of 3 instants"):
+        score_trajectory(few, truth)

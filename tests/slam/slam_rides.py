@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
+from epipole.io import write_trajectory
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.slam import Slam
+from epipole.scene import Trajectory
 from epipole.synthetic import courtyard, look_at, render
 
 CAMERA = Camera("PINHOLE", 320, 240, [260.0, 260.0, 159.5, 119.5])
@@ -76,3 +79,19 @@ def followed(frames: list[Frame], camera: SlamCamera, config=None) -> tuple[Slam
     """A SLAM that has seen all frames, and its answers."""
     slam = Slam(camera, config)
     return slam, [slam.track(frame) for frame in frames]
+
+
+def write_pairs(folder: Path, count: int = 12) -> Path:
+    """A KITTI-like folder of rendered pairs, with `poses.txt`, which KITTI keeps elsewhere."""
+    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+        (folder / name).mkdir(parents=True)
+        for n, picture in enumerate(pictures[:count]):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), picture)
+    f, _, cx, cy = CAMERA.params
+    rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
+    (folder / "calib.txt").write_text(
+        "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    )
+    truth = Trajectory(np.arange(count) * 0.1, ride().truth()[np.arange(count)])
+    write_trajectory(truth, folder / "poses.txt", "kitti")
+    return folder

@@ -57,10 +57,10 @@ def view(
     port: int | None = None,
     host: str = "127.0.0.1",
 ) -> None:
-    """Show a model, or the depth of a pair, in the browser.
+    """Show a model, a path with its map, or the depth of a pair in the browser.
 
     Args:
-        out: Output folder of a reconstruction or of `stereo`, or a COLMAP model.
+        out: Output folder of `reconstruct`, `slam` or `stereo`, or a COLMAP model.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
     """

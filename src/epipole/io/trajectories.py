@@ -21,6 +21,16 @@ _TUM, _TUM_WITH_COVARIANCE, _KITTI, _EUROC = 8, 29, 12, 8
 _NS = 1e-9
 
 
+def trajectory_format(path: str | Path) -> TrajectoryFormat:
+    """The form of a trajectory's file, seen from its first line; KITTI's is the one without times.
+
+    Raises:
+        FileFormatError: no such file, or one of another kind.
+    """
+    path = Path(path)
+    return _format_of(path, _rows(path)[0])
+
+
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
@@ -61,6 +71,23 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
             covariance[:, *_UPPER] = covariance[:, *_UPPER[::-1]] = values[:, _TUM:]
     _refuse(path, rows, np.diff(times, prepend=-np.inf) < 0, "its time is before that of the line above")
     return Trajectory(times, Rigid3(nearest, np.ascontiguousarray(translation)), covariance)
+
+
+def read_pose_matrix(path: str | Path) -> Rigid3:
+    """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
+
+    Raises:
+        FileFormatError: no such file, or no such matrix.
+    """
+    path = Path(path)
+    values = _numbers(path, _rows(path), 4)
+    if values.shape not in ((3, 4), (4, 4)):
+        raise FileFormatError(path, f"a matrix of 3 or 4 rows and 4 columns expected, got {values.shape}")
+    rotation = np.ascontiguousarray(values[:3, :3])
+    nearest = Rotation3.nearest(rotation).matrix
+    if not np.abs(nearest - rotation).max() <= _ROTATION_TOLERANCE:
+        raise FileFormatError(path, "its first three columns are no rotation matrix")
+    return Rigid3(nearest, np.ascontiguousarray(values[:3, 3]))
 
 
 @checked

@@ -15,3 +15,6 @@ from epipole.metrics.trajectories import absolute_error as absolute_error
 from epipole.metrics.trajectories import associate as associate
 from epipole.metrics.trajectories import drift_per_length as drift_per_length
 from epipole.metrics.trajectories import relative_error as relative_error
+from epipole.metrics.trajectory_scores import TrajectoryEvaluation as TrajectoryEvaluation
+from epipole.metrics.trajectory_scores import TrajectoryScore as TrajectoryScore
+from epipole.metrics.trajectory_scores import score_trajectory as score_trajectory

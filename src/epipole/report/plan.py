@@ -16,14 +16,15 @@ from epipole.report.markup import data_uri
 from epipole.report.space import stage_of
 from epipole.scene import Reconstruction
 
-_WIDTH, _HEIGHT = 620, 520
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 12, 12, 44
+WIDTH, HEIGHT = 620, 520
+LEFT, RIGHT, TOP, BOTTOM = 52, 12, 12, 44
+"""Margins of the grid, for its numbers."""
 _CELL = 3
 """Size of a density cell in SVG units."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
+class PlanFrame:
     """The map from world x, y to the drawing, with equal scales."""
 
     x_low: float
@@ -31,22 +32,26 @@ class _Frame:
     scale: float
 
     def x_of(self, x: float) -> float:
-        return _LEFT + (x - self.x_low) * self.scale
+        """From the left."""
+        return LEFT + (x - self.x_low) * self.scale
 
     def y_of(self, y: float) -> float:
-        return _HEIGHT - _BOTTOM - (y - self.y_low) * self.scale
+        """From the top."""
+        return HEIGHT - BOTTOM - (y - self.y_low) * self.scale
 
     @property
     def x_high(self) -> float:
-        return self.x_low + (_WIDTH - _LEFT - _RIGHT) / self.scale
+        """Of the world, at the right border."""
+        return self.x_low + (WIDTH - LEFT - RIGHT) / self.scale
 
     @property
     def y_high(self) -> float:
-        return self.y_low + (_HEIGHT - _TOP - _BOTTOM) / self.scale
+        """Of the world, at the top border."""
+        return self.y_low + (HEIGHT - TOP - BOTTOM) / self.scale
 
 
 @dataclass(frozen=True, slots=True)
-class _Density:
+class Density:
     """A picture as the mask of a plain rectangle, whose colour the scheme sets."""
 
     width: int
@@ -67,16 +72,16 @@ def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
     return render_piece(
         "epipole.report",
         "plan.html.jinja",
-        width=_WIDTH,
-        height=_HEIGHT,
-        left=_LEFT,
-        right=_WIDTH - _RIGHT,
-        top=_TOP,
-        bottom=_HEIGHT - _BOTTOM,
+        width=WIDTH,
+        height=HEIGHT,
+        left=LEFT,
+        right=WIDTH - RIGHT,
+        top=TOP,
+        bottom=HEIGHT - BOTTOM,
         unit=unit,
         x_ticks=[(f"{frame.x_of(t):.1f}", tick_text(t)) for t in x_ticks],
         y_ticks=[(f"{(y := frame.y_of(t)):.1f}", f"{y + 3.5:.1f}", tick_text(t)) for t in y_ticks],
-        density=_density(points[np.isfinite(points).all(axis=1)], frame),
+        density=density_of(points[np.isfinite(points).all(axis=1)], frame),
         sequence=_sequence(images, centers, frame),
         cameras=[
             (name, f"{frame.x_of(center[0]):.1f}", f"{frame.y_of(center[1]):.1f}", _wedge(direction))
@@ -87,21 +92,21 @@ def draw_plan(reconstruction: Reconstruction, unit: str) -> Markup:
     )
 
 
-def _frame_around(reconstruction: Reconstruction) -> _Frame:
+def _frame_around(reconstruction: Reconstruction) -> PlanFrame:
     stage = stage_of(reconstruction)
     # The stage's margin is for the 3D view; here 40 % of it is enough.
     inset = 0.6 * 0.25 / 1.5 * float((stage.high - stage.low)[:2].max())
     low, high = stage.low[:2] + inset, stage.high[:2] - inset
     middle, size = 0.5 * (low + high), np.maximum(high - low, 1e-12)
-    room = np.array([_WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM])
+    room = np.array([WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM])
     scale = float((room / size).min())
     corner = middle - 0.5 * room / scale
-    return _Frame(float(corner[0]), float(corner[1]), scale)
+    return PlanFrame(float(corner[0]), float(corner[1]), scale)
 
 
-def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> _Density | None:
+def density_of(points_in_world: Float64[np.ndarray, "n 3"], frame: PlanFrame) -> Density | None:
     """Logarithm of points per cell; None where no point is in the frame."""
-    columns, rows = (_WIDTH - _LEFT - _RIGHT) // _CELL, (_HEIGHT - _TOP - _BOTTOM) // _CELL
+    columns, rows = (WIDTH - LEFT - RIGHT) // _CELL, (HEIGHT - TOP - BOTTOM) // _CELL
     width, height = columns * _CELL, rows * _CELL
     counts = np.histogram2d(
         -points_in_world[:, 1],
@@ -118,10 +123,10 @@ def _density(points_in_world: Float64[np.ndarray, "n 3"], frame: _Frame) -> _Den
     grey = np.where(counts > 0, 40 + 215 * np.minimum(level, 1.0), 0).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(grey).save(stream, "PNG", optimize=True)
-    return _Density(width, height, data_uri(stream.getvalue(), "image/png"))
+    return Density(width, height, data_uri(stream.getvalue(), "image/png"))
 
 
-def _sequence(images: np.ndarray, centers: np.ndarray, frame: _Frame) -> str:
+def _sequence(images: np.ndarray, centers: np.ndarray, frame: PlanFrame) -> str:
     """A line through neighbours in the order of names, broken where a picture has no place."""
     steps, previous = [], -2
     for image, center in zip(images, centers):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole.scene import Extent, Reconstruction, extent_of, frustum_corners_in_cam, frustum_size
+from epipole.scene import Curve, Extent, Reconstruction, extent_of, frustum_corners_in_cam, frustum_size
 
 MAX_POINTS = 60_000
 _RADIUS_PERCENT = 95.0
@@ -29,8 +30,10 @@ def sample_points(reconstruction: Reconstruction, stage: Extent, max_points: int
     return np.sort(np.random.default_rng(0).choice(rows, max_points, replace=False))
 
 
-def space_payload(reconstruction: Reconstruction, max_points: int = MAX_POINTS) -> dict[str, Any]:
-    """Points as 16-bit steps inside the stage and bytes of colour; frusta as corners around centres."""
+def space_payload(
+    reconstruction: Reconstruction, max_points: int = MAX_POINTS, curves: Sequence[Curve] = ()
+) -> dict[str, Any]:
+    """Points as 16-bit steps inside the stage and bytes of colour; frusta as corners around centres; lines as they are."""
     stage = stage_of(reconstruction)
     rows = sample_points(reconstruction, stage, max_points)
     span = stage.high - stage.low
@@ -54,6 +57,15 @@ def space_payload(reconstruction: Reconstruction, max_points: int = MAX_POINTS) 
         "image": images.tolist(),
         "centers": [_rounded(c) for c in centers],
         "corners": [[round(float(v), 4) for v in c.ravel()] for c in corners],
+        "curves": [
+            {
+                "name": curve.name,
+                "rgb": f"rgb({','.join(map(str, curve.rgb))})",
+                "shown": curve.is_shown,
+                "xyz": _rounded(curve.segments_in_world.ravel()),
+            }
+            for curve in curves
+        ],
     }
 
 

@@ -1,6 +1,8 @@
-"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps, clouds and extents."""
+"""Frozen data: cameras, rigs, frames, images, points, tracks, reconstructions, view graphs; maps, clouds, extents and curves."""
 
 from epipole.scene.cameras import Cameras as Cameras
+from epipole.scene.curve import Curve as Curve
+from epipole.scene.curve import path_segments as path_segments
 from epipole.scene.depth_maps import DepthMap as DepthMap
 from epipole.scene.depth_maps import DisparityMap as DisparityMap
 from epipole.scene.depth_maps import StereoReason as StereoReason

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import viser
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.image import downscaled
-from epipole.scene import Reconstruction, extent_of, frustum_size
+from epipole.scene import Curve, Reconstruction, extent_of, frustum_size
+from epipole.viewer.curves import add_curves
 from epipole.viewer.selection import PICTURE_SIDE_PX, LoadImage, glide, vertical_fov_rad, visible_points
 from epipole.viewer.server import close_server
 
 _RADIUS_PERCENT = 90.0
 _FRUSTUM_SIZES = (0.01, 0.08)  # of the radius
+_FROM_A_CORNER, _FROM_BEHIND = np.array([-1.2, -1.2, 0.9]), np.array([-0.2, -1.8, 1.0])
+"""Where the first view stands; a path begins along +y."""
 _FLIGHT_SECONDS, _FLIGHT_STEPS = 0.8, 40
 _CAMERA_RGB, _CHOSEN_RGB = (60, 130, 160), (240, 170, 40)
 
@@ -24,7 +27,9 @@ _CAMERA_RGB, _CHOSEN_RGB = (60, 130, 160), (240, 170, 40)
 class ModelViewer:
     """Points and cameras on a server with its controls, which the callbacks change."""
 
-    def __init__(self, server: viser.ViserServer, reconstruction: Reconstruction) -> None:
+    def __init__(
+        self, server: viser.ViserServer, reconstruction: Reconstruction, curves: Sequence[Curve] = ()
+    ) -> None:
         self.server, self.reconstruction = server, reconstruction
         self.images = np.flatnonzero(reconstruction.is_registered())
         centers = reconstruction.camera_centers_in_world()[self.images]
@@ -35,15 +40,17 @@ class ModelViewer:
         self.stopped = threading.Event()
         self.loader: threading.Thread | None = None
         self.chosen: viser.CameraFrustumHandle | None = None
-        self._set_first_view()
+        self._set_first_view(_FROM_BEHIND if curves else _FROM_A_CORNER)
         self._add_controls()
         self._add_points()
         self._add_cameras()
+        if curves:
+            add_curves(server, curves)
 
-    def _set_first_view(self) -> None:
+    def _set_first_view(self, direction: np.ndarray) -> None:
         extent, camera = self.extent, self.server.initial_camera
         self.server.scene.set_up_direction("+z")
-        camera.position = extent.focus + extent.radius * np.array([-1.2, -1.2, 0.9])
+        camera.position = extent.focus + extent.radius * direction
         camera.look_at = extent.focus
         camera.near, camera.far = 1e-3 * extent.radius, 1e3 * extent.radius
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from epipole.scene import Reconstruction
+from collections.abc import Sequence
+
+from epipole.scene import Curve, Reconstruction
 from epipole.viewer.depth_view import DepthView
 from epipole.viewer.handle import ViewerHandle, serve
 from epipole.viewer.selection import LoadImage
@@ -15,6 +17,7 @@ def view(
     port: int | None = None,
     host: str = "127.0.0.1",
     block: bool = True,
+    curves: Sequence[Curve] = (),
 ) -> ViewerHandle:
     """Show a reconstruction in the browser.
 
@@ -25,6 +28,7 @@ def view(
         port: where to listen; None: 8080, or the next free port if that is in use.
         host: the address to listen on; "0.0.0.0" lets other machines in.
         block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
+        curves: lines to show with it, each under a switch of its own.
 
     Returns:
         The address to open, and the way to stop.
@@ -37,7 +41,7 @@ def view(
     from epipole.viewer.server import note_on_port, open_server
 
     server = open_server(host, port)
-    viewer = ModelViewer(server, reconstruction)
+    viewer = ModelViewer(server, reconstruction, curves)
     viewer.start_loading(load_image)
     shown = server.get_port()
     return serve(viewer, shown, host, note_on_port(port, shown), block=block)

@@ -14,25 +14,30 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")], truth: Path, json: bool = False
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    truth: Path,
+    max_difference_s: float = 0.01,
+    json: bool = False,
 ) -> None:
     """Compare a model's cameras, or a trajectory, with known ones.
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
         truth: COLMAP model, folder of Strecha .camera files, Middlebury _par.txt file, or a trajectory.
+        max_difference_s: Trajectories: instants further apart are not compared.
         json: Print JSON.
     """
     from epipole.io.json_files import json_text
     from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
 
     if paths := trajectories_of(out, truth):
-        found = {path.name: evaluate_trajectory(path, truth) for path in paths}
+        found = {path.name: evaluate_trajectory(path, truth, max_difference_s) for path in paths}
         if json:
             print(json_text({name: asdict(result) for name, result in found.items()}), end="")
         else:
             for name, result in found.items():
                 show_trajectory_evaluation(name, result)
+            print("Lengths are in the truth's unit.")
         return
     from epipole.pipelines.evaluation.run import evaluate as run
 
@@ -48,23 +53,32 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{name}: {result.num_compared} of {result.num_instants} instants compared", box=None)
-    for column in ("aligned", "ATE rmse", "median", "max", "rotation rmse, degrees", "scale"):
-        table.add_column(column)
-    for kind, score in (("rigidly", result.rigid), ("with scale", result.similarity)):
-        numbers = (score.ate_rmse, score.ate_median, score.ate_max, score.rotation_rmse_deg, score.scale)
-        table.add_row(kind, *(f"{number:.6g}" for number in numbers))
     console = Console()
-    console.print(table)
-    lines = [
-        f"path {result.path_length:.6g} (truth's unit, as all lengths)",
-        f"from one instant to the next: {result.step_rmse:.6g}, {result.step_rotation_rmse_deg:.6g} degrees (rmse)",
-    ]
-    if result.kitti_percent is not None:
-        lines.append(
-            f"KITTI: t_rel {result.kitti_percent:.4g} %, r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
+    console.print(
+        f"{name}: {result.num_compared} of {result.num_instants} instants compared with {result.num_truth} of"
+        f" the truth, over a path of {result.path_length:.4g}",
+        highlight=False,
+        markup=False,
+    )
+    if 2 * result.num_compared < min(result.num_instants, result.num_truth):
+        console.print(
+            "  Most instants have no counterpart: are the clocks and their units the same?", highlight=False
         )
-    console.print("\n".join(lines), highlight=False)
+    table = Table(box=None, pad_edge=True)
+    for column in ("aligned", "ATE rmse", "median", "max", "scale", "RPE rmse", "KITTI t_rel"):
+        table.add_column(column, justify="left" if column == "aligned" else "right")
+    for kind, score in (("SE(3), scale as it is", result.rigid), ("Sim(3), scale too", result.similarity)):
+        numbers = (score.ate_rmse, score.ate_median, score.ate_max, score.scale, score.step_rmse)
+        t_rel = "path < 100" if score.kitti_percent is None else f"{score.kitti_percent:.3f} %"
+        table.add_row(kind, *(f"{number:.4g}" for number in numbers), t_rel)
+    console.print(table)
+    turned = (
+        f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse, aligned),"
+        f" {result.step_rotation_rmse_deg:.3g} degrees from one instant to the next"
+    )
+    if result.kitti_deg_per_100m is not None:
+        turned += f", KITTI r_rel {result.kitti_deg_per_100m:.4g} degrees / 100 m"
+    console.print(f" {turned}", highlight=False)
 
 
 def show_evaluation(result: Evaluation) -> None:

@@ -118,3 +118,28 @@ class CameraOptions:
                 f"{model.name} takes {model.num_params} camera_params ({names}), got {len(params)}"
             )
         return Camera(model, *size, params_from_colmap(model, np.array(params)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions:
+    """What the path is compared with, and whether the run is shown while it goes on."""
+
+    truth: Path | None = None
+    """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
+    brings one (7-Scenes, TUM RGB-D, KITTI)."""
+    view: bool = False
+    """Show path, map and picture in the browser while it runs."""
+    port: int | None = None
+    """Of the live view; None: 8080, or the next free one."""
+    host: str = "127.0.0.1"
+    """Address of the live view; 0.0.0.0 lets other machines in."""
+
+    def __post_init__(self) -> None:
+        """Check that a port has a view.
+
+        Raises:
+            ConfigError: a port is given, and no view.
+        """
+        check_fields(self)
+        if self.port is not None and not self.view:
+            raise ConfigError("port is that of the live view: it needs view")

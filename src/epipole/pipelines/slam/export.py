@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
         picture = keyframes[int(model.anchor[row])].grey
         grey[j] = picture[np.clip(y, 0, picture.shape[0] - 1), np.clip(x, 0, picture.shape[1] - 1)]
     places = [k.cam_from_world for k in keyframes]
-    return Reconstruction(
+    made = Reconstruction(
         Cameras.from_list([camera], is_constant=[True]),
         Rigs.of_single_cameras(1),
         Frames(
@@ -58,3 +59,14 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
         Points(model.xyz[rows].copy(), np.repeat(grey[:, None], 3, axis=1), np.zeros(len(rows))),
         Tracks(offsets.astype(np.int64), image[order].astype(np.int32), keypoint[order].astype(np.int32)),
     )
+    return replace(made, points=replace(made.points, error_px=_mean_errors_px(made)))
+
+
+def _mean_errors_px(model: Reconstruction) -> np.ndarray:
+    """(p,) mean reprojection error of each point's observations; NaN where none is in front of its camera."""
+    errors, n = model.reprojection_errors_px(), len(model.points)
+    point = np.repeat(np.arange(n), np.diff(model.tracks.offsets))
+    is_seen = np.isfinite(errors)
+    count = np.bincount(point[is_seen], minlength=n)
+    total = np.bincount(point[is_seen], errors[is_seen], n)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)

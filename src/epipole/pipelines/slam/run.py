@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -15,14 +15,18 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import write_colmap_model
+from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.photographs import read_header
 from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import write_trajectory
 from epipole.io.video import frame_size, is_video
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.pipelines.slam.config import CameraOptions, SlamConfig, WatchOptions
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
+from epipole.pipelines.slam.live import LiveView, open_live
+from epipole.pipelines.slam.page import SlamPage, render_page
+from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import (
     FrameSource,
@@ -30,8 +34,9 @@ from epipole.pipelines.slam.source import (
     open_sequence,
     open_video_frames,
 )
-from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
-from epipole.scene import Trajectory
+from epipole.pipelines.slam.truth import Truth, true_path_at, truth_at_frames, truth_summary
+from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
+from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
 
@@ -71,35 +76,66 @@ def slam(
         sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        **options: single options of the config by name, which override it.
+        **options: single options of the config by name, which override it; and `truth` (a known path to compare with),
+            `view` (show the run in the browser), `port` and `host`, as in `WatchOptions`.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
-        ConfigError: options do not fit the frames.
-        FileFormatError: the source cannot be read.
+        ConfigError: options do not fit the frames, or a known path without times does not fit their number.
+        FileFormatError: the source, or the known path, cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
+    watch = _watch_of(options)
     config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
     given = options_of(CameraOptions, camera)
     frames = _open(source, sensor, given)
+    truth = None if watch.truth is None else true_path_at(watch.truth)
     settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
     job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
-    with open_run(job, out) as run:
+    with open_run(job, out) as run, open_live(frames, watch) as live:
         with run.stage("track"):
-            system, tracked, names, problems, times = _track(frames, config, progress)
+            system, records = _track(frames, config, progress, live)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
             run.report("adjust", 1, 1)
-        final, causal = system.trajectory(), _causal(tracked)
-        if not len(final):
-            raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-        with run.stage("write"), run.folder.publish("slam") as aside:
-            _write(system, frames, names, (final, causal), aside)
-        run.warnings += problems
-        summary = _summary(frames, system, tracked, times, run.warnings)
-        run.finish({**summary, "timings_s": run.timings_s})
-    return SlamResult(out, final, causal, summary, tuple(run.warnings))
+        return _results(frames, system, records, truth, run)
+
+
+def _watch_of(options: dict[str, Any]) -> WatchOptions:
+    """The options that are not the config's, taken out."""
+    names = [field.name for field in fields(WatchOptions)]
+    own = {name: options.pop(name) for name in names if name in options}
+    if own.get("truth") is not None:
+        own["truth"] = as_path(own["truth"])
+    return options_of(WatchOptions, None, own)
+
+
+def _results(
+    frames: FrameSource, system: Slam, records: list[FrameRecord], truth: Truth | None, run: Run
+) -> SlamResult:
+    """Write what was found, and tell it."""
+    tracked = [record.answer for record in records if record.answer is not None]
+    problems = [record.problem for record in records if record.problem]
+    if not len(system.trajectory()):
+        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+    final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
+    model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
+    run.warnings += problems
+    summary, known = _summary(frames, system, records, model, run.warnings), None
+    if truth is not None:
+        known = truth_at_frames(truth, records)
+        summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
+        run.warnings += doubts
+    with run.stage("write"), run.folder.publish("slam") as aside:
+        _write(model, (final, causal), records, aside)
+    with run.stage("report"):
+        title = run.job.inputs[0].resolve().name
+        paths = (final, causal, known)
+        page = SlamPage(title, summary, records, model, *paths, run.job.settings, run.timings_s)
+        run.folder.write_text("report.html", render_page(page))
+    run.finish({**summary, "timings_s": run.timings_s})
+    return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
 
 
 def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
@@ -113,31 +149,26 @@ def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
 
 
 def _track(
-    source: FrameSource, config: SlamConfig, progress: ProgressCallback
-) -> tuple[Slam, list[TrackedFrame], list[str], list[str], list[float]]:
-    """Every frame in turn; one that cannot be read, or does not fit, is left out and named.
-
-    Returns:
-        The SLAM, its answers, the names of the frames that it took, what is wrong with the others, and seconds of each.
-    """
+    source: FrameSource, config: SlamConfig, progress: ProgressCallback, live: LiveView
+) -> tuple[Slam, list[FrameRecord]]:
+    """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
     system = Slam(source.camera, config)
-    tracked: list[TrackedFrame] = []
-    names: list[str] = []
-    problems: list[str] = []
-    times: list[float] = []
+    records: list[FrameRecord] = []
     for number, frame in enumerate(source.frames()):
         begin = perf_counter()
         name = source.names[number] if number < len(source.names) else f"frame_{number:06d}.jpg"
+        answer, problem = None, ""
         try:
             if not isinstance(frame, Frame):
                 raise frame
-            tracked.append(system.track(frame))
-            names.append(name)
+            answer = system.track(frame)
         except EpipoleError as error:
-            problems.append(f"frame {number} is left out: {error}")
-        times.append(perf_counter() - begin)
+            problem = f"frame {number} is left out: {error}"
+        records.append(FrameRecord(number, name, perf_counter() - begin, answer, problem))
+        if answer is not None and isinstance(frame, Frame):
+            live.show(system, frame, answer)
         progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
-    return system, tracked, names, problems, times
+    return system, records
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
@@ -165,17 +196,16 @@ def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
 
 
 def _write(
-    system: Slam,
-    source: FrameSource,
-    names: Sequence[str],
+    model: Reconstruction,
     paths: tuple[Trajectory, Trajectory],
+    records: Sequence[FrameRecord],
     folder: Path,
 ) -> None:
-    final, causal = (_of_body(path, source) for path in paths)
+    final, causal = paths
     write_trajectory(final, folder / TRAJECTORY)
     write_trajectory(causal, folder / CAUSAL)
     write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
-    model = reconstruction_of(system.map, source.camera.camera, names)
+    write_records(records, folder / FRAME_TABLE)
     if len(model.images) >= 2:
         write_colmap_model(model, folder / "sparse" / "0")
         write_scene_ply(folder / "points.ply", model)
@@ -184,21 +214,23 @@ def _write(
 def _summary(
     source: FrameSource,
     slam: Slam,
-    tracked: Sequence[TrackedFrame],
-    times: Sequence[float],
+    records: Sequence[FrameRecord],
+    model: Reconstruction,
     warnings: list[str],
 ) -> dict[str, Any]:
+    tracked = [record.answer for record in records if record.answer is not None]
     states = [t.state for t in tracked]
-    ms = 1e3 * np.array(times) if len(times) else np.zeros(1)
-    placed = len(slam.trajectory())
+    ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
+    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
     tells = source.camera.tells_depth
     return {
-        "num_frames": len(times),
+        "num_frames": len(records),
         "num_placed": placed,
         "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.map.keyframes),
         "num_points": int(np.isfinite(slam.map.xyz[:, 0]).sum()),
+        "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
         "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
         "is_metric": tells,
         "ms_per_frame": {
@@ -218,13 +250,14 @@ def _scale_words(source: FrameSource) -> str:
 
 
 def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """Why frames have no place, and how many."""
-    out: dict[str, int] = {}
+    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
+    last: dict[str, str] = {}
+    count: dict[str, int] = {}
     for frame in tracked:
         if frame.world_from_body is None:
-            words = "".join("#" if c.isdigit() else c for c in frame.reason)
-            out[words] = out.get(words, 0) + 1
-    return out
+            words = without_numbers(frame.reason)
+            last[words], count[words] = frame.reason, count.get(words, 0) + 1
+    return {last[words]: number for words, number in count.items()}
 
 
 def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:

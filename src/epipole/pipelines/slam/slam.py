@@ -20,6 +20,7 @@ from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
 from epipole.scene import Trajectory
@@ -422,3 +423,7 @@ class Slam:
     def trajectory(self, number: int = 0) -> Trajectory:
         """Every frame that has a place in one of the maps, the first unless told, by the map as it is now."""
         return self._path.trajectory(self.maps[number].keyframes)
+
+    def snapshot(self) -> Snapshot:
+        """Map and followed points as they are now, to be shown."""
+        return snapshot_of(self.map, self.state, self._tracks)

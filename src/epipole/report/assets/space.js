@@ -22,6 +22,8 @@ function spaceView(canvas, data) {
     corners: data.corners[k],
     name: NAMES[data.image[k]],
   }));
+  const curves = data.curves || [],
+    curveBoxes = [...document.querySelectorAll(".show-curve")];
   const pen = canvas.getContext("2d");
   const start = () => ({ focus: data.focus.slice(), yaw: 0.9, pitch: -0.55, dist: 2.2 * data.radius });
   let eye = start(),
@@ -137,6 +139,25 @@ function spaceView(canvas, data) {
     pen.globalAlpha = 1;
   }
 
+  function drawCurves(b, ratio) {
+    const near = 0.01 * data.radius;
+    for (let k = curves.length - 1; k >= 0; k--) {
+      const curve = curves[k]; // the first on top
+      if (!curveBoxes[k].checked) continue;
+      pen.strokeStyle = curve.rgb;
+      pen.lineWidth = 1.8 * ratio;
+      pen.lineCap = "round";
+      pen.beginPath();
+      for (let q = 0; q < curve.xyz.length; q += 6) {
+        const ends = [curve.xyz.slice(q, q + 3), curve.xyz.slice(q + 3, q + 6)].map((p) => toView(b, p));
+        if (ends.some((v) => v[2] < near)) continue;
+        pen.moveTo(...toPixel(ends[0]));
+        pen.lineTo(...toPixel(ends[1]));
+      }
+      pen.stroke();
+    }
+  }
+
   function drawTriad(b, ratio) {
     const x = 38 * ratio,
       y = canvas.height - 38 * ratio,
@@ -167,6 +188,7 @@ function spaceView(canvas, data) {
       b = basis();
     drawPoints(b, ratio);
     if (byId("show-cameras").checked) drawFrusta(b, ratio);
+    drawCurves(b, ratio);
     drawTriad(b, ratio);
   }
   function redraw() {
@@ -323,6 +345,7 @@ function spaceView(canvas, data) {
     document.fullscreenElement ? document.exitFullscreen() : canvas.parentElement.requestFullscreen(),
   );
   for (const id of ["point-size", "frustum-size", "show-cameras"]) byId(id).addEventListener("input", redraw);
+  for (const box of curveBoxes) box.addEventListener("input", redraw);
   new ResizeObserver(redraw).observe(canvas);
   darkScheme.addEventListener("change", redraw);
   draw();

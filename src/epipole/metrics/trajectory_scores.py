@@ -1,0 +1,110 @@
+"""A trajectory against a known one, in the numbers that papers and other programs give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3
+from epipole.metrics.trajectories import (
+    Alignment,
+    absolute_error,
+    associate,
+    drift_per_length,
+    relative_error,
+)
+from epipole.scene import Trajectory
+
+MIN_COMPARED = 3
+"""Instants: an alignment needs as many."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryScore:
+    """How far a trajectory is from a known one, with one kind of alignment."""
+
+    ate_rmse: float
+    """Absolute trajectory error, in the truth's unit."""
+    ate_median: float
+    ate_max: float
+    rotation_rmse_deg: float
+    scale: float
+    """Of truth over estimate, as aligned."""
+    step_rmse: float
+    """Relative error (RPE) of translation from one compared instant to the next, with this scale."""
+    kitti_percent: float | None
+    """KITTI's t_rel, with this scale; None for a path of less than 100."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryEvaluation:
+    """A trajectory against a known one."""
+
+    num_instants: int
+    num_truth: int
+    num_compared: int
+    path_length: float
+    """Of the truth over the instants compared, in its unit."""
+    rigid: TrajectoryScore
+    """With rotation and translation aligned, SE(3): what counts where the scale is known."""
+    similarity: TrajectoryScore
+    """With scale aligned, too, Sim(3): what one camera alone can be asked for."""
+    step_rotation_rmse_deg: float
+    kitti_deg_per_100m: float | None
+    """KITTI's r_rel; None for a path of less than 100."""
+
+    @property
+    def coverage(self) -> float:
+        """Share of the instants that could be compared at most, those of the trajectory with fewer."""
+        return self.num_compared / min(self.num_instants, self.num_truth)
+
+    def __repr__(self) -> str:
+        return (
+            f"TrajectoryEvaluation({self.num_compared} of {self.num_instants} instants, ATE rmse "
+            f"{self.rigid.ate_rmse:.4g} rigidly, {self.similarity.ate_rmse:.4g} with scale)"
+        )
+
+
+@checked
+def score_trajectory(
+    estimate: Trajectory, truth: Trajectory, max_difference_s: float = 0.01
+) -> TrajectoryEvaluation:
+    """Compare a trajectory with a known one.
+
+    Args:
+        estimate: any world, any scale.
+        truth: of the same body.
+        max_difference_s: instants further apart are not compared.
+
+    Raises:
+        DegenerateGeometryError: too few instants belong together, or the path is a line.
+    """
+    rows, rows_of_truth = associate(estimate, truth, max_difference_s)
+    if len(rows) < MIN_COMPARED:
+        raise DegenerateGeometryError(
+            f"{len(rows)} of {len(estimate)} instants have one of the truth within {max_difference_s:g} s,"
+            f" {MIN_COMPARED} are needed: are the clocks and their units the same?"
+        )
+    ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
+    _, turn = relative_error(ours, theirs)
+    drift = drift_per_length(ours, theirs)
+    return TrajectoryEvaluation(
+        *(len(estimate), len(truth), len(rows), truth[rows_of_truth].path_length()),
+        *(_score(ours, theirs, "rigid"), _score(ours, theirs, "similarity")),
+        turn.rmse,
+        100.0 * drift.rotation_deg_per_m if drift.num_segments else None,
+    )
+
+
+def _score(ours: Rigid3, theirs: Rigid3, alignment: Alignment) -> TrajectoryScore:
+    found = absolute_error(ours, theirs, alignment)
+    scale = float(found.truth_from_estimate.scale)
+    scaled = Rigid3(ours.rotation, scale * ours.translation)
+    step, _ = relative_error(scaled, theirs)
+    drift = drift_per_length(scaled, theirs)
+    position = found.position
+    return TrajectoryScore(
+        *(position.rmse, position.median, position.max, found.rotation_deg.rmse, scale, step.rmse),
+        drift.translation_percent if drift.num_segments else None,
+    )

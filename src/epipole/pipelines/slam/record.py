@@ -1,0 +1,116 @@
+"""What is kept of each frame: its answer, its picture's name, and the time that it took."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole.pipelines.slam.frames import TrackedFrame
+
+LEFT_OUT = "left out"
+"""In the place of a state, for a frame that could not be read or did not fit."""
+COLUMNS = ("frame", "timestamp_s", "picture", "state", "has_place", "keyframe", "points", "ms", "reason")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameRecord:
+    """One frame of the source."""
+
+    number: int
+    """In the source, from 0."""
+    name: str
+    """Of its picture."""
+    seconds: float
+    """Of tracking, without reading the files."""
+    answer: TrackedFrame | None
+    """None for a frame that was left out."""
+    problem: str = ""
+    """Why it was left out."""
+
+    @property
+    def state(self) -> str:
+        """The state of tracking, or that the frame was left out."""
+        return LEFT_OUT if self.answer is None else self.answer.state.value
+
+    @property
+    def reason(self) -> str:
+        """What there is to say."""
+        return self.problem if self.answer is None else self.answer.reason
+
+    @property
+    def sigma_position(self) -> float:
+        """Standard deviation of the position, as the frame's own points tell it; NaN for none."""
+        if self.answer is None or self.answer.covariance is None:
+            return float("nan")
+        variance = float(np.trace(self.answer.covariance[:3, :3]))
+        return float(np.sqrt(variance)) if 0 < variance < np.inf else float("nan")
+
+
+def write_records(records: Sequence[FrameRecord], path: Path) -> None:
+    """A table with a line for each frame, as it was when the frame came."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for record in records:
+            answer = record.answer
+            told = ["", LEFT_OUT, 0, 0, 0]
+            if answer is not None:
+                has_place = int(answer.world_from_body is not None)
+                told = [
+                    f"{answer.timestamp_s:.9f}",
+                    answer.state.value,
+                    has_place,
+                    int(answer.is_keyframe),
+                    answer.num_points,
+                ]
+            row = [
+                record.number,
+                told[0],
+                record.name,
+                *told[1:],
+                f"{1e3 * record.seconds:.3f}",
+                record.reason,
+            ]
+            table.writerow(row)
+
+
+def without_numbers(reason: str) -> str:
+    """What reasons that differ in numbers alone have in common."""
+    return re.sub(r"\d+(\.\d+)?", "#", reason)
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Frames in a row of which the same is to be said."""
+
+    first: int
+    last: int
+    state: str
+    reason: str
+    """That of the last of them: numbers in it may differ from those of the others."""
+
+    @property
+    def count(self) -> int:
+        """Frames."""
+        return self.last - self.first + 1
+
+
+def stretches(records: Sequence[FrameRecord]) -> list[Stretch]:
+    """Runs of frames of one state and, where they have no place, of one reason (its numbers apart)."""
+    out: list[Stretch] = []
+    words = ""
+    for record in records:
+        has_place = record.answer is not None and record.answer.world_from_body is not None
+        reason = "" if has_place else record.reason
+        now = without_numbers(reason)
+        if out and out[-1].state == record.state and words == now:
+            out[-1] = Stretch(out[-1].first, record.number, record.state, reason)
+        else:
+            out.append(Stretch(record.number, record.number, record.state, reason))
+        words = now
+    return out

@@ -1,0 +1,48 @@
+"""What there is to see of a map while it grows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.frames import TrackingState
+from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.tracking import Tracks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """Copies: the map goes on to change, they do not."""
+
+    state: TrackingState
+    world_from_keyframes: Rigid3
+    """(k,), in order."""
+    points_in_world: Float64[np.ndarray, "p 3"]
+    """Those that have a place."""
+    tracked_px: Float64[np.ndarray, "n 2"]
+    """Points followed in the last frame."""
+    has_place: Bool[np.ndarray, " n"]
+    """Which of them the map knows the place of."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Snapshot({self.state.value}, {len(self.world_from_keyframes.rotation)}"
+            f" keyframes, {len(self.points_in_world)} points, {len(self.tracked_px)} followed)"
+        )
+
+
+def snapshot_of(model: SlamMap, state: TrackingState, tracks: Tracks) -> Snapshot:
+    """What there is to see."""
+    keyframes = [keyframe.cam_from_world.inverse() for keyframe in model.keyframes]
+    places = Rigid3(
+        np.array([place.rotation for place in keyframes]).reshape(-1, 3, 3),
+        np.array([place.translation for place in keyframes]).reshape(-1, 3),
+    )
+    # Before the begin of one camera's map the rows that are followed are not yet the map's.
+    has_begun = state is not TrackingState.STARTING
+    known = model.has_place(tracks.point) if has_begun else np.zeros(len(tracks), bool)
+    points = model.xyz[np.isfinite(model.xyz[:, 0])]
+    return Snapshot(state, places, points, tracks.pixels.copy(), known)

@@ -1,0 +1,142 @@
+"""The path against a known one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
+from epipole.geometry import Rigid3, Similarity3
+from epipole.io.sequences import SequenceKind, read_sequence
+from epipole.io.trajectories import read_pose_matrix, read_trajectory, trajectory_format
+from epipole.metrics import absolute_error, associate, score_trajectory
+from epipole.pipelines.slam.record import FrameRecord
+from epipole.scene import Trajectory
+
+MAX_DIFFERENCE_S = 0.01
+"""Frames and truth further apart in time are not compared."""
+FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
+"""TUM RGB-D's, KITTI's."""
+_PICTURE, _POSE = ".color.", ".pose.txt"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """A known path."""
+
+    path: Path
+    """Where it was read."""
+    trajectory: Trajectory
+    has_times: bool
+    """Else there is a row for each frame (KITTI)."""
+
+
+def true_path_at(path: Path) -> Truth:
+    """A known path from a file, or that which a folder of frames brings (7-Scenes, TUM RGB-D, KITTI).
+
+    Raises:
+        FileFormatError: the file is no trajectory, or the folder brings none.
+    """
+    if path.is_dir():
+        return _of_folder(path)
+    return Truth(path, read_trajectory(path), trajectory_format(path) != "kitti")
+
+
+def _of_folder(folder: Path) -> Truth:
+    for name in FILES_OF_FOLDERS:
+        if (folder / name).is_file():
+            return true_path_at(folder / name)
+    sequence = read_sequence(folder)
+    if sequence.kind is SequenceKind.SEVEN_SCENES:
+        rows = [
+            (frame.timestamp_s, frame.picture.with_name(frame.picture.name.split(_PICTURE)[0] + _POSE))
+            for frame in sequence.frames
+        ]
+        rows = [(time, path) for time, path in rows if path.is_file()]
+        if rows:
+            places = [read_pose_matrix(path) for _, path in rows]
+            together = Rigid3(
+                np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])
+            )
+            times = np.array([time for time, _ in rows])
+            return Truth(folder / f"frame-*{_POSE}", Trajectory(times, together), has_times=True)
+    raise FileFormatError(
+        folder, f"holds no true path that is known here ({', '.join(FILES_OF_FOLDERS)}, *{_POSE})"
+    )
+
+
+def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
+    """The truth with the frames' times, where it brings none: its rows are those of all frames of the source.
+
+    Raises:
+        ConfigError: there are not as many rows, and the pictures are not named by the rows' numbers either.
+    """
+    if truth.has_times:
+        return truth.trajectory
+    rows = np.array([record.number for record in records])
+    if len(truth.trajectory) != len(records):
+        stems = [Path(record.name).stem for record in records]
+        rows = np.array([int(stem) if stem.isdecimal() else -1 for stem in stems])
+        if not len(rows) or rows.min() < 0 or rows.max() >= len(truth.trajectory):
+            raise ConfigError(
+                f"the truth holds no times (KITTI's form) and {len(truth.trajectory)} rows for"
+                f" {len(records)} frames: which belong together cannot be told"
+            )
+    told = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
+    places = truth.trajectory.world_from_body[np.array([row for row, _ in told], np.int64)]
+    return Trajectory(np.array([time for _, time in told], np.float64), places)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathErrors:
+    """Distances of a path from the truth, instant by instant."""
+
+    timestamp_s: np.ndarray
+    distance: np.ndarray
+    """In the truth's unit, after the alignment."""
+    estimate_from_truth: Similarity3
+    """Brings the truth into the path's world, with the same alignment."""
+
+
+def errors_of(estimate: Trajectory, truth: Trajectory, *, with_scale: bool) -> PathErrors | None:
+    """Errors after an alignment, with scale for a path of unknown scale; None where none can be made."""
+    try:
+        rows, rows_of_truth = associate(estimate, truth, MAX_DIFFERENCE_S)
+        ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
+        found = absolute_error(ours, theirs, "similarity" if with_scale else "rigid")
+    except DegenerateGeometryError:
+        return None
+    return PathErrors(estimate.timestamp_s[rows], found.position.values, found.truth_from_estimate.inverse())
+
+
+def truth_summary(
+    truth: Truth, known: Trajectory, paths: tuple[Trajectory, Trajectory], num_frames: int
+) -> tuple[dict[str, Any], list[str]]:
+    """What the summary says of a known path, and warnings.
+
+    Args:
+        truth: as read.
+        known: it, at the frames' times.
+        paths: the final one, and the causal one.
+        num_frames: of the source.
+    """
+    out: dict[str, Any] = {"source": str(truth.path), "max_difference_s": MAX_DIFFERENCE_S}
+    warnings = []
+    for name, path in zip(("final", "causal"), paths):
+        try:
+            found = score_trajectory(path, known, MAX_DIFFERENCE_S)
+        except DegenerateGeometryError as error:
+            out[name] = None
+            warnings.append(f"the {name} path is not compared with the truth: {error}")
+            continue
+        out[name] = {**asdict(found), "coverage": found.num_compared / num_frames}
+        if name == "final" and 2 * found.num_compared < min(found.num_instants, found.num_truth):
+            warnings.append(
+                f"{found.num_compared} of {found.num_instants} places have a true one within"
+                f" {MAX_DIFFERENCE_S:g} s: are the clocks and their units the same?"
+            )
+    return out, warnings
