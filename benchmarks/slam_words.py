@@ -24,14 +24,18 @@ def main(data: Path) -> None:
     """Describe corners of all photographs, and cluster them."""
     described = []
     for folder in SETS:
-        for path in sorted(p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")):
+        for path in sorted(
+            p for p in (data / folder).rglob("*") if p.suffix.lower() in (".jpg", ".png", ".ppm")
+        ):
             grey = read_grey(path)
-            grey = np.ascontiguousarray(grey[:: max(1, grey.shape[1] // 640), :: max(1, grey.shape[1] // 640)])
+            grey = np.ascontiguousarray(
+                grey[:: max(1, grey.shape[1] // 640), :: max(1, grey.shape[1] // 640)]
+            )
             corners = new_corners(grey, np.zeros((0, 2)), SlamConfig())
             described.append(describe_upright(grey, corners))
     words = train_vocabulary(described, NUM_WORDS, rounds=50)
     np.save(WORDS, np.rint(words).astype(np.uint8))
-    print(f"{len(described)} photographs, {len(words)} words")  # noqa: T201
+    print(f"{len(described)} photographs, {len(words)} words")
 
 
 if __name__ == "__main__":

@@ -62,6 +62,28 @@ class SlamCamera:
         """Whether a single frame has depth."""
         return self.depth is not None or self.baseline is not None
 
+    def check(self, frame: Frame) -> None:
+        """Check that a frame is this camera's.
+
+        Raises:
+            ShapeError: the pictures are not of the camera's size.
+            ConfigError: the frame lacks what tells depth.
+        """
+        lens = self.camera
+        if frame.grey.shape != (lens.height, lens.width):
+            size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"
+            raise ShapeError(f"the picture is {size}, the camera's {lens.width} x {lens.height}")
+        if self.baseline is not None and frame.right_grey is None:
+            raise ConfigError("a frame of a stereo camera needs its right picture")
+        if self.depth is None:
+            return
+        if frame.depth is None:
+            raise ConfigError("a frame of a depth camera needs its depth")
+        sensor = self.depth.camera
+        if frame.depth.shape != (sensor.height, sensor.width):
+            size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
+            raise ShapeError(f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height}")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
@@ -101,13 +123,13 @@ class TrackedFrame:
     """Why there is no place, or why a keyframe was made; empty for nothing to say."""
     world_from_body: Rigid3 | None
     """None where the place is not known."""
-    submap_from_body: Rigid3 | None
-    """The place in the map that the camera is followed in, where that is not the first one."""
     covariance: Float64[np.ndarray, "6 6"] | None
     """Of xi = (translation, rotation) in body_from_world = exp(xi) @ what is stated."""
     num_points: int
     """Points of the map that agree."""
     is_keyframe: bool
+    submap_from_body: Rigid3 | None = None
+    """The place in the map that the camera is followed in, where that is not the first one."""
 
     def __repr__(self) -> str:
         return f"TrackedFrame({self.timestamp_s:.3f} s, {self.state.value}, {self.num_points} points)"

@@ -15,7 +15,6 @@ from epipole.pipelines.slam.drawing import FINAL_RGB, path_curve
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
-from epipole.scene import Trajectory
 from epipole.viewer.live import Budget, LiveScene, picture_with_points
 
 if TYPE_CHECKING:
@@ -101,18 +100,16 @@ def _scene(system: Slam) -> LiveScene:
         path_curve("path", path, FINAL_RGB).segments_in_world,
         now.world_from_keyframes,
         now.points_in_world,
-        _loop_pieces(system, path),
+        _loop_pieces(system),
     )
 
 
-def _loop_pieces(system: Slam, path: Trajectory) -> np.ndarray:
-    """(l, 2, 3) from the places of frames at which loops were closed to the keyframes that they closed at."""
-    pieces = []
-    keyframes = system.map.keyframes
-    for loop in getattr(system, "loops", ()):
-        frame, keyframe = int(loop["frame"]), int(loop["keyframe"])
-        if loop["verdict"] == "accepted" and 0 <= keyframe < len(keyframes) and frame < len(path):
-            end = keyframes[keyframe].cam_from_world.inverse().translation
-            nearest = min(keyframes, key=lambda k: abs(k.number - frame))
-            pieces.append(np.stack([nearest.cam_from_world.inverse().translation, end]))
+def _loop_pieces(system: Slam) -> np.ndarray:
+    """(l, 2, 3) between the keyframes of accepted loops."""
+    center = {k.number: k.cam_from_world.inverse().translation for k in system.map.keyframes}
+    pieces = [
+        (center[loop.frame], center[loop.keyframe])
+        for loop in system.loops
+        if loop.verdict == "accepted" and loop.frame in center and loop.keyframe in center
+    ]
     return np.array(pieces, np.float64).reshape(-1, 2, 3)

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.place_recognition import Recognition, View, describe_keyframe, most_alike, recognize
+from epipole.pipelines.slam.place_recognition import (
+    Recognition,
+    describe_keyframe,
+    most_alike,
+    recognize,
+)
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 CANDIDATES = 3
@@ -90,7 +96,8 @@ class LoopCloser:
         again = [h.keyframe for h in self._waiting if h.there is there and h.keyframe < len(there.keyframes)]
         alike = [k for k, _ in most_alike(view.look, there, excluded, CANDIDATES)]
         found = [
-            recognize(view, there, k, self.camera, self.config, unwanted) for k in dict.fromkeys([*alike, *again])
+            recognize(view, there, k, self.camera, self.config, unwanted)
+            for k in dict.fromkeys([*alike, *again])
         ]
         plausible = []
         for one in found:
@@ -99,7 +106,7 @@ class LoopCloser:
                 self._note(newest, there, one, "rejected", reason)
             else:
                 plausible.append(one)
-        return self._believe(here, there, view, plausible)
+        return self._believe(here, there, plausible)
 
     def _surroundings(self, here: SlamMap, there: SlamMap) -> tuple[np.ndarray, np.ndarray | None]:
         """Keyframes of `there` around the newest of `here`, and the points that they see."""
@@ -128,7 +135,7 @@ class LoopCloser:
             return f"the turns of {turn:.0f} degrees since would be wrong by {turned:.0f}"
         return ""
 
-    def _believe(self, here: SlamMap, there: SlamMap, view: View, plausible: list[Recognition]) -> Tie | None:
+    def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> Tie | None:
         newest = here.keyframes[-1]
         if not plausible:
             return None
@@ -140,7 +147,9 @@ class LoopCloser:
                 return None
         motion = self._motion(newest, here, there, best)
         if not 1 / LARGEST_SCALE < float(motion.scale) < LARGEST_SCALE:
-            self._note(newest, there, best, "rejected", f"the scale would change by {float(motion.scale):.3g}")
+            self._note(
+                newest, there, best, "rejected", f"the scale would change by {float(motion.scale):.3g}"
+            )
             return None
         for hypothesis in self._waiting:
             told = hypothesis.there_from_here.move_cam_from_source(newest.cam_from_world)
@@ -196,7 +205,7 @@ def paired_rows(keyframe: Keyframe, pixels: np.ndarray, radius_px: float = 2.0) 
 def _way_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
     """Length of the way from a keyframe to the newest, and degrees turned on it."""
     places = [k.cam_from_world for k in model.keyframes[keyframe:]]
-    steps = [b @ a.inverse() for a, b in zip(places, places[1:])]
+    steps = [b @ a.inverse() for a, b in pairwise(places)]
     way = sum(float(np.linalg.norm(s.translation)) for s in steps)
     return way, sum(float(np.degrees(Rotation3(s.rotation).angle_rad())) for s in steps)
 

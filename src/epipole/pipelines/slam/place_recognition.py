@@ -114,7 +114,9 @@ def recognize(
     matches = match_descriptors(view.descriptors, descriptors, MatchConfig(max_ratio=0.85))
     none = Rigid3.identity(), np.zeros((0, 2)), np.zeros(0, np.int64)
     if len(matches) < MIN_SAMPLE:
-        return Recognition(number, len(matches), f"{len(matches)} points match, {MIN_SAMPLE} are needed", *none)
+        return Recognition(
+            number, len(matches), f"{len(matches)} points match, {MIN_SAMPLE} are needed", *none
+        )
     pixels, rows = view.pixels[matches[:, 0]], points[matches[:, 1]]
     limit = config.max_error_px
     ransac = RansacConfig(max_error_px=limit, min_inliers=MIN_SAMPLE, seed=config.seed)
@@ -144,11 +146,16 @@ def _grown(
     pixels, points = find_again(model, camera, view.grey, place, followed, config)
     pixels, is_same, is_stale = hold(model, camera, view.grey, place, points, pixels)
     pixels, points = pixels[is_same & ~is_stale], points[is_same & ~is_stale]
-    words, agrees = f"{len(points)} points look the same there, {MIN_AGREEING} are needed", np.zeros(len(points), bool)
+    words, agrees = (
+        f"{len(points)} points look the same there, {MIN_AGREEING} are needed",
+        np.zeros(len(points), bool),
+    )
     if len(points) >= MIN_AGREEING:
         refined = refine_pose(model.xyz[points], pixels, camera, place)
         agrees = refined.error_sq <= config.max_error_px**2
-        words = f"{int(agrees.sum())} of {len(points)} points that look the same agree, {MIN_AGREEING} are needed"
+        words = (
+            f"{int(agrees.sum())} of {len(points)} points that look the same agree, {MIN_AGREEING} are needed"
+        )
         place = refined.cam_from_world
     reason = words if agrees.sum() < MIN_AGREEING else ""
     return Recognition(number, num_matches, reason, place, pixels[agrees], points[agrees])

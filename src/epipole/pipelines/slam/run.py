@@ -26,6 +26,7 @@ from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.page import SlamPage, render_page
+from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import (
@@ -120,7 +121,7 @@ def _results(
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
     final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
-    model = reconstruction_of(system.map, frames.camera.camera, [r.name for r in records if r.answer])
+    model = reconstruction_of(system.maps[0], frames.camera.camera, [r.name for r in records if r.answer])
     run.warnings += problems
     summary, known = _summary(frames, system, records, model, run.warnings), None
     if truth is not None:
@@ -128,7 +129,8 @@ def _results(
         summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
         run.warnings += doubts
     with run.stage("write"), run.folder.publish("slam") as aside:
-        _write(model, (final, causal), records, aside)
+        submaps = [_of_body(system.trajectory(n), frames) for n in range(1, len(system.maps))]
+        _write(model, (final, causal), submaps, records, aside)
     with run.stage("report"):
         title = run.job.inputs[0].resolve().name
         paths = (final, causal, known)
@@ -198,6 +200,7 @@ def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
 def _write(
     model: Reconstruction,
     paths: tuple[Trajectory, Trajectory],
+    submaps: Sequence[Trajectory],
     records: Sequence[FrameRecord],
     folder: Path,
 ) -> None:
@@ -206,6 +209,8 @@ def _write(
     write_trajectory(causal, folder / CAUSAL)
     write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
     write_records(records, folder / FRAME_TABLE)
+    for number, path in enumerate(submaps, 1):
+        write_trajectory(path, folder / f"trajectory_submap_{number}.txt")
     if len(model.images) >= 2:
         write_colmap_model(model, folder / "sparse" / "0")
         write_scene_ply(folder / "points.ply", model)
@@ -228,8 +233,8 @@ def _summary(
         "num_placed": placed,
         "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
         "states": {state.value: states.count(state) for state in TrackingState},
-        "num_keyframes": len(slam.map.keyframes),
-        "num_points": int(np.isfinite(slam.map.xyz[:, 0]).sum()),
+        "num_keyframes": len(slam.maps[0].keyframes),
+        "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
         "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
         "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
         "is_metric": tells,
@@ -239,7 +244,21 @@ def _summary(
             "max": float(ms.max()),
         },
         "reasons": _reasons(tracked),
+        "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],
+        "num_places_compared": len(slam.loops),
+        "loops": [asdict(loop) for loop in slam.loops if loop.num_matches >= MIN_SAMPLE],
         "warnings": warnings,
+    }
+
+
+def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
+    """A part of the path that no place seen again ties to the first map."""
+    path = slam.trajectory(number)
+    return {
+        "num_frames": len(path),
+        "num_keyframes": len(slam.maps[number].keyframes),
+        "from_s": float(path.timestamp_s[0]) if len(path) else None,
+        "to_s": float(path.timestamp_s[-1]) if len(path) else None,
     }
 
 

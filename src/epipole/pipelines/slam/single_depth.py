@@ -57,6 +57,17 @@ def disparities_of(
     return best
 
 
+def points_by_disparity(
+    pixels: np.ndarray, disparity: np.ndarray, camera: Camera, focal_baseline: float, most_baselines: float
+) -> np.ndarray:
+    """(n, 3) points in the camera, at depth f B / d; NaN without a disparity, or further than so many baselines."""
+    out = np.full((len(pixels), 3), np.nan)
+    near = np.flatnonzero(disparity >= camera.focal_px / most_baselines)
+    rays = camera.unproject(pixels[near])
+    out[near] = rays / rays[:, 2:] * (focal_baseline / disparity[near])[:, None]
+    return out
+
+
 def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: DepthCamera) -> np.ndarray:
     """(n,) depth of points of the colour picture in its camera, NaN where the sensor sees none, or an edge.
 

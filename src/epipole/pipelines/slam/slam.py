@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.errors import ConfigError, ShapeError
+from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose
 from epipole.pipelines.slam.anchoring import hold
@@ -18,7 +18,7 @@ from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.revisiting import find_again, tie_together
-from epipole.pipelines.slam.single_depth import disparities_of
+from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
@@ -85,7 +85,11 @@ class Slam:
             ShapeError: the pictures are not of the camera's size.
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
-        self._check(frame)
+        self.camera.check(frame)
+        if self._before is not None and frame.timestamp_s <= self._before.timestamp_s:
+            raise ConfigError(
+                f"a frame of {frame.timestamp_s:.6f} s comes after one of {self._before.timestamp_s:.6f} s"
+            )
         if self.state is TrackingState.STARTING:
             answer = self._begin(frame)
         elif self.state is TrackingState.LOST:
@@ -95,27 +99,6 @@ class Slam:
         self._before = frame
         self._num_frames += 1
         return answer
-
-    def _check(self, frame: Frame) -> None:
-        lens = self.camera.camera
-        if frame.grey.shape != (lens.height, lens.width):
-            raise ShapeError(
-                f"the picture is {frame.grey.shape[1]} x {frame.grey.shape[0]}, the camera's {lens.width} x {lens.height}"
-            )
-        if self._before is not None and frame.timestamp_s <= self._before.timestamp_s:
-            raise ConfigError(
-                f"a frame of {frame.timestamp_s:.6f} s comes after one of {self._before.timestamp_s:.6f} s"
-            )
-        if self.camera.baseline is not None and frame.right_grey is None:
-            raise ConfigError("a frame of a stereo camera needs its right picture")
-        if self.camera.depth is None:
-            return
-        if frame.depth is None:
-            raise ConfigError("a frame of a depth camera needs its depth")
-        sensor = self.camera.depth.camera
-        if frame.depth.shape != (sensor.height, sensor.width):
-            size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
-            raise ShapeError(f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height}")
 
     # The begin of a map.
 
@@ -158,7 +141,9 @@ class Slam:
         self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
         self._num_lost = 0
         num_points = int(self.map.has_place(self._tracks.point).sum())
-        return self._answer(frame, covariance, num_points, "the map begins" if is_first else "a new map begins")
+        return self._answer(
+            frame, covariance, num_points, "the map begins" if is_first else "a new map begins"
+        )
 
     def _enter(self, model: SlamMap) -> None:
         """Go on in this map."""
@@ -371,16 +356,11 @@ class Slam:
 
     def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray) -> np.ndarray:
         """Places of points by their disparities at the present place; NaN without one, or where it says little."""
-        out = np.full((len(pixels), 3), np.nan)
-        if self.focal_baseline is None or not len(pixels):
-            return out
-        lens = self.camera.camera
-        least = lens.focal_px / self.config.max_depth_baselines
-        near = np.flatnonzero(disparity >= least)
-        rays = lens.unproject(pixels[near])
-        in_cam = rays / rays[:, 2:] * (self.focal_baseline / disparity[near])[:, None]
-        out[near] = self._cam_from_world.inverse().apply(in_cam)
-        return out
+        if self.focal_baseline is None:
+            return np.full((len(pixels), 3), np.nan)
+        lens, most = self.camera.camera, self.config.max_depth_baselines
+        in_cam = points_by_disparity(pixels, disparity, lens, self.focal_baseline, most)
+        return self._cam_from_world.inverse().apply(in_cam)
 
     def _forget_untracked(self) -> None:
         """Stop following points whose observation in the newest keyframe was a mistake."""
@@ -393,19 +373,14 @@ class Slam:
         self._path.add(self._num_frames, frame.timestamp_s, newest, self._cam_from_world, covariance)
         place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
-            frame.timestamp_s,
-            self.state,
-            reason,
-            place if is_first else None,
-            None if is_first else place,
-            covariance,
-            num_points,
-            newest.number == self._num_frames,
+            *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
+            is_keyframe=newest.number == self._num_frames,
+            submap_from_body=None if is_first else place,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
         count = len(self._tracks) if num_points is None else num_points
-        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, None, count, is_keyframe=False)
+        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def finish(self) -> None:
         """After the last frame: tie keyframes together that see the same, and adjust the whole of every map."""
@@ -426,4 +401,5 @@ class Slam:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        return snapshot_of(self.map, self.state, self._tracks)
+        is_starting = self.state is TrackingState.STARTING and not self.camera.tells_depth
+        return snapshot_of(self.map, self.state, self._start.tracks if is_starting else self._tracks)

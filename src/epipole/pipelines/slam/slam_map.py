@@ -82,9 +82,7 @@ class SlamMap:
         """(p, 2) where in that keyframe. May be written to, with `anchor`."""
         return self._anchor_px[: self.num_points]
 
-    def add_points(
-        self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray
-    ) -> np.ndarray:
+    def add_points(self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray) -> np.ndarray:
         """Rows of new points, first seen in a keyframe at these pixels."""
         first, self.num_points = self.num_points, self.num_points + len(xyz)
         if self.num_points > len(self._xyz):
