@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from epipole._declared import Declared, checked
 from epipole.cameras import Camera
@@ -39,6 +39,10 @@ class Disparities(Declared):
     focal_baseline: float
     """Focal length times baseline, in pixels and the world's unit."""
     sigma_px: float = 1.0
+
+    def rows(self, mask: Bool[np.ndarray, " n"]) -> Disparities:
+        """Those of some of the points."""
+        return Disparities(self.disparity_px[mask], self.focal_baseline, self.sigma_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

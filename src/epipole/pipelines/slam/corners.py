@@ -1,4 +1,4 @@
-"""Where new points begin: corners, away from those that are there."""
+"""Where new points begin: corners that stand out of the picture's noise, away from those that are there."""
 
 from __future__ import annotations
 
@@ -6,6 +6,12 @@ import cv2
 import numpy as np
 
 from epipole.pipelines.slam.config import SlamConfig
+
+BLOCK_PX = 5
+NOISE_FACTOR = 7.0
+"""A corner's smaller eigenvalue over that of noise alone. At seven the noise moves it by a quarter of a pixel."""
+LEAST_NOISE = 0.5
+"""Grey levels: rounding alone makes a third."""
 
 
 def new_corners(grey: np.ndarray, present_px: np.ndarray, config: SlamConfig) -> np.ndarray:
@@ -17,10 +23,30 @@ def new_corners(grey: np.ndarray, present_px: np.ndarray, config: SlamConfig) ->
     for x, y in np.rint(present_px).astype(int):
         cv2.circle(mask, (int(x), int(y)), config.min_distance_px, 0, -1)
     found = cv2.goodFeaturesToTrack(
-        grey, wanted, config.corner_quality, config.min_distance_px, mask=mask, blockSize=5
+        grey, wanted, config.corner_quality, config.min_distance_px, mask=mask, blockSize=BLOCK_PX
     )
     if found is None:
         return np.zeros((0, 2))
     side = config.flow.window_px // 2
     inside = (found[:, 0] >= side).all(axis=1) & (found[:, 0] < np.array(grey.shape[::-1]) - side).all(axis=1)
-    return found[inside, 0].astype(np.float64)
+    corners = found[inside, 0].astype(np.float64)
+    strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
+    column, row = np.rint(corners).astype(int).T
+    return corners[strength[row, column] > NOISE_FACTOR * _strength_of_noise(noise_of(grey))]
+
+
+def noise_of(grey: np.ndarray) -> float:
+    """Standard deviation of a picture's noise in grey levels, from its smoothest quarter.
+
+    By the second difference along rows and columns, which is zero for planes (Immerkaer, CVIU 1996); the lower quartile of
+    its absolute value instead of the mean, so that texture does not count.
+    """
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    difference = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[::4, ::4])
+    return max(LEAST_NOISE, float(np.quantile(difference, 0.25)) / (0.3186 * 6.0))
+
+
+def _strength_of_noise(sigma: float) -> float:
+    """What OpenCV's smaller eigenvalue is for white noise: 12 sigma^2 for each Sobel gradient, summed over the block."""
+    scale = 1.0 / (4.0 * BLOCK_PX * 255.0)
+    return BLOCK_PX**2 * 12.0 * sigma**2 * scale**2

@@ -29,6 +29,8 @@ LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
+PROVEN_FRAMES = 3
+"""In so many a point must have agreed with the others before it decides where the camera is."""
 LEAST_KEYFRAMES = 3
 """A map of its own with fewer is given up when the camera is lost again."""
 
@@ -211,12 +213,14 @@ class Slam:
         if frame.depth is not None and self.focal_baseline is not None:
             measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.camera, self.config)
             deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
-        found = locate(points, pixels, self.camera.camera, predicted, deep, self.config)
+        proven = self.map.num_agreed[self._tracks.point[placed]] >= PROVEN_FRAMES
+        found = locate(points, pixels, self.camera.camera, predicted, deep, self.config, proven)
         if found is None:
             return None
         refined, agrees = found
         kept = np.ones(len(self._tracks.point), bool)
         kept[placed] = agrees
+        self.map.num_agreed[self._tracks.point[placed[agrees]]] += 1
         self._tracks.keep(kept)
         return refined, int(agrees.sum())
 

@@ -65,6 +65,7 @@ class SlamMap:
         self._xyz = np.empty((4096, 3))
         self._anchor = np.empty(4096, np.int64)
         self._anchor_px = np.empty((4096, 2))
+        self._num_agreed = np.empty(4096, np.int64)
         self.num_points = 0
 
     @property
@@ -82,17 +83,23 @@ class SlamMap:
         """(p, 2) where in that keyframe. May be written to, with `anchor`."""
         return self._anchor_px[: self.num_points]
 
+    @property
+    def num_agreed(self) -> np.ndarray:
+        """(p,) in how many frames each point was where the others foretold it. May be written to."""
+        return self._num_agreed[: self.num_points]
+
     def add_points(self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray) -> np.ndarray:
         """Rows of new points, first seen in a keyframe at these pixels."""
         first, self.num_points = self.num_points, self.num_points + len(xyz)
         if self.num_points > len(self._xyz):
-            size = max(self.num_points, 2 * len(self._xyz))
-            self._xyz = np.concatenate([self._xyz, np.empty((size - len(self._xyz), 3))])
-            self._anchor = np.concatenate([self._anchor, np.empty(size - len(self._anchor), np.int64)])
-            self._anchor_px = np.concatenate([self._anchor_px, np.empty((size - len(self._anchor_px), 2))])
+            more = max(self.num_points, 2 * len(self._xyz)) - len(self._xyz)
+            for name in ("_xyz", "_anchor", "_anchor_px", "_num_agreed"):
+                old = getattr(self, name)
+                setattr(self, name, np.concatenate([old, np.empty((more, *old.shape[1:]), old.dtype)]))
         self._xyz[first : self.num_points] = xyz
         self._anchor[first : self.num_points] = keyframe
         self._anchor_px[first : self.num_points] = pixels
+        self._num_agreed[first : self.num_points] = 0
         return np.arange(first, self.num_points)
 
     def has_place(self, points: np.ndarray) -> np.ndarray:
@@ -130,7 +137,8 @@ class SlamMap:
     def absorb(self, other: SlamMap) -> int:
         """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows."""
         offset, before = self.num_points, len(self.keyframes)
-        self.add_points(other.xyz, other.anchor_px, other.anchor + before)
+        rows = self.add_points(other.xyz, other.anchor_px, other.anchor + before)
+        self.num_agreed[rows] = other.num_agreed
         for keyframe in other.keyframes:
             keyframe.point = keyframe.point + offset
         self.keyframes += other.keyframes

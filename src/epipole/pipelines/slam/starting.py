@@ -141,7 +141,7 @@ class OneCameraStart:
         if not started.reason:
             return self._begin(started)
         self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
-        is_thin = len(tracks.pixels) < LEAST_KEPT * self._num_at_start
+        is_thin = len(tracks.pixels) < max(MIN_POINTS, LEAST_KEPT * self._num_at_start)
         if is_thin or len(self._waiting) > MOST_WAITING:
             return self._wait_from(frame, number, started.reason)
         return started.reason

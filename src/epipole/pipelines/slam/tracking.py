@@ -14,6 +14,7 @@ from epipole.robust import estimate_absolute_pose
 
 COARSE_PX = 15.0
 """Scale of the loss in a first refinement: at the final one a prediction that is far off ends in a wrong minimum."""
+LEAST_PROVEN = 40
 AGREEING_SHARE = 0.7
 """With a smaller share of the points in agreement the predicted place is not trusted, and one is sought anew."""
 
@@ -90,12 +91,38 @@ def locate(
     predicted: Rigid3,
     disparities: Disparities | None,
     config: SlamConfig,
+    is_proven: np.ndarray | None = None,
 ) -> tuple[RefinedPose, np.ndarray] | None:
     """The pose of a frame and the points that agree; None if too few do.
 
     From the predicted place by robust least squares; where too few of the points agree with what comes, from P3P in
-    RANSAC.
+    RANSAC. Points that have agreed with others before decide, where they are enough: fresh ones may lie on something that
+    moves, and be more.
     """
+    if is_proven is None or is_proven.sum() < LEAST_PROVEN or is_proven.all():
+        return _search(points_in_world, pixels, camera, predicted, disparities, config)
+    some = disparities and disparities.rows(is_proven)
+    found = _search(points_in_world[is_proven], pixels[is_proven], camera, predicted, some, config)
+    if found is None:
+        return None
+    at = camera.project(found[0].cam_from_world.apply(points_in_world))
+    agrees = np.linalg.norm(at - pixels, axis=1) <= config.max_error_px
+    some = disparities and disparities.rows(agrees)
+    refined = refine_pose(
+        points_in_world[agrees], pixels[agrees], camera, found[0].cam_from_world, disparities=some
+    )
+    agrees[agrees] = refined.error_sq <= config.max_error_px**2
+    return (refined, agrees) if agrees.sum() >= config.min_tracked else None
+
+
+def _search(
+    points_in_world: np.ndarray,
+    pixels: np.ndarray,
+    camera: Camera,
+    predicted: Rigid3,
+    disparities: Disparities | None,
+    config: SlamConfig,
+) -> tuple[RefinedPose, np.ndarray] | None:
     if len(pixels) < config.min_tracked:
         return None
     limit = config.max_error_px**2
