@@ -30,6 +30,7 @@ from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
 from epipole.pipelines.slam.config import CameraOptions as CameraOptions
+from epipole.pipelines.slam.config import JobOptions as JobOptions
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera as DepthCamera
 from epipole.pipelines.slam.frames import Frame as Frame

@@ -78,6 +78,8 @@ class ImageSequence:
     """None where the folder does not tell."""
     rig: StereoRig | None = None
     depth: SensorDepth | None = None
+    warnings: tuple[str, ...] = ()
+    """What is odd about the lists of frames, in words."""
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
 if TYPE_CHECKING:
     from epipole.pipelines.slam.run import SlamResult
 
-DEFAULTS, NO_CAMERA = SlamConfig(), CameraOptions()
+DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of every command."""
 
 
 def slam(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto",
+    job: Annotated[JobOptions, tyro.conf.arg(name="")] = ALL_FRAMES,
     camera: Annotated[CameraOptions, tyro.conf.arg(name="")] = NO_CAMERA,
     config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Follow a moving camera: its path, frame by frame, and the map that it sees.
+    """Follow a moving camera: its path, frame by frame, and the map that it sees. Ctrl-C ends it, and writes what there is.
 
     Args:
-        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+            (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
         out: Output folder.
-        sensor: What to use; auto takes depth, else a second camera, where there is one.
+        job: What is taken of the source, and what is written.
         camera: What is known of the camera, for sources that do not tell.
         config: Options.
     """
@@ -36,8 +40,10 @@ def slam(
     with progress_on_screen({"track": "Following the camera", "adjust": "Adjusting the map"}) as progress:
         from epipole.pipelines.slam.run import slam as run
 
-        result = run(source, out, config, sensor, camera, progress)
+        result = run(source, out, config, job, camera, progress)
     show_slam(result)
+    if result.summary["interrupted"] and not result.summary["is_live"]:
+        sys.exit(INTERRUPTED)  # what was asked for is not done; a camera ends in no other way
 
 
 def show_slam(result: SlamResult) -> None:
@@ -53,6 +59,10 @@ def show_slam(result: SlamResult) -> None:
     table.add_row(
         "frames with a place", f"{summary['num_placed']} of {summary['num_frames']} ({causal} as they came)"
     )
+    if summary["num_dropped"]:
+        table.add_row("frames dropped", f"{summary['num_dropped']}, to keep up")
+    if summary["interrupted"]:
+        table.add_row("ended", "by Ctrl-C")
     table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
     length = result.trajectory.path_length()
     unit = "m" if summary["is_metric"] else "units of the map, not metres"

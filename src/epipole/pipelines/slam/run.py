@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,22 +14,26 @@ from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.geometry import Rigid3
+from epipole.io.bags import is_bag
 from epipole.io.colmap import write_colmap_model
 from epipole.io.photographs import read_header
 from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
 from epipole.io.trajectories import write_trajectory
-from epipole.io.video import frame_size, is_video
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig
+from epipole.io.video import is_video
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.export import reconstruction_of
-from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
-from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.source import (
-    FrameSource,
-    Sensor,
-    open_sequence,
+from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
+from epipole.pipelines.slam.formats import missing_rows, write_in_format
+from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.moving_sources import (
+    camera_index,
+    open_bag_frames,
+    open_camera,
     open_video_frames,
 )
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Trajectory
 
@@ -57,21 +61,24 @@ def slam(
     source: str | Path,
     out: str | Path,
     config: SlamConfig | None = None,
-    sensor: Sensor = "auto",
+    job: JobOptions | None = None,
     camera: CameraOptions | None = None,
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> SlamResult:
-    """Follow a camera through a folder of frames or a video, and write its path and map.
+    """Follow a camera through frames, and write its path and map.
+
+    Ctrl-C ends the frames: what was followed by then is adjusted and written (`interrupted` in the summary).
 
     Args:
-        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a camera at this computer.
         out: output folder, made if missing.
         config: options; None for the defaults.
-        sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
+        job: what is taken of the source (sensor, topics, max_frames), how (realtime), and what is written.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        **options: single options of the config by name, which override it.
+        **options: single options of `job` or the config by name, which override them.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
@@ -79,14 +86,17 @@ def slam(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
+    own = {field.name for field in fields(JobOptions)} & options.keys()
+    wanted = options_of(JobOptions, job, {name: options.pop(name) for name in own})
+    config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
-    frames = _open(source, sensor, given)
-    settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
-    job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
-    with open_run(job, out) as run:
+    frames = _open(source, wanted, given)
+    settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
+    task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
+    with open_run(task, out) as run, heeded_interrupts() as is_stopped:
+        feed = Feed(frames, wanted, is_stopped)
         with run.stage("track"):
-            system, tracked, names, problems, times = _track(frames, config, progress)
+            system, tracked, names, problems, times = _track(feed, config, progress)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
@@ -96,48 +106,61 @@ def slam(
             raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
         with run.stage("write"), run.folder.publish("slam") as aside:
             _write(system, frames, names, (final, causal), aside)
-        run.warnings += problems
-        summary = _summary(frames, system, tracked, times, run.warnings)
+            in_format = tuple(_of_body(path, frames) for path in (final, causal))
+            write_in_format(in_format, (TRAJECTORY, CAUSAL), wanted.trajectory_format, aside)
+        num_frames = len(times) + feed.num_dropped
+        run.warnings += [*problems, *missing_rows(final, num_frames, wanted.trajectory_format)]
+        summary = {**_summary(frames, system, tracked, times, run.warnings), **feed.summary()}
         run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(out, final, causal, summary, tuple(run.warnings))
 
 
-def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
-    if is_video(source):
-        if sensor not in ("auto", "mono"):
+def _open(source: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
+    if job.topics and not is_bag(source):
+        raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
+    if is_bag(source):
+        return open_bag_frames(source, job, given)
+    index = camera_index(source)
+    if index is not None or is_video(source):
+        if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
-        return open_video_frames(source, given.camera(frame_size(source) or (0, 0)))
+        return open_video_frames(source, given) if index is None else open_camera(index, given)
     sequence = read_sequence(source)
     header = read_header(sequence.frames[0].picture)
-    return open_sequence(sequence, sensor, given.camera((header.width, header.height)))
+    return open_sequence(sequence, job.sensor, given.camera((header.width, header.height)))
+
+
+def _input(source: Path) -> Path:
+    """What the results are of."""
+    index = camera_index(source)
+    return source if index is None else Path(f"/dev/video{index}")
 
 
 def _track(
-    source: FrameSource, config: SlamConfig, progress: ProgressCallback
+    feed: Feed, config: SlamConfig, progress: ProgressCallback
 ) -> tuple[Slam, list[TrackedFrame], list[str], list[str], list[float]]:
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named.
 
     Returns:
         The SLAM, its answers, the names of the frames that it took, what is wrong with the others, and seconds of each.
     """
-    system = Slam(source.camera, config)
+    system = Slam(feed.source.camera, config)
     tracked: list[TrackedFrame] = []
     names: list[str] = []
     problems: list[str] = []
     times: list[float] = []
-    for number, frame in enumerate(source.frames()):
+    for queued in feed:
         begin = perf_counter()
-        name = source.names[number] if number < len(source.names) else f"frame_{number:06d}.jpg"
         try:
-            if not isinstance(frame, Frame):
-                raise frame
+            frame = queued.read()
+            begin = perf_counter()
             tracked.append(system.track(frame))
-            names.append(name)
+            names.append(queued.name)
         except EpipoleError as error:
-            problems.append(f"frame {number} is left out: {error}")
+            problems.append(f"frame {queued.number} is left out: {error}")
         times.append(perf_counter() - begin)
-        progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
-    return system, tracked, names, problems, times
+        progress(Progress("track", len(times), max(feed.num_expected, len(times))))
+    return system, tracked, names, [*problems, *feed.notes()], times
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
