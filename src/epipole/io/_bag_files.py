@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
+from epipole.io._bag_scanning import ScannedBag, is_scannable
 from epipole.io.files import require_file
 
 ROS1_SUFFIX = ".bag"
@@ -43,6 +44,7 @@ class OpenBag:
     """Messages of each topic."""
     kinds: dict[str, str]
     """Of each topic's messages."""
+    warnings: tuple[str, ...] = ()
 
     def messages(self, topics: Sequence[str]) -> Iterator[BagMessage]:
         """Of some topics, as they were recorded.
@@ -90,10 +92,21 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
         MissingDependencyError: the package rosbags is not installed.
         FileFormatError: it cannot be read as one, or holds no message.
     """
-    reader_of, types = _reader_and_types(path)
-    with reading(path):
-        reader = reader_of()
+    at, reader_of, types = _reader_and_types(path)
+    warnings: tuple[str, ...] = ()
+    try:
+        with reading(path):
+            reader = reader_of(at)
+            reader.open()
+    except FileFormatError as error:
+        files = _storages(at) if at.is_dir() else [at]
+        if len(files) != 1 or not is_scannable(files[0]):
+            raise
+        reader = ScannedBag(files[0])
         reader.open()
+        if not sum(c.msgcount for c in reader.connections):
+            raise
+        warnings = (f"{error}; what stands before the damage, or before the file is cut off, is read",)
     try:
         with reading(path):
             kinds = {str(c.topic): str(c.msgtype) for c in reader.connections}
@@ -102,7 +115,8 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
                 counts[connection.topic] += int(connection.msgcount)
         if not sum(counts.values()):
             raise FileFormatError(path, "the recording holds no message")
-        yield OpenBag(path, reader, types, path.suffix.lower() == ROS1_SUFFIX, counts, kinds)
+        is_ros1 = at.suffix.lower() == ROS1_SUFFIX
+        yield OpenBag(path, reader, types, is_ros1, counts, kinds, warnings)
     finally:
         with reading(path):
             reader.close()
@@ -120,8 +134,8 @@ def reading(path: Path, problem: str = "cannot be read as a recording of ROS") -
         raise FileFormatError(path, f"{problem}: {words[0] if words else type(error).__name__}") from error
 
 
-def _reader_and_types(path: Path) -> tuple[Any, Any]:
-    """A function that makes the reader, and the definitions of messages."""
+def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
+    """The file or folder that is read, the reader's class, and the definitions of messages."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -132,7 +146,7 @@ def _reader_and_types(path: Path) -> tuple[Any, Any]:
         ) from error
     if path.suffix.lower() == ROS1_SUFFIX and not path.is_dir():
         require_file(path)
-        return lambda: Reader1(path), get_typestore(Stores.ROS1_NOETIC)
+        return path, Reader1, get_typestore(Stores.ROS1_NOETIC)
     at = path
     if path.is_dir() and not (path / METADATA).is_file():  # written last: the recording was cut off
         storages = _storages(path)
@@ -143,7 +157,7 @@ def _reader_and_types(path: Path) -> tuple[Any, Any]:
         at = storages[0]
     if not at.is_dir():
         require_file(at)
-    return lambda: Reader2(at), get_typestore(Stores.ROS2_HUMBLE)
+    return at, Reader2, get_typestore(Stores.ROS2_HUMBLE)
 
 
 def _storages(folder: Path) -> list[Path]:

@@ -127,16 +127,18 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         infos = [_info_of(bag, name, first, all_topics) for name, first in zip(names, firsts)]
         size = _size_of(path, names[0], firsts[0])
     count = min(t.num_messages for t in all_topics if t.name in names)
-    warnings = [
-        f"the CameraInfo of {name} is of {info.camera.width} x {info.camera.height} pixels, its pictures are "
-        f"{size[0]} x {size[1]}: it is not used"
-        for name, info in zip(names, infos)
-        if name != names[-1] or found != "rgbd"
-        if info is not None and info.camera is not None and (info.camera.width, info.camera.height) != size
-    ]
-    lens = None if warnings or infos[0] is None else infos[0].camera
+    warnings = list(bag.warnings)
+    for row, info in enumerate(infos[: 1 if found == "rgbd" else 2]):
+        own = size if info is None or info.camera is None else (info.camera.width, info.camera.height)
+        if own != size:
+            infos[row] = None
+            warnings.append(
+                f"the CameraInfo of {names[row]} is of {own[0]} x {own[1]} pixels, its pictures are of "
+                f"{size[0]} x {size[1]}: it is not used"
+            )
+    lens = None if infos[0] is None else infos[0].camera
     if found == "stereo":
-        rig = None if lens is None or infos[1] is None or warnings else _rig(path, infos[0], infos[1])
+        rig = None if lens is None or infos[1] is None else _rig(path, infos[0], infos[1])
         return BagSequence(path, found, names, count, size, lens, rig, warnings=tuple(warnings))
     if found == "mono":
         return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings))
