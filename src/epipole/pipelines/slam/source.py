@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
+import cv2
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.rectification import Rectification, rectify
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
-from epipole.image.undistort import undistort_image, undistorted_camera
+from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import FrameFiles, ImageSequence
@@ -87,7 +88,7 @@ def of_pair(rig: StereoRig) -> Preparation:
         CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
     )
     turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
-    return Preparation(SlamCamera(lens, rig.baseline), turned, partial(_rectified, found))
+    return Preparation(SlamCamera(lens, rig.baseline), turned, partial(_rectified, rig, found))
 
 
 def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
@@ -99,12 +100,16 @@ def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | Non
         depth_from_color: None: registered, or of one place.
     """
     flat = lens if lens.model == CameraModel.PINHOLE else undistorted_camera(lens)
+    table = None if flat is lens else undistortion_map_px(lens, flat)
     depth_camera = DepthCamera(sensor or lens, depth_from_color or Rigid3.identity())
     ranges = DepthRange()
 
     def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
+        if table is not None:
+            _require_size("picture", grey, lens)
+            grey = cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
         ranges.add(depth)
-        return Frame(seconds, grey if flat is lens else undistort_image(grey, lens, flat), None, depth)
+        return Frame(seconds, grey, None, depth)
 
     return Preparation(SlamCamera(flat, None, depth_camera), Rigid3.identity(), frame, ranges.notes)
 
@@ -180,5 +185,16 @@ def _read_with_depth(unit: float, made: Preparation, files: FrameFiles) -> Frame
     return made.frame(files.timestamp_s, read_grey(files.picture), depth)
 
 
-def _rectified(found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray) -> Frame:
+def _rectified(
+    rig: StereoRig, found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray
+) -> Frame:
+    _require_size("left picture", left, rig.left)
+    _require_size("right picture", right, rig.right)
     return Frame(seconds, *found.apply(left, right))
+
+
+def _require_size(what: str, picture: np.ndarray, camera: Camera) -> None:
+    """A table of pixels would read others of a picture of another size."""
+    if picture.shape != (camera.height, camera.width):
+        size = f"{picture.shape[1]} x {picture.shape[0]}"
+        raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")
