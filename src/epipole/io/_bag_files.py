@@ -52,17 +52,20 @@ class OpenBag:
         Raises:
             FileFormatError: the recording is damaged from here on.
         """
-        wanted = [c for c in self.reader.connections if c.topic in topics]
+        wanted = [
+            c for c in self.reader.connections if c.topic in topics and c.msgtype == self.kinds[c.topic]
+        ]
         if not wanted:
             return
         rows = self.reader.messages(connections=wanted)
         while True:
             with reading(self.path):
                 row = next(rows, None)
-            if row is None:
-                return
-            connection, recorded_ns, data = row
-            yield BagMessage(connection.topic, connection.msgtype, recorded_ns, data)
+                if row is None:
+                    return
+                # A damaged database holds values of any type.
+                message = BagMessage(row[0].topic, row[0].msgtype, int(row[1]), _as_bytes(row[2]))
+            yield message
 
     def content(self, message: BagMessage) -> Any:
         """What a message says: an object with the fields of its definition.
@@ -109,10 +112,12 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
         warnings = (f"{error}; what stands before the damage, or before the file is cut off, is read",)
     try:
         with reading(path):
-            kinds = {str(c.topic): str(c.msgtype) for c in reader.connections}
+            # One kind for each topic: what else is published there is not read.
+            kinds = {str(c.topic): str(c.msgtype) for c in reversed(reader.connections)}
             counts = dict.fromkeys(kinds, 0)
             for connection in reader.connections:
-                counts[connection.topic] += int(connection.msgcount)
+                is_of_kind = connection.msgtype == kinds[connection.topic]
+                counts[connection.topic] += int(connection.msgcount) if is_of_kind else 0
         if not sum(counts.values()):
             raise FileFormatError(path, "the recording holds no message")
         is_ros1 = at.suffix.lower() == ROS1_SUFFIX
@@ -132,6 +137,12 @@ def reading(path: Path, problem: str = "cannot be read as a recording of ROS") -
     except Exception as error:
         words = str(error).strip().splitlines()
         raise FileFormatError(path, f"{problem}: {words[0] if words else type(error).__name__}") from error
+
+
+def _as_bytes(data: object) -> bytes:
+    if not isinstance(data, bytes):
+        raise TypeError("a message is not of bytes")
+    return data
 
 
 def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:

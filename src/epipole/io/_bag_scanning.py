@@ -169,10 +169,21 @@ def _mcap_records(stream: io.BufferedIOBase, schemas: dict[int, str]) -> Iterato
 def _sqlite_records(path: Path) -> Iterator[Any]:
     address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
+        # No value is longer than the file; what says so would take the memory.
+        database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(path.stat().st_size, 1 << 16))
+        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not {"topics", "messages"} <= tables:  # views could be endless
+            return
         for number, topic, kind in database.execute("SELECT id, name, type FROM topics"):
             yield ScannedConnection(int(number), str(topic), str(kind))
-        for number, recorded_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages"):
-            yield int(number), int(recorded_ns), bytes(data)
+        before = -(1 << 63)
+        for row, number, recorded_ns, data in database.execute(
+            "SELECT rowid, topic_id, timestamp, data FROM messages"
+        ):
+            if row <= before:
+                raise ValueError("the pages of the table form a circle")
+            before = row
+            yield int(number), int(recorded_ns), bytes(memoryview(data))
 
 
 def _text(stream: io.BufferedIOBase) -> str:
