@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
-from epipole.io._bag_scanning import ScannedBag, is_scannable
+from epipole.io._bag_scanning import ScannedBag, is_scannable, refuse_views
 from epipole.io.files import require_file
 
 ROS1_SUFFIX = ".bag"
@@ -97,12 +97,14 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
     """
     at, reader_of, types = _reader_and_types(path)
     warnings: tuple[str, ...] = ()
+    files = _storages(at) if at.is_dir() else [at]
+    for file in files:
+        refuse_views(file)
     try:
         with reading(path):
             reader = reader_of(at)
             reader.open()
     except FileFormatError as error:
-        files = _storages(at) if at.is_dir() else [at]
         if len(files) != 1 or not is_scannable(files[0]):
             raise
         reader = ScannedBag(files[0])

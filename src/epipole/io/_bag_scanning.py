@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from epipole.errors import FileFormatError
 from epipole.io.files import open_file
 
 _ROS1, _MCAP, _SQLITE = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -98,6 +99,23 @@ def is_scannable(path: Path) -> bool:
     return path.is_file() and bool(_kind_of(path))
 
 
+def refuse_views(path: Path) -> None:
+    """Refuse a database whose tables are computed, which may never end; no recorder writes such.
+
+    Raises:
+        FileFormatError: it has a view, a trigger or a virtual table.
+    """
+    if not path.is_file() or _kind_of(path) != _SQLITE:
+        return
+    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    asked = (
+        "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
+    )
+    with suppress(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as database:
+        if found := database.execute(asked).fetchone():
+            raise FileFormatError(path, f"is no recording of ROS: {str(found[0])[:60]} is not a plain table")
+
+
 def _kind_of(path: Path) -> bytes:
     with open_file(path) as stream:
         head = stream.read(len(_SQLITE))
@@ -171,9 +189,6 @@ def _sqlite_records(path: Path) -> Iterator[Any]:
     with closing(sqlite3.connect(address, uri=True)) as database:
         # No value is longer than the file; what says so would take the memory.
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(path.stat().st_size, 1 << 16))
-        tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if not {"topics", "messages"} <= tables:  # views could be endless
-            return
         for number, topic, kind in database.execute("SELECT id, name, type FROM topics"):
             yield ScannedConnection(int(number), str(topic), str(kind))
         before = -(1 << 63)
