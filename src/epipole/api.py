@@ -31,12 +31,13 @@ from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResu
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
 from epipole.pipelines.slam import scene as _slam_scene
 from epipole.pipelines.slam.config import CameraOptions as CameraOptions
+from epipole.pipelines.slam.config import JobOptions as JobOptions
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera as DepthCamera
 from epipole.pipelines.slam.frames import Frame as Frame
 from epipole.pipelines.slam.frames import SlamCamera as SlamCamera
 from epipole.pipelines.slam.frames import TrackedFrame as TrackedFrame
-from epipole.pipelines.slam.run import SlamResult as SlamResult
+from epipole.pipelines.slam.results import SlamResult as SlamResult
 from epipole.pipelines.slam.run import slam as slam
 from epipole.pipelines.slam.slam import Slam as Slam
 from epipole.pipelines.stereo import scene as _stereo_scene

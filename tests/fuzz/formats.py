@@ -3,7 +3,9 @@
 import bz2
 import io
 import json
+import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
+from bag_writing import Recorded
 from PIL import Image, features
 from test_io_colmap_database import PAIRS, make_contents
 from test_io_hostile_calibrations import EUROC, KALIBR, KITTI, KITTI_ROWS, LENS, MIDDLEBURY, PAIR, XML
@@ -18,6 +21,7 @@ from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_PLY, graph_of, tra
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
+from epipole.errors import EpipoleError
 from epipole.io import (
     read_bal,
     read_colmap_model,
@@ -33,6 +37,7 @@ from epipole.io import (
     write_g2o,
     write_points_ply,
 )
+from epipole.io.bags import bag_frames, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.calibration_files import (
     read_calibration,
     read_stereo_rig,
@@ -139,6 +144,45 @@ def _timed_folder(folder: Path) -> None:
     for n in range(3):
         cv2.imwrite(str(folder / f"{n}.png"), np.zeros((8, 8), np.uint8))
     (folder / "times.txt").write_text("0.0\n0.1\n0.25\n")
+
+
+def _recorded(kind: str) -> Callable[[Path], None]:
+    """A pair of cameras and an IMU, with what stands first in the file of each kind."""
+
+    def write(folder: Path) -> None:
+        recorded = Recorded(kind)
+        for n in range(3):
+            for side, corner in (("left", 0.0), ("right", -3.0)):
+                projection = np.column_stack([LENS.K, [corner, 0, 0]])
+                size = (LENS.width, LENS.height)
+                recorded.camera_info(f"/{side}/camera_info", 10**18 + n, size, LENS.K, P=projection)
+                recorded.image(f"/{side}/image_raw", 10**18 + n, RGB[:8, :8, 0], "mono8")
+            recorded.imu("/imu", 10**18 + n, (0, 0, 1), (0, 0, 9.8))
+        shutil.rmtree(folder / "ride", ignore_errors=True)
+        (folder / "ride.bag").unlink(missing_ok=True)
+        recorded.write(folder)
+
+    return write
+
+
+def _bag(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        path = folder / name
+        assert all(topic.num_messages > 0 for topic in read_bag_topics(path))
+        bag = read_bag(path)
+        for frame in bag_frames(bag):
+            assert np.isfinite(frame.timestamp_s)
+            with suppress(EpipoleError):  # a picture that is damaged is left out
+                assert frame.grey().ndim == 2
+        assert np.isfinite(read_bag_imu(path).acceleration_m_s2).all()
+
+    return read
+
+
+def _recording(kind: str, file: str, damage: str) -> Format:
+    readers = ("read_bag", "read_bag_imu", "read_bag_topics")
+    path = file.split("/")[0]
+    return Format(_recorded(kind), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
 
 
 def _trajectory(name: str) -> Callable[[Path], None]:
@@ -383,6 +427,10 @@ FORMATS: dict[str, Format] = {
     "sequence-tum-depth": Format(_tum_folder, "depth.txt", "text", _sequence, ("read_sequence",)),
     "sequence-euroc": Format(_euroc_folder, "cam0/data.csv", "text", _sequence, ("read_sequence",)),
     "sequence-times": Format(_timed_folder, "times.txt", "text", _sequence, ("read_sequence",)),
+    "bag-ros1": _recording("ros1", "ride.bag", "binary"),
+    "bag-sqlite": _recording("sqlite", "ride/ride.db3", "sqlite"),
+    "bag-mcap": _recording("mcap", "ride/ride.mcap", "binary"),
+    "bag-metadata": _recording("mcap", "ride/metadata.yaml", "yaml"),
     "trajectory-tum": Format(
         _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n0.6 1 2 4 0 0 0.6 0.8\n"),
         "a.txt",

@@ -14,6 +14,7 @@ from epipole import api
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam import page as slam_page
+from epipole.pipelines.slam import results as slam_results
 from epipole.pipelines.slam import run as slam_run
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.drawing import LOOPS, loop_curve, path_curve, upright_from_world
@@ -42,7 +43,9 @@ def made(tmp_path_factory):
     folder = write_pairs(tmp_path_factory.mktemp("slam") / "ride")
     pages = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(slam_run, "render_page", lambda page: pages.append(page) or slam_page.render_page(page))
+        patch.setattr(
+            slam_results, "render_page", lambda page: pages.append(page) or slam_page.render_page(page)
+        )
         result = slam_run.slam(folder, folder.parent / "out", truth=folder)
     return folder, result, pages[0]
 

@@ -69,7 +69,7 @@ def test_one_camera_from_pictures_alone(stereo_folder, tmp_path):
         run_slam(left, tmp_path / "out")
     result = run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=PARAMS))
     assert result.summary["scale"].startswith("up to scale") and not result.summary["is_metric"]
-    for wrong, words in (("1,2", "takes 4 camera_params"), ("a,b,c,d", "must be numbers")):
+    for wrong, words in (("1,2", "takes 4 parameters"), ("a,b,c,d", "must be numbers")):
         with pytest.raises(ConfigError, match=words):
             run_slam(left, tmp_path / "out", camera=CameraOptions(camera_params=wrong))
     for sensor, words in (("stereo", "no second camera"), ("rgbd", "no depth pictures")):

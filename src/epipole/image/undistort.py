@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 from epipole._checks import check_pixels
 from epipole._declared import checked
@@ -53,14 +53,20 @@ def undistort_image(
     """
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
         return rgb
+    table = undistortion_map_px(camera, pinhole)
+    return cv2.remap(rgb, table[..., 0], table[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+
+
+def undistortion_map_px(camera: Camera, pinhole: Camera) -> Float32[np.ndarray, "h w 2"]:
+    """Where each pixel of `pinhole` lies in the picture of `camera`; far outside where that saw nothing.
+
+    Raises:
+        ConfigError: the new picture is too large.
+    """
     check_pixels(pinhole.width, pinhole.height)
     u, v = np.meshgrid(
         np.arange(pinhole.width, dtype=np.float64), np.arange(pinhole.height, dtype=np.float64)
     )
     rays = pinhole.unproject(np.stack([u.ravel(), v.ravel()], axis=1))
-    source = (
-        np.nan_to_num(camera.project(rays), nan=-1e4)
-        .astype(np.float32)
-        .reshape(pinhole.height, pinhole.width, 2)
-    )
-    return cv2.remap(rgb, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    source = np.nan_to_num(camera.project(rays), nan=-1e4).astype(np.float32)
+    return source.reshape(pinhole.height, pinhole.width, 2)

@@ -185,7 +185,13 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
 
 def decode(path: Path, grey: bool, max_size_px: int | None) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
-    data = file_bytes(path)
+    return decode_bytes(path, file_bytes(path), grey, max_size_px)
+
+
+def decode_bytes(
+    path: Path, data: bytes, grey: bool, max_size_px: int | None
+) -> UInt8[np.ndarray, "h w *channels"]:
+    """As `decode`, of bytes that stand in some file."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
     if isinstance(image, JpegImageFile):

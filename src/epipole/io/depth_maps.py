@@ -88,7 +88,20 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
         FileFormatError: it is damaged, no 16-bit picture of one channel, or no such file.
     """
     path = Path(path)
-    data = file_bytes(path, 4 * _MOST_PIXELS)
+    return png16_in(path, file_bytes(path, 4 * _MOST_PIXELS), scale)
+
+
+def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
+    """The map in the bytes of a 16-bit PNG; NaN where 0.
+
+    Args:
+        path: the file that holds the bytes, for errors.
+        data: the PNG.
+        scale: a stored number is so many times the value.
+
+    Raises:
+        FileFormatError: it is damaged, or no 16-bit picture of one channel.
+    """
     # OpenCV would also read other formats, PFM among them.
     array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_png16(data) else None
     if array is None or array.ndim != 2 or array.dtype != np.uint16:

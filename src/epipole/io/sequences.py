@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from epipole.io.names import path_inside
 from epipole.io.photographs import list_photographs, read_header
 from epipole.scene import StereoRig
 
+Time = TypeVar("Time", int, float)
 _STEREO_FOLDERS = (("image_0", "image_1"), ("image_l", "image_r"), ("image_2", "image_3"), ("left", "right"))
 _SEVEN_SCENES = re.compile(r"frame-(\d{6})\.color\.(?:png|jpg)")
 _SEVEN_SCENES_HZ, _PLAIN_HZ = 30.0, 30.0
@@ -78,6 +81,8 @@ class ImageSequence:
     """None where the folder does not tell."""
     rig: StereoRig | None = None
     depth: SensorDepth | None = None
+    warnings: tuple[str, ...] = ()
+    """What is odd about the lists of frames, in words."""
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -132,8 +137,11 @@ def _seven_scenes(folder: Path, names: tuple[str, ...]) -> ImageSequence:
 
 
 def _tum(folder: Path) -> ImageSequence:
-    pictures = _timed_names(folder, "rgb.txt")
-    depths = _timed_names(folder, "depth.txt") if (folder / "depth.txt").is_file() else []
+    pictures, warnings = _in_order("rgb.txt", _timed_names(folder, "rgb.txt"))
+    depths: list[tuple[float, Path]] = []
+    if (folder / "depth.txt").is_file():
+        depths, more = _in_order("depth.txt", _timed_names(folder, "depth.txt"))
+        warnings += more
     times = np.array([time for time, _ in depths])
     frames = []
     for time, picture in pictures:
@@ -146,13 +154,12 @@ def _tum(folder: Path) -> ImageSequence:
     width, height = _size(frames[0].picture)
     lens = next((params for name, params in _TUM_LENSES.items() if name in folder.resolve().name), None)
     camera = None if lens is None else Camera(CameraModel.OPENCV, width, height, np.array(lens))
-    return ImageSequence(
-        SequenceKind.TUM_RGBD, tuple(frames), camera, None, SensorDepth(_TUM_DEPTH_SCALE) if depths else None
-    )
+    told = SensorDepth(_TUM_DEPTH_SCALE) if depths else None
+    return ImageSequence(SequenceKind.TUM_RGBD, tuple(frames), camera, None, told, warnings)
 
 
 def _timed_names(folder: Path, name: str) -> list[tuple[float, Path]]:
-    """Rows of a time and a file's name, in order of time."""
+    """Rows of a time and a file's name."""
     out = []
     for number, line in enumerate(file_text(folder / name).splitlines(), 1):
         words = line.replace(",", " ").split()
@@ -169,16 +176,30 @@ def _timed_names(folder: Path, name: str) -> list[tuple[float, Path]]:
         out.append((time, path_inside(folder, file)))
     if not out:
         raise FileFormatError(folder / name, "names no picture")
-    return sorted(out)
+    return out
+
+
+def _in_order(name: str, rows: list[tuple[Time, Path]]) -> tuple[list[tuple[Time, Path]], tuple[str, ...]]:
+    """Rows in order of time, each time once, and what had to be done for it, in words."""
+    late = sum(later[0] < earlier[0] for earlier, later in pairwise(rows))
+    first = dict(reversed(rows))
+    doubled = len(rows) - len(first)
+    warnings = [f"{name}: {late} lines are earlier than those before them, and are sorted"] if late else []
+    if doubled:
+        warnings.append(f"{name}: {doubled} lines repeat a time; of each the first is taken")
+    return sorted(first.items()), tuple(warnings)
 
 
 def _euroc(folder: Path) -> ImageSequence:
-    lefts = dict(_timed_names_of_camera(folder / "cam0"))
+    lefts, warnings = _in_order("cam0/data.csv", _timed_names_of_camera(folder / "cam0"))
+    rights: dict[int, Path] = {}
     has_right = (folder / "cam1" / "data.csv").is_file()
-    rights = dict(_timed_names_of_camera(folder / "cam1")) if has_right else {}
+    if has_right:
+        others, more = _in_order("cam1/data.csv", _timed_names_of_camera(folder / "cam1"))
+        rights, warnings = dict(others), warnings + more
     frames = tuple(
-        FrameFiles(ns * 1e-9, lefts[ns], rights.get(ns))
-        for ns in sorted(lefts)
+        FrameFiles(ns * 1e-9, picture, rights.get(ns))
+        for ns, picture in lefts
         if not has_right or ns in rights
     )
     frames = tuple(f for f in frames if f.picture.is_file() and (f.right is None or f.right.is_file()))
@@ -186,9 +207,10 @@ def _euroc(folder: Path) -> ImageSequence:
         raise FileFormatError(folder / "cam0" / "data.csv", "none of its pictures is there, with one of cam1")
     files = [folder / "cam0" / "sensor.yaml"]
     if not has_right:
-        return ImageSequence(SequenceKind.EUROC, frames, read_calibration(*files).cameras[0])
+        camera = read_calibration(*files).cameras[0]
+        return ImageSequence(SequenceKind.EUROC, frames, camera, warnings=warnings)
     rig = read_stereo_rig(*files, folder / "cam1" / "sensor.yaml")
-    return ImageSequence(SequenceKind.EUROC, frames, rig.left, rig)
+    return ImageSequence(SequenceKind.EUROC, frames, rig.left, rig, warnings=warnings)
 
 
 def _timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from epipole.errors import FileFormatError
 from epipole.io.photographs import list_photographs
@@ -58,6 +59,12 @@ def pair_within(folder: Path) -> list[Pair]:
     if not sides[0].keys() & sides[1].keys():
         return []
     return [pair for _, pair in _joined(sides[0], sides[1], folder, folder)]
+
+
+def side_of(name: str, side: Literal["left", "right"]) -> str | None:
+    """A name without the word of this side (left, cam0, infra1 ...), by which it is known on both; None without the word."""
+    word = _LEFT if side == "left" else _RIGHT
+    return word.sub("*", name.lower()) if word.search(name.lower()) else None
 
 
 def _by_word(names: Sequence[str], side: re.Pattern[str]) -> dict[str, str]:

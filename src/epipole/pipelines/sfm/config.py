@@ -194,12 +194,6 @@ class ReconstructConfig:
         """
         if self.camera_params is None:
             return None
-        try:
-            known = tuple(float(p) for p in self.camera_params.replace(",", " ").split())
-        except ValueError:
-            raise ConfigError(
-                f"camera_params must be numbers separated by commas, got {self.camera_params!r}"
-            ) from None
-        if not all(math.isfinite(p) for p in known):
-            raise ConfigError(f"camera_params must be finite numbers, got {self.camera_params!r}")
-        return known
+        from epipole.io.camera_params import params_of_text  # not for the command line's help
+
+        return params_of_text(self.camera_params)

@@ -11,18 +11,13 @@ from jaxtyping import Int32
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import ConfigError
 from epipole.io.calibration_files import read_calibration
-from epipole.io.colmap import params_from_colmap
+from epipole.io.camera_params import camera_of_text, refuse_impossible
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
 
 PRIOR_FOCAL = 1.2
 """Focal length assumed where nothing is known, in units of the longer side."""
-MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
-"""Known focal lengths in units of the longer side: beyond, a number was mistyped."""
-MAX_OFFSET = 10.0
-"""Largest distance of a known principal point from the picture's corner, in the same unit."""
-MAX_DISTORTION = 1e4
 FAR_OFF_MIDDLE = 0.2
 """A known principal point further from the middle, in units of the picture's side, is remarked on."""
 
@@ -80,15 +75,9 @@ def _known_camera(
 ) -> tuple[Camera, str]:
     if config.calibration is not None:
         camera = _calibrated_camera(config.calibration, width, height)
-        _refuse_impossible(camera, str(config.calibration))
+        refuse_impossible(camera, str(config.calibration))
         return camera, f"given by {config.calibration.name}"
-    known = config.known_params() or ()
-    if len(known) != model.num_params:
-        names = ",".join(model.param_names)
-        raise ConfigError(f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}")
-    camera = Camera(model, width, height, params_from_colmap(model, np.array(known)))
-    _refuse_impossible(camera, "camera_params")
-    return camera, "given"
+    return camera_of_text(model, (width, height), config.camera_params or ""), "given"
 
 
 def _calibrated_camera(path: Path, width: int, height: int) -> Camera:
@@ -102,24 +91,6 @@ def _calibrated_camera(path: Path, width: int, height: int) -> Camera:
             f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {width}x{height}"
         )
     return found[0]
-
-
-def _refuse_impossible(camera: Camera, where: str) -> None:
-    """Raises ConfigError for numbers that no lens has."""
-    longer = max(camera.width, camera.height)
-    names, params = camera.model.param_names, camera.params
-    for index, (name, value) in enumerate(zip(names, params)):
-        if index in camera.model.focal_indices:
-            low, high = MIN_FOCAL * longer, MAX_FOCAL * longer
-        elif index in camera.model.principal_point_indices:
-            low, high = -MAX_OFFSET * longer, MAX_OFFSET * longer
-        else:
-            low, high = -MAX_DISTORTION, MAX_DISTORTION
-        if not low <= value <= high:
-            raise ConfigError(
-                f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
-                f"({low:g} to {high:g} is possible)"
-            )
 
 
 def principal_point_note(camera: Camera) -> str:

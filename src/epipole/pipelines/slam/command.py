@@ -4,36 +4,36 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig, WatchOptions
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
 if TYPE_CHECKING:
-    from epipole.pipelines.slam.run import SlamResult
+    from epipole.pipelines.slam.results import SlamResult
 
-DEFAULTS, NO_CAMERA, UNWATCHED = SlamConfig(), CameraOptions(), WatchOptions()
+DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of every command."""
 
 
 def slam(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto",
+    job: Annotated[JobOptions, tyro.conf.arg(name="")] = ALL_FRAMES,
     camera: Annotated[CameraOptions, tyro.conf.arg(name="")] = NO_CAMERA,
-    watch: Annotated[WatchOptions, tyro.conf.arg(name="")] = UNWATCHED,
     config: Annotated[SlamConfig, tyro.conf.arg(name="")] = DEFAULTS,
 ) -> None:
-    """Follow a moving camera: its path, frame by frame, and the map that it sees.
+    """Follow a moving camera: its path, frame by frame, and the map that it sees. Ctrl-C ends it, and writes what there is.
 
     Args:
-        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        source: A 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+            (.bag, .db3, .mcap, or the folder of a ROS 2 bag), or the number of a camera, such as 0.
         out: Output folder.
-        sensor: What to use; auto takes depth, else a second camera, where there is one.
+        job: What is taken of the source, what it is compared with, what is written and shown.
         camera: What is known of the camera, for sources that do not tell.
-        watch: The true path, and the live view.
         config: Options.
     """
     from epipole.screen import progress_on_screen
@@ -41,11 +41,12 @@ def slam(
     with progress_on_screen({"track": "Following the camera", "adjust": "Adjusting the map"}) as progress:
         from epipole.pipelines.slam.run import slam as run
 
-        named = {field.name: getattr(watch, field.name) for field in fields(watch)}
-        result = run(source, out, config, sensor, camera, progress, **named)
+        result = run(source, out, config, job, camera, progress)
     show_slam(result)
-    if watch.view:
-        _stay(result.out, watch)
+    if result.summary["interrupted"] and not result.summary["is_live"]:
+        sys.exit(INTERRUPTED)  # what was asked for is not done; a camera ends in no other way
+    if job.view:
+        _stay(result.out, job)
 
 
 def show_slam(result: SlamResult) -> None:
@@ -61,6 +62,10 @@ def show_slam(result: SlamResult) -> None:
     table.add_row(
         "frames with a place", f"{summary['num_placed']} of {summary['num_frames']} ({causal} as they came)"
     )
+    if summary["num_dropped"]:
+        table.add_row("frames dropped", f"{summary['num_dropped']}, to keep up")
+    if summary["interrupted"]:
+        table.add_row("ended", "by Ctrl-C")
     table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
     if summary["mean_reprojection_error_px"] is not None:
         table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px (mean)")
@@ -95,13 +100,13 @@ def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:
     )
 
 
-def _stay(out: Path, watch: WatchOptions) -> None:
+def _stay(out: Path, job: JobOptions) -> None:
     """Go on to show what was made, at the live view's address, until Ctrl-C."""
     from epipole.errors import FileFormatError
     from epipole.pipelines.slam.scene import show
 
     try:
-        handle = show(out, port=watch.port, host=watch.host, block=False)
+        handle = show(out, port=job.port, host=job.host, block=False)
     except FileFormatError as error:
         print(f"epipole: {error}", file=sys.stderr)
         return

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from epipole._declared import check_fields
 from epipole.config import FlowConfig
@@ -15,6 +13,7 @@ from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
     from epipole.cameras import Camera
+    from epipole.scene import StereoRig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,29 +100,50 @@ class CameraOptions:
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
                 raise ConfigError("calibration tells model and parameters: give it, or camera_params")
-            return read_calibration(self.calibration, size=size).cameras[0]
+            found = read_calibration(self.calibration, size=size).cameras[0]
+            if (found.width, found.height) != size:
+                raise ConfigError(
+                    f"calibration {self.calibration} is of pictures of {found.width}x{found.height}, "
+                    f"but these are {size[0]}x{size[1]}"
+                )
+            return found
         if self.camera_params is None:
             return None
-        from epipole.cameras import Camera, camera_model_named
-        from epipole.io.colmap import params_from_colmap
+        from epipole.cameras import camera_model_named
+        from epipole.io.camera_params import camera_of_text
 
-        model = camera_model_named(self.camera_model or "PINHOLE")
-        try:
-            params = [float(word) for word in self.camera_params.replace(",", " ").split()]
-        except ValueError:
-            raise ConfigError(f"camera_params must be numbers, got {self.camera_params!r}") from None
-        if len(params) != model.num_params:
-            names = ",".join(model.param_names)
-            raise ConfigError(
-                f"{model.name} takes {model.num_params} camera_params ({names}), got {len(params)}"
-            )
-        return Camera(model, *size, params_from_colmap(model, np.array(params)))
+        return camera_of_text(camera_model_named(self.camera_model or "PINHOLE"), size, self.camera_params)
+
+    def rig(self, size: tuple[int, int]) -> StereoRig | None:
+        """The pair of cameras for pictures of this size; None where no calibration is given.
+
+        Raises:
+            ConfigError: camera_params, which are of one camera, are given.
+            FileFormatError: the calibration cannot be read, or is not of two cameras.
+        """
+        if self.camera_params is not None:
+            raise ConfigError("camera_params are of one camera: give a calibration of both")
+        if self.calibration is None:
+            return None
+        from epipole.io.calibration_files import read_stereo_rig
+
+        return read_stereo_rig(self.calibration, size=size)
 
 
 @dataclass(frozen=True, kw_only=True)
-class WatchOptions:
-    """What the path is compared with, and whether the run is shown while it goes on."""
+class JobOptions:
+    """What the job takes of its source, how, and what it writes and shows."""
 
+    sensor: Literal["auto", "mono", "stereo", "rgbd"] = "auto"
+    """What to use; auto takes depth, else a second camera, where there is one."""
+    topics: str | None = None
+    """Recordings of ROS: the topic of the pictures; LEFT,RIGHT; or PICTURES,DEPTH (found by type and name unless given)."""
+    max_frames: int | None = None
+    """Frames to follow at most."""
+    realtime: bool = False
+    """Take frames as a camera gives them: those whose time passes while another is followed are dropped, and counted."""
+    trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
+    """Write the paths in this form, too, beside TUM's."""
     truth: Path | None = None
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
@@ -135,11 +155,18 @@ class WatchOptions:
     """Address of the live view; 0.0.0.0 lets other machines in."""
 
     def __post_init__(self) -> None:
-        """Check that a port has a view.
+        """Check the ranges.
 
         Raises:
-            ConfigError: a port is given, and no view.
+            ConfigError: a value makes no sense.
         """
         check_fields(self)
+        if self.max_frames is not None and self.max_frames < 1:
+            raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
         if self.port is not None and not self.view:
             raise ConfigError("port is that of the live view: it needs view")
+
+    @property
+    def topic_names(self) -> tuple[str, ...]:
+        """The topics asked for; empty where they are to be found."""
+        return tuple((self.topics or "").replace(",", " ").split())

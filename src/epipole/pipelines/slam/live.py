@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from rich.console import Console
 
-from epipole.pipelines.slam.config import WatchOptions
+from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.drawing import FINAL_RGB, path_curve
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
 from epipole.pipelines.slam.slam import Slam
@@ -59,13 +59,13 @@ class BrowserView(LiveView):
 
 
 @contextmanager
-def open_live(source: FrameSource, watch: WatchOptions) -> Iterator[LiveView]:
+def open_live(source: FrameSource, job: JobOptions) -> Iterator[LiveView]:
     """What shows the run: a viewer in the browser, whose address is printed, or nothing.
 
     Raises:
         ConfigError: the port is in use or out of range.
     """
-    if not watch.view:
+    if not job.view:
         yield LiveView()
         return
     # viser is slow to import, and few runs are watched.
@@ -73,10 +73,10 @@ def open_live(source: FrameSource, watch: WatchOptions) -> Iterator[LiveView]:
     from epipole.viewer.live_viewer import LiveViewer
     from epipole.viewer.server import note_on_port, open_server
 
-    server = open_server(watch.host, watch.port)
+    server = open_server(job.host, job.port)
     shown = server.get_port()
     viewer = LiveViewer(server, source.camera.camera)
-    handle = serve(viewer, shown, watch.host, note_on_port(watch.port, shown), block=False)
+    handle = serve(viewer, shown, job.host, note_on_port(job.port, shown), block=False)
     note = f" ({handle.note})" if handle.note else ""
     Console(stderr=True).print(f"Live view at {handle.url}{note}", highlight=False, markup=False)
     try:

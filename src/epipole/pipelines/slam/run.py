@@ -2,284 +2,127 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from epipole._checks import as_path
 from epipole.config import options_of
-from epipole.errors import ConfigError, EpipoleError, NoModelError
-from epipole.geometry import Rigid3
-from epipole.io.colmap import write_colmap_model
-from epipole.io.frame_tables import FRAME_TABLE
+from epipole.errors import ConfigError, EpipoleError
+from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
-from epipole.io.ply import write_scene_ply
 from epipole.io.sequences import read_sequence
-from epipole.io.trajectories import write_trajectory
-from epipole.io.video import frame_size, is_video
-from epipole.pipelines.slam.config import CameraOptions, SlamConfig, WatchOptions
-from epipole.pipelines.slam.export import reconstruction_of
-from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
+from epipole.io.video import is_video
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
-from epipole.pipelines.slam.page import SlamPage, render_page
-from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
-from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
-from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.source import (
-    FrameSource,
-    Sensor,
-    open_sequence,
+from epipole.pipelines.slam.moving_sources import (
+    camera_index,
+    open_bag_frames,
+    open_camera,
     open_video_frames,
 )
-from epipole.pipelines.slam.truth import Truth, true_path_at, truth_at_frames, truth_summary
-from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
-from epipole.scene import Reconstruction, Trajectory
-
-TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SlamResult:
-    """What `slam` returns; everything is also in the output folder."""
-
-    out: Path
-    trajectory: Trajectory
-    """Every frame that has a place, by the whole map."""
-    causal: Trajectory
-    """What was known when each frame came."""
-    summary: dict[str, Any]
-    """As in `summary.json`."""
-    warnings: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return f"SlamResult({self.trajectory!r} in {self.out})"
+from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.results import SlamResult, write_results
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.source import FrameSource, open_sequence
+from epipole.pipelines.slam.truth import true_path_at
+from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 
 
 def slam(
     source: str | Path,
     out: str | Path,
     config: SlamConfig | None = None,
-    sensor: Sensor = "auto",
+    job: JobOptions | None = None,
     camera: CameraOptions | None = None,
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> SlamResult:
-    """Follow a camera through a folder of frames or a video, and write its path and map.
+    """Follow a camera through frames, and write its path and map.
+
+    Ctrl-C ends the frames: what was followed by then is adjusted and written (`interrupted` in the summary).
 
     Args:
-        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, or a video.
+        source: a 7-Scenes, TUM RGB-D, EuRoC or KITTI odometry folder, a folder of pictures, a video, a recording of ROS
+            (.bag, .db3, .mcap or the folder of a ROS 2 bag), or the number of a camera at this computer.
         out: output folder, made if missing.
         config: options; None for the defaults.
-        sensor: mono, stereo or rgbd; auto takes depth, else a second camera, where there is one.
+        job: what is taken of the source (sensor, topics, max_frames), how (realtime), and what is written.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        **options: single options of the config by name, which override it; and `truth` (a known path to compare with),
-            `view` (show the run in the browser), `port` and `host`, as in `WatchOptions`.
+        **options: single options of `job` or the config by name, which override them.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
-        ConfigError: options do not fit the frames, or a known path without times does not fit their number.
-        FileFormatError: the source, or the known path, cannot be read.
+        ConfigError: options do not fit the frames.
+        FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    watch = _watch_of(options)
-    config, source, out = options_of(SlamConfig, config, options), as_path(source), as_path(out)
+    wanted = _job_of(job, options)
+    config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
-    frames = _open(source, sensor, given)
-    truth = None if watch.truth is None else true_path_at(watch.truth)
-    settings = {"sensor": sensor, "camera": asdict(given), "config": asdict(config)}
-    job = Job(kind="slam", inputs=(source,), settings=settings, progress=progress)
-    with open_run(job, out) as run, open_live(frames, watch) as live:
+    frames = _open(source, wanted, given)
+    truth = None if wanted.truth is None else true_path_at(wanted.truth)
+    settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
+    task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
+    with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
+        feed = Feed(frames, wanted, is_stopped)
         with run.stage("track"):
-            system, records = _track(frames, config, progress, live)
+            system, records = _track(feed, config, progress, live)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
             run.report("adjust", 1, 1)
-        return _results(frames, system, records, truth, run)
+        return write_results(feed, system, records, truth, wanted, run)
 
 
-def _watch_of(options: dict[str, Any]) -> WatchOptions:
-    """The options that are not the config's, taken out."""
-    names = [field.name for field in fields(WatchOptions)]
-    own = {name: options.pop(name) for name in names if name in options}
+def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
+    """With the single options that are not the config's, taken out."""
+    own = {field.name: options.pop(field.name) for field in fields(JobOptions) if field.name in options}
     if own.get("truth") is not None:
         own["truth"] = as_path(own["truth"])
-    return options_of(WatchOptions, None, own)
+    return options_of(JobOptions, job, own)
 
 
-def _results(
-    frames: FrameSource, system: Slam, records: list[FrameRecord], truth: Truth | None, run: Run
-) -> SlamResult:
-    """Write what was found, and tell it."""
-    tracked = [record.answer for record in records if record.answer is not None]
-    problems = [record.problem for record in records if record.problem]
-    if not len(system.trajectory()):
-        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-    final, causal = (_of_body(path, frames) for path in (system.trajectory(), _causal(tracked)))
-    model = reconstruction_of(system.maps[0], frames.camera.camera, [r.name for r in records if r.answer])
-    run.warnings += problems
-    summary, known = _summary(frames, system, records, model, run.warnings), None
-    if truth is not None:
-        known = truth_at_frames(truth, records)
-        summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
-        run.warnings += doubts
-    with run.stage("write"), run.folder.publish("slam") as aside:
-        submaps = [_of_body(system.trajectory(n), frames) for n in range(1, len(system.maps))]
-        _write(model, (final, causal), submaps, records, aside)
-    with run.stage("report"):
-        title = run.job.inputs[0].resolve().name
-        paths = (final, causal, known)
-        page = SlamPage(title, summary, records, model, *paths, run.job.settings, run.timings_s)
-        run.folder.write_text("report.html", render_page(page))
-    run.finish({**summary, "timings_s": run.timings_s})
-    return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
-
-
-def _open(source: Path, sensor: Sensor, given: CameraOptions) -> FrameSource:
-    if is_video(source):
-        if sensor not in ("auto", "mono"):
+def _open(source: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
+    if job.topics and not is_bag(source):
+        raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
+    if is_bag(source):
+        return open_bag_frames(source, job, given)
+    index = camera_index(source)
+    if index is not None or is_video(source):
+        if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
-        return open_video_frames(source, given.camera(frame_size(source) or (0, 0)))
+        return open_video_frames(source, given) if index is None else open_camera(index, given)
     sequence = read_sequence(source)
     header = read_header(sequence.frames[0].picture)
-    return open_sequence(sequence, sensor, given.camera((header.width, header.height)))
+    return open_sequence(sequence, job.sensor, given.camera((header.width, header.height)))
+
+
+def _input(source: Path) -> Path:
+    """What the results are of."""
+    index = camera_index(source)
+    return source if index is None else Path(f"/dev/video{index}")
 
 
 def _track(
-    source: FrameSource, config: SlamConfig, progress: ProgressCallback, live: LiveView
+    feed: Feed, config: SlamConfig, progress: ProgressCallback, live: LiveView
 ) -> tuple[Slam, list[FrameRecord]]:
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
-    system = Slam(source.camera, config)
+    system = Slam(feed.source.camera, config)
     records: list[FrameRecord] = []
-    for number, frame in enumerate(source.frames()):
-        begin = perf_counter()
-        name = source.names[number] if number < len(source.names) else f"frame_{number:06d}.jpg"
-        answer, problem = None, ""
+    for queued in feed:
+        answer, problem, begin = None, "", perf_counter()
         try:
-            if not isinstance(frame, Frame):
-                raise frame
+            frame = queued.read()
+            begin = perf_counter()
             answer = system.track(frame)
         except EpipoleError as error:
-            problem = f"frame {number} is left out: {error}"
-        records.append(FrameRecord(number, name, perf_counter() - begin, answer, problem))
-        if answer is not None and isinstance(frame, Frame):
+            problem = f"frame {queued.number} is left out: {error}"
+        records.append(FrameRecord(queued.number, queued.name, perf_counter() - begin, answer, problem))
+        if answer is not None:
             live.show(system, frame, answer)
-        progress(Progress("track", number + 1, max(source.num_frames, number + 1)))
+        progress(Progress("track", len(records), max(feed.num_expected, len(records))))
     return system, records
-
-
-def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
-    rows = [(t, t.world_from_body, t.covariance) for t in tracked]
-    placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
-    return Trajectory(
-        np.array([time for time, _, _ in placed], np.float64).reshape(-1),
-        Rigid3(
-            np.array([place.rotation for _, place, _ in placed]).reshape(-1, 3, 3),
-            np.array([place.translation for _, place, _ in placed]).reshape(-1, 3),
-        ),
-        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in placed]).reshape(-1, 6, 6),
-    )
-
-
-def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
-    """The path of the camera that took the pictures, not of its rectified picture."""
-    turned = source.body_from_camera
-    places = trajectory.world_from_body @ turned.inverse()
-    adjoint = turned.adjoint()
-    covariance = trajectory.covariance
-    if covariance is not None:
-        covariance = adjoint @ covariance @ adjoint.T
-    return Trajectory(trajectory.timestamp_s, places, covariance)
-
-
-def _write(
-    model: Reconstruction,
-    paths: tuple[Trajectory, Trajectory],
-    submaps: Sequence[Trajectory],
-    records: Sequence[FrameRecord],
-    folder: Path,
-) -> None:
-    final, causal = paths
-    write_trajectory(final, folder / TRAJECTORY)
-    write_trajectory(causal, folder / CAUSAL)
-    write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
-    write_records(records, folder / FRAME_TABLE)
-    for number, path in enumerate(submaps, 1):
-        write_trajectory(path, folder / f"trajectory_submap_{number}.txt")
-    if len(model.images) >= 2:
-        write_colmap_model(model, folder / "sparse" / "0")
-        write_scene_ply(folder / "points.ply", model)
-
-
-def _summary(
-    source: FrameSource,
-    slam: Slam,
-    records: Sequence[FrameRecord],
-    model: Reconstruction,
-    warnings: list[str],
-) -> dict[str, Any]:
-    tracked = [record.answer for record in records if record.answer is not None]
-    states = [t.state for t in tracked]
-    ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
-    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
-    tells = source.camera.tells_depth
-    return {
-        "num_frames": len(records),
-        "num_placed": placed,
-        "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
-        "states": {state.value: states.count(state) for state in TrackingState},
-        "num_keyframes": len(slam.maps[0].keyframes),
-        "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
-        "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
-        "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
-        "is_metric": tells,
-        "ms_per_frame": {
-            "median": float(np.median(ms)),
-            "p95": float(np.percentile(ms, 95)),
-            "max": float(ms.max()),
-        },
-        "reasons": _reasons(tracked),
-        "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],
-        "num_places_compared": len(slam.loops),
-        "loops": [asdict(loop) for loop in slam.loops if loop.num_matches >= MIN_SAMPLE],
-        "warnings": warnings,
-    }
-
-
-def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
-    """A part of the path that no place seen again ties to the first map."""
-    path = slam.trajectory(number)
-    return {
-        "num_frames": len(path),
-        "num_keyframes": len(slam.maps[number].keyframes),
-        "from_s": float(path.timestamp_s[0]) if len(path) else None,
-        "to_s": float(path.timestamp_s[-1]) if len(path) else None,
-    }
-
-
-def _scale_words(source: FrameSource) -> str:
-    if source.camera.depth is not None:
-        return "metres, from the depth sensor"
-    return f"metres, from the baseline of {source.camera.baseline:.4g} m"
-
-
-def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
-    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
-    last: dict[str, str] = {}
-    count: dict[str, int] = {}
-    for frame in tracked:
-        if frame.world_from_body is None:
-            words = without_numbers(frame.reason)
-            last[words], count[words] = frame.reason, count.get(words, 0) + 1
-    return {last[words]: number for words, number in count.items()}
-
-
-def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:
-    if tracked:
-        return tracked[-1].reason
-    return problems[0] if problems else "there is no frame"

@@ -1,10 +1,10 @@
-"""Frames from files: read, undistorted or rectified, and the camera that they are of."""
+"""Frames of any source: what they are made of, and the camera that they are of; and those of folders."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Literal
 
 import cv2
@@ -12,18 +12,31 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.rectification import Rectification, rectify
-from epipole.errors import ConfigError, EpipoleError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
-from epipole.image.undistort import undistort_image, undistorted_camera
+from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import FrameFiles, ImageSequence
-from epipole.io.video import opened_video
+from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.scene import StereoRig
 
-Sensor = Literal["auto", "mono", "stereo", "rgbd"]
 FAR_MM = 65535
 """What depth cameras write where they see nothing, besides zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QueuedFrame:
+    """A frame whose pictures are read when its turn has come."""
+
+    number: int
+    """In its source, from 0."""
+    timestamp_s: float
+    name: str
+    """Of the picture."""
+    read: Callable[[], Frame]
+    """Raises an EpipoleError where files are damaged, or do not fit each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,15 +45,78 @@ class FrameSource:
 
     camera: SlamCamera
     num_frames: int
-    frames: Callable[[], Iterator[Frame | EpipoleError]]
-    """In order of time; an error where the files of one cannot be read, or do not fit each other."""
-    names: tuple[str, ...]
-    """Of the frames' pictures."""
+    """As announced; 0 for a camera, which does not end."""
+    frames: Callable[[], Generator[QueuedFrame, None, None]]
+    """As they come; raises an EpipoleError where the source is damaged from there on."""
     body_from_camera: Rigid3
     """From the camera that is followed (rectified, where it is one of two) to the one that took the pictures."""
+    notes: Callable[[], Sequence[str]] = tuple
+    """What is odd about the frames that were read so far, in words."""
+    is_live: bool = False
+    """A camera, that gives each frame once, at its time."""
 
 
-def open_sequence(sequence: ImageSequence, sensor: Sensor, camera: Camera | None) -> FrameSource:
+@dataclass(frozen=True, slots=True, eq=False)
+class Preparation:
+    """How pictures become frames of a camera without distortion, where depth is told."""
+
+    camera: SlamCamera
+    body_from_camera: Rigid3
+    frame: Callable[..., Frame]
+    """Of seconds, the grey picture, and the right grey picture or depth in metres."""
+    notes: Callable[[], Sequence[str]] = tuple
+
+
+def of_one_camera(lens: Camera) -> Preparation:
+    """Pictures as they are."""
+    return Preparation(SlamCamera(lens), Rigid3.identity(), Frame)
+
+
+def of_pair(rig: StereoRig) -> Preparation:
+    """Pictures of two cameras, rectified unless they are already."""
+    is_flat = (
+        rig.left.model == rig.right.model == CameraModel.PINHOLE
+        and np.array_equal(rig.left.params, rig.right.params)
+        and np.abs(rig.right_from_left.rotation - np.eye(3)).max() < 1e-9
+        and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
+    )
+    if is_flat:
+        return Preparation(SlamCamera(rig.left, rig.baseline), Rigid3.identity(), Frame)
+    found = rectify(rig)
+    flat = found.rig
+    lens = Camera(
+        CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
+    )
+    turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
+    return Preparation(SlamCamera(lens, rig.baseline), turned, partial(_rectified, rig, found))
+
+
+def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
+    """Pictures with depth, undistorted.
+
+    Args:
+        lens: of the pictures.
+        sensor: of the depth; None: registered to the pictures, with their distortion.
+        depth_from_color: None: registered, or of one place.
+    """
+    flat = lens if lens.model == CameraModel.PINHOLE else undistorted_camera(lens)
+    table = None if flat is lens else undistortion_map_px(lens, flat)
+    depth_camera = DepthCamera(sensor or lens, depth_from_color or Rigid3.identity())
+    ranges = DepthRange()
+
+    def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
+        if table is not None:
+            _require_size("picture", grey, lens)
+            grey = cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+        ranges.add(depth)
+        return Frame(seconds, grey, None, depth)
+
+    return Preparation(SlamCamera(flat, None, depth_camera), Rigid3.identity(), frame, ranges.notes)
+
+
+def open_sequence(
+    sequence: ImageSequence, sensor: Literal["auto", "mono", "stereo", "rgbd"], camera: Camera | None
+) -> FrameSource:
     """The frames of a folder.
 
     Args:
@@ -57,45 +133,32 @@ def open_sequence(sequence: ImageSequence, sensor: Sensor, camera: Camera | None
         raise ConfigError(
             f"nothing tells the camera of these {sequence.kind.value}: give camera_params, or a calibration"
         )
-    names = tuple(frame.picture.name for frame in sequence.frames)
     if kind == "stereo":
-        return _stereo(sequence, names, camera)
-    if kind == "mono":
-        return FrameSource(
-            SlamCamera(lens), len(sequence), lambda: _read(sequence, _mono_frame), names, Rigid3.identity()
-        )
-    return _rgbd(sequence, names, lens)
+        if camera is not None:
+            raise ConfigError("the folder's calibration of both cameras is used: give no other")
+        assert sequence.rig is not None
+        made, read = of_pair(sequence.rig), _read_pair
+    elif kind == "mono":
+        made, read = of_one_camera(lens), _read_one
+    else:
+        assert sequence.depth is not None
+        made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
+        read = partial(_read_with_depth, sequence.depth.unit)
+
+    def frames() -> Generator[QueuedFrame, None, None]:
+        for number, files in enumerate(sequence.frames):
+            yield QueuedFrame(number, files.timestamp_s, files.picture.name, partial(read, made, files))
+
+    return FrameSource(
+        made.camera,
+        len(sequence),
+        frames,
+        made.body_from_camera,
+        lambda: [*sequence.warnings, *made.notes()],
+    )
 
 
-def open_video_frames(path: Path, camera: Camera | None) -> FrameSource:
-    """The frames of a video.
-
-    Raises:
-        ConfigError: the intrinsics are not given.
-        FileFormatError: it is no video.
-    """
-    if camera is None:
-        raise ConfigError("nothing tells the camera of a video: give camera_params, or a calibration")
-    capture = opened_video(path)
-    count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 1)
-    rate = capture.get(cv2.CAP_PROP_FPS)
-    capture.release()
-    rate = rate if 0 < rate < 1e4 else 30.0
-    names = tuple(f"frame_{n:06d}.jpg" for n in range(count))
-
-    def frames() -> Iterator[Frame | EpipoleError]:
-        video, number = opened_video(path), 0
-        while True:
-            is_read, picture = video.read()
-            if not is_read:
-                return
-            yield Frame(number / rate, cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-            number += 1
-
-    return FrameSource(SlamCamera(camera), count, frames, names, Rigid3.identity())
-
-
-def _kind_of(sequence: ImageSequence, sensor: Sensor) -> str:
+def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     has_right = sequence.rig is not None and sequence.frames[0].right is not None
     if sensor == "stereo" and not has_right:
         raise ConfigError("there is no second camera with a calibration in these frames")
@@ -106,71 +169,32 @@ def _kind_of(sequence: ImageSequence, sensor: Sensor) -> str:
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
-def _read(sequence: ImageSequence, made: Callable[[FrameFiles], Frame]) -> Iterator[Frame | EpipoleError]:
-    for files in sequence.frames:
-        try:
-            yield made(files)
-        except EpipoleError as error:
-            yield error
+def _read_one(made: Preparation, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, read_grey(files.picture))
 
 
-def _mono_frame(files: FrameFiles) -> Frame:
-    return Frame(files.timestamp_s, read_grey(files.picture))
+def _read_pair(made: Preparation, files: FrameFiles) -> Frame:
+    assert files.right is not None
+    return made.frame(files.timestamp_s, read_grey(files.picture), read_grey(files.right))
 
 
-def _stereo(sequence: ImageSequence, names: tuple[str, ...], camera: Camera | None) -> FrameSource:
-    if camera is not None:
-        raise ConfigError("the folder's calibration of both cameras is used: give no other")
-    assert sequence.rig is not None
-    found: Rectification | None = None
-    rig = sequence.rig
-    is_flat = (
-        rig.left.model == rig.right.model == CameraModel.PINHOLE
-        and np.array_equal(rig.left.params, rig.right.params)
-        and np.abs(rig.right_from_left.rotation - np.eye(3)).max() < 1e-9
-        and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
-    )
-    lens, turned = rig.left, Rigid3.identity()
-    if not is_flat:
-        found = rectify(rig)
-        flat = found.rig
-        lens = Camera(
-            CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
-        )
-        turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
-
-    def frame(files: FrameFiles) -> Frame:
-        assert files.right is not None
-        left, right = read_grey(files.picture), read_grey(files.right)
-        if found is not None:
-            left, right = found.apply(left, right)
-        return Frame(files.timestamp_s, left, right)
-
-    return FrameSource(
-        SlamCamera(lens, rig.baseline), len(sequence), lambda: _read(sequence, frame), names, turned
-    )
+def _read_with_depth(unit: float, made: Preparation, files: FrameFiles) -> Frame:
+    assert files.depth is not None
+    depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
+    depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
+    return made.frame(files.timestamp_s, read_grey(files.picture), depth)
 
 
-def _rgbd(sequence: ImageSequence, names: tuple[str, ...], lens: Camera) -> FrameSource:
-    told = sequence.depth
-    assert told is not None
-    flat = lens if lens.model == CameraModel.PINHOLE else undistorted_camera(lens)
-    # A depth picture that was registered to the colour picture has its distortion, too.
-    sensor = DepthCamera(told.camera or lens, told.depth_from_color or Rigid3.identity())
+def _rectified(
+    rig: StereoRig, found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray
+) -> Frame:
+    _require_size("left picture", left, rig.left)
+    _require_size("right picture", right, rig.right)
+    return Frame(seconds, *found.apply(left, right))
 
-    def frame(files: FrameFiles) -> Frame:
-        assert files.depth is not None
-        depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
-        depth = np.where(depth == FAR_MM, 0.0, depth / told.unit).astype(np.float32)
-        grey = read_grey(files.picture)
-        return Frame(
-            files.timestamp_s, grey if flat is lens else undistort_image(grey, lens, flat), None, depth
-        )
 
-    return FrameSource(
-        SlamCamera(flat, None, sensor),
-        len(sequence),
-        lambda: _read(sequence, frame),
-        names,
-        Rigid3.identity(),
-    )
+def _require_size(what: str, picture: np.ndarray, camera: Camera) -> None:
+    """A table of pixels would read others of a picture of another size."""
+    if picture.shape != (camera.height, camera.width):
+        size = f"{picture.shape[1]} x {picture.shape[0]}"
+        raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")

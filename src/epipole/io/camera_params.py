@@ -1,0 +1,78 @@
+"""Intrinsics as a user types them: numbers separated by commas, in COLMAP's order."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError
+from epipole.io.colmap import params_from_colmap
+
+MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
+"""Known focal lengths in units of the longer side: beyond, a number was mistyped."""
+MAX_OFFSET = 10.0
+"""Largest distance of a known principal point from the picture's corner, in the same unit."""
+MAX_DISTORTION = 1e4
+
+
+def params_of_text(text: str) -> tuple[float, ...]:
+    """The numbers of an option `camera_params`.
+
+    Raises:
+        ConfigError: not numbers, or not finite.
+    """
+    try:
+        known = tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise ConfigError(f"camera_params must be numbers separated by commas, got {text!r}") from None
+    if not all(math.isfinite(number) for number in known):
+        raise ConfigError(f"camera_params must be finite numbers, got {text!r}")
+    return known
+
+
+def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:
+    """The camera of an option `camera_params`.
+
+    Args:
+        model: the camera model.
+        size: width and height of its pictures.
+        text: the numbers in COLMAP's order; its principal point counts from the picture's corner.
+
+    Raises:
+        ConfigError: not the numbers of this model, or such as no lens has.
+    """
+    known = params_of_text(text)
+    if len(known) != model.num_params:
+        names = ",".join(model.param_names)
+        raise ConfigError(f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}")
+    camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
+    refuse_impossible(camera, "camera_params")
+    return camera
+
+
+def refuse_impossible(camera: Camera, where: str) -> None:
+    """Refuse numbers that no lens has.
+
+    Args:
+        camera: the camera.
+        where: its numbers come from.
+
+    Raises:
+        ConfigError: a focal length, principal point or distortion is out of all range.
+    """
+    longer = max(camera.width, camera.height)
+    names, params = camera.model.param_names, camera.params
+    for index, (name, value) in enumerate(zip(names, params)):
+        if index in camera.model.focal_indices:
+            low, high = MIN_FOCAL * longer, MAX_FOCAL * longer
+        elif index in camera.model.principal_point_indices:
+            low, high = -MAX_OFFSET * longer, MAX_OFFSET * longer
+        else:
+            low, high = -MAX_DISTORTION, MAX_DISTORTION
+        if not low <= value <= high:
+            raise ConfigError(
+                f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
+                f"({low:g} to {high:g} is possible)"
+            )

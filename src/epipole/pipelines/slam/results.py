@@ -1,0 +1,196 @@
+"""What a run of SLAM writes: paths, map, table of frames, summary and report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import NoModelError
+from epipole.geometry import Rigid3
+from epipole.io.colmap import write_colmap_model
+from epipole.io.frame_tables import FRAME_TABLE
+from epipole.io.ply import write_scene_ply
+from epipole.io.trajectories import write_trajectory
+from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.export import reconstruction_of
+from epipole.pipelines.slam.feeding import Feed
+from epipole.pipelines.slam.formats import missing_rows, write_in_format
+from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.page import SlamPage, render_page
+from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
+from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.source import FrameSource
+from epipole.pipelines.slam.truth import Truth, truth_at_frames, truth_summary
+from epipole.runs import Run
+from epipole.scene import Reconstruction, Trajectory
+
+TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamResult:
+    """What `slam` returns; everything is also in the output folder."""
+
+    out: Path
+    trajectory: Trajectory
+    """Every frame that has a place, by the whole map."""
+    causal: Trajectory
+    """What was known when each frame came."""
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SlamResult({self.trajectory!r} in {self.out})"
+
+
+def write_results(
+    feed: Feed, system: Slam, records: list[FrameRecord], truth: Truth | None, job: JobOptions, run: Run
+) -> SlamResult:
+    """Write what was found, and tell it.
+
+    Raises:
+        NoModelError: no frame got a place.
+    """
+    source = feed.source
+    tracked = [record.answer for record in records if record.answer is not None]
+    problems = [record.problem for record in records if record.problem] + feed.notes()
+    if not len(system.trajectory()):
+        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+    final, causal = (_of_body(path, source) for path in (system.trajectory(), _causal(tracked)))
+    model = reconstruction_of(system.maps[0], source.camera.camera, [r.name for r in records if r.answer])
+    num_frames = len(records) + feed.num_dropped
+    run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
+    summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
+    if truth is not None:
+        known = truth_at_frames(truth, records)
+        summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
+        run.warnings += doubts
+    with run.stage("write"), run.folder.publish("slam") as aside:
+        submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
+        _write(model, (final, causal), submaps, records, aside)
+        write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
+    with run.stage("report"):
+        title = run.job.inputs[0].resolve().name
+        paths = (final, causal, known)
+        page = SlamPage(title, summary, records, model, *paths, run.job.settings, run.timings_s)
+        run.folder.write_text("report.html", render_page(page))
+    run.finish({**summary, "timings_s": run.timings_s})
+    return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
+
+
+def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
+    rows = [(t, t.world_from_body, t.covariance) for t in tracked]
+    placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
+    return Trajectory(
+        np.array([time for time, _, _ in placed], np.float64).reshape(-1),
+        Rigid3(
+            np.array([place.rotation for _, place, _ in placed]).reshape(-1, 3, 3),
+            np.array([place.translation for _, place, _ in placed]).reshape(-1, 3),
+        ),
+        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in placed]).reshape(-1, 6, 6),
+    )
+
+
+def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
+    """The path of the camera that took the pictures, not of its rectified picture."""
+    turned = source.body_from_camera
+    places = trajectory.world_from_body @ turned.inverse()
+    adjoint = turned.adjoint()
+    covariance = trajectory.covariance
+    if covariance is not None:
+        covariance = adjoint @ covariance @ adjoint.T
+    return Trajectory(trajectory.timestamp_s, places, covariance)
+
+
+def _write(
+    model: Reconstruction,
+    paths: tuple[Trajectory, Trajectory],
+    submaps: Sequence[Trajectory],
+    records: Sequence[FrameRecord],
+    folder: Path,
+) -> None:
+    final, causal = paths
+    write_trajectory(final, folder / TRAJECTORY)
+    write_trajectory(causal, folder / CAUSAL)
+    write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
+    write_records(records, folder / FRAME_TABLE)
+    for number, path in enumerate(submaps, 1):
+        write_trajectory(path, folder / f"trajectory_submap_{number}.txt")
+    if len(model.images) >= 2:
+        write_colmap_model(model, folder / "sparse" / "0")
+        write_scene_ply(folder / "points.ply", model)
+
+
+def _summary(
+    source: FrameSource,
+    slam: Slam,
+    records: Sequence[FrameRecord],
+    model: Reconstruction,
+    warnings: list[str],
+) -> dict[str, Any]:
+    tracked = [record.answer for record in records if record.answer is not None]
+    states = [t.state for t in tracked]
+    ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
+    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
+    tells = source.camera.tells_depth
+    return {
+        "num_frames": len(records),
+        "num_placed": placed,
+        "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
+        "states": {state.value: states.count(state) for state in TrackingState},
+        "num_keyframes": len(slam.maps[0].keyframes),
+        "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
+        "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
+        "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
+        "is_metric": tells,
+        "ms_per_frame": {
+            "median": float(np.median(ms)),
+            "p95": float(np.percentile(ms, 95)),
+            "max": float(ms.max()),
+        },
+        "reasons": _reasons(tracked),
+        "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],
+        "num_places_compared": len(slam.loops),
+        "loops": [asdict(loop) for loop in slam.loops if loop.num_matches >= MIN_SAMPLE],
+        "warnings": warnings,
+    }
+
+
+def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
+    """A part of the path that no place seen again ties to the first map."""
+    path = slam.trajectory(number)
+    return {
+        "num_frames": len(path),
+        "num_keyframes": len(slam.maps[number].keyframes),
+        "from_s": float(path.timestamp_s[0]) if len(path) else None,
+        "to_s": float(path.timestamp_s[-1]) if len(path) else None,
+    }
+
+
+def _scale_words(source: FrameSource) -> str:
+    if source.camera.depth is not None:
+        return "metres, from the depth sensor"
+    return f"metres, from the baseline of {source.camera.baseline:.4g} m"
+
+
+def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
+    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
+    last: dict[str, str] = {}
+    count: dict[str, int] = {}
+    for frame in tracked:
+        if frame.world_from_body is None:
+            words = without_numbers(frame.reason)
+            last[words], count[words] = frame.reason, count.get(words, 0) + 1
+    return {last[words]: number for words, number in count.items()}
+
+
+def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:
+    if tracked:
+        return tracked[-1].reason
+    return problems[0] if problems else "there is no frame"

@@ -1,0 +1,129 @@
+"""Lists, depth and pictures that are wrong: said in clear words, and the path that can be known is kept."""
+
+import cv2
+import numpy as np
+import pytest
+from slam_rides import CAMERA, ride
+
+from epipole.errors import NoModelError
+from epipole.io import read_sequence
+from epipole.pipelines.slam.config import CameraOptions
+from epipole.pipelines.slam.depth_range import DepthRange
+from epipole.pipelines.slam.run import slam as run_slam
+
+PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
+KNOWN = CameraOptions(camera_params=PARAMS)
+COUNT = 10
+
+
+def tum_folder(folder, unit=5000.0, lines=None):
+    """The first frames of the ride as a TUM RGB-D folder."""
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    for n in range(COUNT):
+        cv2.imwrite(str(folder / "rgb" / f"{n}.png"), ride().left[n])
+        numbers = np.clip(np.rint(unit * ride().depth[n]), 0, 65535)
+        cv2.imwrite(str(folder / "depth" / f"{n}.png"), numbers.astype(np.uint16))
+    rows = range(COUNT) if lines is None else lines
+    (folder / "rgb.txt").write_text("".join(f"{0.1 * n:.3f} rgb/{n}.png\n" for n in rows))
+    (folder / "depth.txt").write_text("".join(f"{0.1 * n:.3f} depth/{n}.png\n" for n in range(COUNT)))
+    return folder
+
+
+def test_a_list_out_of_order_and_with_doubled_times(tmp_path):
+    folder = tum_folder(tmp_path / "room", lines=[3, 0, 1, 2, 4, 4, 6, 5, 7, 8, 9])
+    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    assert result.summary["num_placed"] == COUNT
+    assert set(result.warnings) == {
+        "rgb.txt: 2 lines are earlier than those before them, and are sorted",
+        "rgb.txt: 1 lines repeat a time; of each the first is taken",
+    }
+
+
+def test_the_first_of_a_doubled_time_is_taken(tmp_path):
+    folder = tum_folder(tmp_path / "room")
+    with (folder / "rgb.txt").open("a") as file:
+        file.write("0.500 rgb/0.png\n")
+    frames = read_sequence(folder).frames
+    assert [frame.picture.stem for frame in frames] == [str(n) for n in range(COUNT)]
+
+
+def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
+    import shutil
+
+    shutil.copytree(data_dir / "slam" / "euroc_static", tmp_path / "drone")
+    path = next((tmp_path / "drone").rglob("cam0/data.csv"))
+    header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([header, *reversed(rows), rows[0].strip()]) + "\n")
+    found = read_sequence(tmp_path / "drone")
+    assert (np.diff([frame.timestamp_s for frame in found.frames]) > 0).all() and len(found) == 6
+    late, doubled = found.warnings
+    assert late.startswith(f"cam0/data.csv: {len(rows) - 1} lines are earlier")
+    assert "1 lines repeat a time" in doubled
+
+
+@pytest.mark.parametrize(("factor", "is_told"), [(1.0, False), (1000.0, True), (0.001, True)])
+def test_depth_in_a_wrong_unit_is_told(factor, is_told):
+    """Registered depth that is too long by a factor agrees with the pictures: only its range tells."""
+    ranges = DepthRange()
+    for depth in ride().depth[:3]:
+        ranges.add((factor * depth).astype(np.float32))
+    ranges.add(np.zeros((24, 32), np.float32))
+    assert bool(ranges.notes()) == is_told
+    assert not is_told or "the unit" in ranges.notes()[0]
+    assert DepthRange().notes() == []
+
+
+def test_depth_in_a_wrong_unit_is_told_beside_the_path(tmp_path):
+    """Metres times 50 in a file that has 5000 for a metre."""
+    result = run_slam(tum_folder(tmp_path / "room", unit=50.0), tmp_path / "out", camera=KNOWN)
+    assert result.summary["num_placed"] > 0
+    (warning,) = (w for w in result.warnings if "median depth" in w)
+    assert "0.05 to 100 m" in warning
+
+
+def test_depth_pictures_of_another_size(tmp_path):
+    folder = tum_folder(tmp_path / "room")
+    cv2.imwrite(str(folder / "depth" / "4.png"), np.full((60, 80), 5000, np.uint16))
+    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    assert result.summary["num_placed"] == COUNT - 1
+    assert "frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240" in result.warnings
+    for n in range(COUNT):
+        cv2.imwrite(str(folder / "depth" / f"{n}.png"), np.full((60, 80), 5000, np.uint16))
+    with pytest.raises(NoModelError, match="the depth is 80 x 60"):
+        run_slam(folder, tmp_path / "none", camera=KNOWN)
+
+
+def test_pictures_that_change_size_before_they_are_undistorted(tmp_path):
+    folder = tum_folder(tmp_path / "room")
+    bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},0.01,0,0,0")
+    cv2.imwrite(str(folder / "rgb" / "3.png"), np.zeros((60, 80), np.uint8))
+    (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:700])
+    result = run_slam(folder, tmp_path / "out", camera=bent)
+    assert result.summary["num_placed"] == COUNT - 2
+    assert [w.split(":")[0] for w in result.warnings] == ["frame 3 is left out", "frame 6 is left out"]
+
+
+def test_pictures_of_a_distorted_lens_with_depth(tmp_path):
+    """TUM's freiburg1 and 2 are so. What is registered to a picture has its distortion: here next to none."""
+    bent = CameraOptions(camera_model="OPENCV", camera_params=f"{PARAMS},1e-4,0,0,0")
+    result = run_slam(tum_folder(tmp_path / "room"), tmp_path / "out", camera=bent)
+    path = result.trajectory.world_from_body
+    assert result.summary["num_placed"] == COUNT and not result.warnings
+    assert np.linalg.norm(path.translation - ride().truth().translation[:COUNT], axis=1).max() < 0.02
+
+
+def test_a_pair_whose_pictures_change_size_before_they_are_rectified(tmp_path):
+    f, _, cx, cy = CAMERA.params
+    for name, pictures in (("image_0", ride().left), ("image_1", ride().right)):
+        (tmp_path / "ride" / name).mkdir(parents=True)
+        for n, picture in enumerate(pictures[:COUNT]):
+            small = cv2.resize(picture, (160, 120)) if (n, name) == (4, "image_1") else picture
+            cv2.imwrite(str(tmp_path / "ride" / name / f"{n:06d}.png"), small)
+    # Other focal lengths of the two make the pair one that is rectified.
+    rows = [[f, 0, cx, 0, 0, f, cy, 0, 0, 0, 1, 0], [f + 0.01, 0, cx, -f * 0.12, 0, f, cy, 0, 0, 0, 1, 0]]
+    text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    (tmp_path / "ride" / "calib.txt").write_text(text)
+    result = run_slam(tmp_path / "ride", tmp_path / "out")
+    assert result.summary["num_placed"] == COUNT - 1
+    assert [w.split(":")[0] for w in result.warnings] == ["frame 4 is left out"]
