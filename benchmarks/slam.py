@@ -45,8 +45,9 @@ def main() -> None:
         arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
     ).resolve()
     vocabulary = data / "slam" / "orb_vocabulary_10k.txt"
-    peers = [EpipoleSlam(), Pyorbslam3Slam(arguments.orbslam_python, vocabulary)]
-    peers = [peer for peer in peers if not arguments.program or peer.name in arguments.program]
+    peers: list[EpipoleSlam | Pyorbslam3Slam] = [EpipoleSlam()]
+    peers += [Pyorbslam3Slam(arguments.orbslam_python, vocabulary, slower) for slower in arguments.slower]
+    peers = [p for p in peers if not arguments.program or p.name.split()[0] in arguments.program]
     for peer in peers:
         if peer.version() is None:
             console.print(f"{peer.name} is left out: it, or what it needs, is not installed", style="yellow")
@@ -82,6 +83,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--set", nargs="+", choices=list(TASKS), default=list(TASKS), metavar="SET")
     parser.add_argument("--sensor", nargs="+", choices=["stereo", "rgbd", "mono"])
     parser.add_argument("--program", nargs="+", choices=["epipole", "pyorbslam3"])
+    parser.add_argument(
+        "--slower", nargs="+", type=float, default=[1.0], metavar="FACTOR",
+        help="give pyorbslam3 the frames so many times slower than the camera; several are compared",
+    )  # fmt: skip
     parser.add_argument("--rounds", type=int, default=5, help="runs of each program, taken in turn")
     parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")

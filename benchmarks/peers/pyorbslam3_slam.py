@@ -1,10 +1,11 @@
-"""ORB-SLAM3 (as `pyorbslam3`) over a sequence: `PYTHON -m benchmarks.peers.pyorbslam3_slam FRAMES SENSOR OUT VOCABULARY`.
+"""ORB-SLAM3 (as `pyorbslam3`) over a sequence: `PYTHON -m benchmarks.peers.pyorbslam3_slam FRAMES SENSOR OUT VOCABULARY SLOWER`.
 
 PYTHON needs NumPy and pyorbslam3 alone. It is GPL: it is run here in a process of its own, from an environment of its own.
 """
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -15,14 +16,15 @@ import numpy as np
 
 from benchmarks.peers.slam_frames import Metronome, SlamFrames, load_frames, save_answers
 
+SAVE_LIMIT_S = 30
+
 
 class Pyorbslam3Slam:
     """ORB-SLAM3 at the settings of its own examples; frames come at the camera's rate, as its threads need it."""
 
-    name = "pyorbslam3"
-
-    def __init__(self, python: Path, vocabulary: Path) -> None:
-        self._python, self._vocabulary = python, vocabulary
+    def __init__(self, python: Path, vocabulary: Path, slower: float = 1.0) -> None:
+        self._python, self._vocabulary, self._slower = python, vocabulary, slower
+        self.name = "pyorbslam3" if slower == 1.0 else f"pyorbslam3 {slower:g}x slower"
 
     def version(self) -> str | None:
         """The installed version; None where it, or the vocabulary, is not there."""
@@ -38,7 +40,7 @@ class Pyorbslam3Slam:
     def command(self, frames: Path, sensor: str, out: Path) -> list[str]:
         """The command line of one run."""
         program = [str(self._python), "-m", "benchmarks.peers.pyorbslam3_slam"]
-        return [*program, str(frames), sensor, str(out), str(self._vocabulary)]
+        return [*program, str(frames), sensor, str(out), str(self._vocabulary), str(self._slower)]
 
 
 def main() -> None:
@@ -54,7 +56,7 @@ def main() -> None:
     ms, causal = [], []
     states: Counter[str] = Counter()
     num_changes = 0
-    metronome = Metronome(frames.timestamp_s)
+    metronome = Metronome(frames.timestamp_s, float(sys.argv[5]))
     for n in range(len(frames)):
         left, stamp = np.array(frames.left[n]), float(frames.timestamp_s[n])
         right = None if frames.right is None else np.array(frames.right[n])
@@ -77,7 +79,8 @@ def main() -> None:
     finish_s = time.perf_counter() - begin
     more = {"states": states, "finish_s": finish_s, "most_late_s": metronome.most_late_s}
     save_answers(out, ms, causal, **more, num_map_changes=num_changes)
-    # After the answers are kept: there may be no map to save. Of one camera the other form saves keyframes alone.
+    # After the answers are kept: without a map it never comes back. Of one camera the other form saves keyframes alone.
+    signal.alarm(SAVE_LIMIT_S)
     if sensor == "mono":
         slam.save_trajectory_euroc(str(out / "final.csv"))
     else:

@@ -44,8 +44,8 @@ def load_frames(folder: Path) -> SlamFrames:
 class Metronome:
     """Gives the frames one at a time at the rate of the camera; one that comes late is given at once, none is dropped."""
 
-    def __init__(self, timestamp_s: np.ndarray) -> None:
-        self._due = timestamp_s - timestamp_s[0]
+    def __init__(self, timestamp_s: np.ndarray, slower: float = 1.0) -> None:
+        self._due = slower * (timestamp_s - timestamp_s[0])
         self._start = time.perf_counter()
         self.most_late_s = 0.0
 

@@ -123,11 +123,16 @@ def test_frames_are_given_at_their_time() -> None:
         metronome.wait_for(n)
     assert os.times().elapsed - begin >= 0.03
     assert metronome.most_late_s < 0.05
+    slower = Metronome(np.array([5.0, 5.01]), slower=5.0)
+    begin = os.times().elapsed
+    slower.wait_for(1)
+    assert os.times().elapsed - begin >= 0.03
 
 
 def test_a_program_that_is_not_there_has_no_version(tmp_path: Path) -> None:
     assert Pyorbslam3Slam(tmp_path / "python", tmp_path / "words.txt").version() is None
     assert Pyorbslam3Slam(Path(sys.executable), tmp_path / "words.txt").version() is None
+    assert Pyorbslam3Slam(tmp_path, tmp_path, 6.0).name == "pyorbslam3 6x slower"
 
 
 def test_a_program_that_hangs_is_ended(tmp_path: Path) -> None:

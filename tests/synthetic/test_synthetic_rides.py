@@ -214,6 +214,13 @@ def test_misuse_is_refused() -> None:
         replace(ride, timestamp_s=np.zeros(3))
 
 
+def test_no_ride_but_the_turn_runs_along_a_line() -> None:
+    for name, make in MAKERS.items():
+        centers = make(size=SIZE).world_from_camera.translation
+        spread = np.linalg.svd(centers - centers.mean(axis=0), compute_uv=False)
+        assert spread[1] > 0.01 * spread[0] > 0 or name == "turn_on_the_spot"
+
+
 def test_world_is_z_up_and_cameras_upright() -> None:
     for make in MAKERS.values():
         places: Rigid3 = make(num_frames=50, size=SIZE).world_from_camera

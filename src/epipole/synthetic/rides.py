@@ -159,7 +159,9 @@ def walking_box(num_frames: int = 240, size: Size = (640, 480)) -> Ride:
 
     def path(times: np.ndarray) -> Rigid3:
         aside = way(np.clip(times, 0.0, 240.0 / RATE_HZ))
-        center = np.stack([np.full(len(times), -1.5), aside, np.full(len(times), EYE_M)], axis=1)
+        # A path along a line would leave the alignment with an estimate open.
+        ahead, height = -1.7 + 0.2 * np.cos(2.0 * aside), EYE_M + 0.06 * np.sin(3.0 * aside)
+        center = np.stack([ahead, aside, height], axis=1)
         return looking(center, 0.08 * aside, np.full(len(times), -0.03), np.zeros(len(times)))
 
     def scene(time: float) -> SyntheticScene:
