@@ -175,7 +175,7 @@ def test_a_run_is_shown_while_it_goes_on(made, tmp_path, monkeypatch, capsys):
 def test_a_snapshot_does_not_change_with_the_map():
     slam, _ = followed(ride().frames("mono")[:1], MONO)
     first = slam.snapshot()
-    assert first.state is TrackingState.STARTING and len(first.tracked_px) > 50 and not first.has_place.any()
+    assert first.state is TrackingState.TURNING and len(first.tracked_px) > 50 and not first.has_place.any()
     slam, _ = followed(ride().frames("stereo")[:3], STEREO)
     before = slam.snapshot()
     points = before.points_in_world.copy()

@@ -171,7 +171,9 @@ def _numbers(path: Path, rows: list[tuple[int, list[str]]], at_least: int) -> np
             out[n] = words
         except ValueError as error:
             raise FileFormatError(path, f"line {number}: {error}") from error
-    _refuse(path, rows, np.asarray(~np.isfinite(out).all(axis=1)), "a number is not finite")
+    # A variance may be infinite: that of a place of which nothing is known.
+    wrong = ~np.isfinite(out[:, :at_least]).all(axis=1) | np.isnan(out).any(axis=1)
+    _refuse(path, rows, wrong, "a number is not finite")
     return out
 
 

@@ -21,8 +21,8 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
         camera: of all keyframes.
         names: of the frames' pictures, by the frames' numbers.
     """
-    keyframes, n = model.keyframes, len(model.keyframes)
-    counts = model.counts(list(range(n))) if n else np.zeros(0, np.int64)
+    keyframes = [k for k in model.keyframes if len(k.point)]  # not those of turns, which see no point
+    n, counts = len(keyframes), model.counts(list(range(len(model.keyframes))))
     rows = np.flatnonzero((counts >= 2) & np.isfinite(model.xyz[:, 0]))
     column = np.full(model.num_points, -1)
     column[rows] = np.arange(len(rows))
@@ -35,7 +35,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
     grey = np.full(len(rows), 128, np.uint8)
     for j, row in enumerate(rows):
         x, y = np.rint(model.anchor_px[row]).astype(int)
-        picture = keyframes[int(model.anchor[row])].grey
+        picture = model.keyframes[int(model.anchor[row])].grey
         grey[j] = picture[np.clip(y, 0, picture.shape[0] - 1), np.clip(x, 0, picture.shape[1] - 1)]
     places = [k.cam_from_world for k in keyframes]
     made = Reconstruction(

@@ -20,6 +20,8 @@ class TrackingState(StrEnum):
     STARTING = "starting"
     """One camera: the map has not begun."""
     TRACKING = "tracking"
+    TURNING = "turning"
+    """One camera that turns on the spot, or rests: its orientation is known, its place is the last known one."""
     LOST = "lost"
     SUBMAP = "submap"
     """Followed in a map of its own, begun after the camera was lost; its place in the first map is not known."""

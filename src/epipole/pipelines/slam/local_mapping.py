@@ -8,7 +8,12 @@ from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.corners import new_corners
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.tracking import Tracks
 from epipole.robust import triangulate_points
 
 LOSS_SCALE_PX = 1.0
@@ -19,13 +24,61 @@ class LocalMapper:
     """Adjusts a map. Depth of a single frame, where there is any, enters as the pixel of a second camera beside the first."""
 
     def __init__(
-        self, model: SlamMap, camera: Camera, focal_baseline: float | None, config: SlamConfig
+        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: SlamConfig
     ) -> None:
-        self.map, self.camera, self.config = model, camera, config
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for one camera."""
         self._num_settled = config.window
         """Keyframes when all were adjusted last."""
+
+    def insert_keyframe(
+        self, frame: Frame, number: int, place: Rigid3, tracks: Tracks, stale: np.ndarray
+    ) -> Tracks:
+        """A keyframe: points that are followed, older ones found again, and new ones; all of them are followed on.
+
+        Args:
+            frame: the pictures.
+            number: of the frame.
+            place: cam_from_world.
+            tracks: points that are followed.
+            stale: rows of points that look otherwise by now: they are known by their present look from here on.
+        """
+        if self.map.keyframes:
+            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+        corners = new_corners(frame.grey, tracks.pixels, self.config)
+        index = len(self.map.keyframes)
+        pixels = np.concatenate([tracks.pixels, corners])
+        points = np.concatenate([tracks.point, np.full(len(corners), -1)])
+        disparity = self._disparities(frame, pixels, points, place)
+        fresh = points < 0
+        made = self._from_depth(pixels, disparity, place)
+        points[fresh] = self.map.add_points(made[fresh], pixels[fresh], index)
+        lacking = ~self.map.has_place(points) & ~fresh
+        self.map.xyz[points[lacking]] = made[lacking]
+        seen = Observations(pixels, disparity, points)
+        self.map.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, place, seen))
+        anew = np.isin(points, stale)
+        self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
+        return Tracks(pixels.copy(), points.copy(), pixels.copy())
+
+    def _disparities(self, frame: Frame, pixels: np.ndarray, points: np.ndarray, place: Rigid3) -> np.ndarray:
+        guess = np.full(len(pixels), np.nan)
+        if self.focal_baseline is None:
+            return guess
+        known = points >= 0
+        depth = place.apply(self.map.xyz[points[known]])[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan)
+        return disparities_of(frame, pixels, guess, self.sensor, self.config)
+
+    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, place: Rigid3) -> np.ndarray:
+        """Places of points by their disparities; NaN without one, or where it says little."""
+        if self.focal_baseline is None:
+            return np.full((len(pixels), 3), np.nan)
+        most = self.config.max_depth_baselines
+        in_cam = points_by_disparity(pixels, disparity, self.camera, self.focal_baseline, most)
+        return place.inverse().apply(in_cam)
 
     def triangulate(self, newest: int) -> int:
         """Give places to points of the newest keyframe that have none yet; returns their number."""
@@ -116,13 +169,17 @@ class LocalMapper:
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
     ) -> None:
         """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit."""
+        # Rotation-only keyframes see no point with a place.
+        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        if len(window) < 2:
+            return
         views = [*window, *fixed]
         is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
         frame, point, pixels, disparity = self._observations(views, is_seen)
         enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
         kept = enough[point]
         frame, point, pixels, disparity = frame[kept], point[kept], pixels[kept], disparity[kept]
-        if len(window) < 2 or not len(point):
+        if not len(point):
             return
         rows, local = np.unique(point, return_inverse=True)
         problem = self._problem(views, len(window), rows, (frame, local, pixels, disparity))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from epipole.cameras import Camera
-from epipole.geometry import Rigid3, Similarity3
+from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
@@ -65,6 +65,7 @@ def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
     found = optimize_pose_graph_robustly(graph, is_loop, PoseGraphConfig(confidence=CONFIDENCE))
     if not found.kept_mask[-1]:
         return False
+    assert not isinstance(found.world_from_body, Rigid2)
     _move(model, places, found.world_from_body)
     return True
 

@@ -100,6 +100,8 @@ def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
 def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
     """The path of the camera that took the pictures, not of its rectified picture."""
     turned = source.body_from_camera
+    if np.array_equal(turned.rotation, np.eye(3)) and not turned.translation.any():
+        return trajectory
     places = trajectory.world_from_body @ turned.inverse()
     adjoint = turned.adjoint()
     covariance = trajectory.covariance

@@ -5,32 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.errors import ConfigError
-from epipole.geometry import Rigid3
-from epipole.mapping import Disparities, RefinedPose
-from epipole.pipelines.slam.anchoring import hold
+from epipole.geometry import Rigid3, Similarity3
+from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.local_mapping import LocalMapper, is_pinhole
 from epipole.pipelines.slam.loop_closing import LoopCandidate, LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
+from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.relocalizing import relocalize
-from epipole.pipelines.slam.revisiting import find_again, tie_together
-from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.revisiting import tie_together
+from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
-from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
+from epipole.pipelines.slam.tracking import Tracks
+from epipole.pipelines.slam.turning import Turned, Turning
 from epipole.scene import Trajectory
 
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
-PROVEN_FRAMES = 3
-"""In so many a point must have agreed with the others before it decides where the camera is."""
 LEAST_KEYFRAMES = 3
 """A map of its own with fewer is given up when the camera is lost again."""
 
@@ -40,7 +37,7 @@ class Slam:
 
     The world is the first frame's camera; its unit is the metre where the camera tells depth, else the median depth of
     the first points. After the camera was lost it is sought in the map; meanwhile a new map begins, which is joined to the
-    first when a place is seen again.
+    first when a place is seen again. One camera that turns on the spot keeps its orientation without any depth.
 
     Attributes:
         config: options.
@@ -48,6 +45,7 @@ class Slam:
         maps: the first, in whose world answers are given, and those that are not joined to it yet.
         map: the one that the camera is followed in.
         state: of the last frame.
+        first_frame: the first frame of the world; what was answered before does not belong to it.
     """
 
     def __init__(self, camera: SlamCamera, config: SlamConfig | None = None) -> None:
@@ -62,18 +60,19 @@ class Slam:
             )
         self.focal_baseline = None if baseline is None else lens.focal_px * baseline
         self.state = TrackingState.STARTING
+        self.first_frame = 0
         self.maps: list[SlamMap] = [SlamMap()]
         self._enter(self.maps[0])
         self._closer = LoopCloser(lens, self.config, is_metric=camera.tells_depth)
         self._start = OneCameraStart(lens, self.config)
-        self._tracks = Tracks.none()
+        self._turning: Turning | None = None
+        self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._cam_from_world = Rigid3.identity()
         self._path = Path()
         self._num_frames = 0
         self._num_lost = 0
         self._num_at_keyframe = 1
-        self._is_stale = np.zeros(0, np.int64)
 
     @property
     def loops(self) -> list[LoopCandidate]:
@@ -92,9 +91,9 @@ class Slam:
             raise ConfigError(
                 f"a frame of {frame.timestamp_s:.6f} s comes after one of {self._before.timestamp_s:.6f} s"
             )
-        if self.state is TrackingState.STARTING:
+        if not self.map.num_points:
             answer = self._begin(frame)
-        elif self.state is TrackingState.LOST:
+        elif self.state in (TrackingState.LOST, TrackingState.TURNING):
             answer = self._find_place(frame)
         else:
             answer = self._follow(frame)
@@ -106,75 +105,107 @@ class Slam:
 
     def _begin(self, frame: Frame) -> TrackedFrame:
         """A map from this frame, where it tells depth; else with those that waited before it."""
-        if self.camera.tells_depth:
-            self._cam_from_world = Rigid3.identity()
-            keyframe = self._insert_keyframe(frame, is_first=True)
-            if self.map.has_place(keyframe.point).sum() >= self.config.min_tracked:
-                return self._begun(frame, np.zeros((6, 6)))
-            self.map.clear()
-            self._tracks = Tracks.none()
-            return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
+        if not self.camera.tells_depth:
+            return self._wait(frame)
+        self._cam_from_world = Rigid3.identity()
+        self.tracker.tracks = Tracks.none()
+        self._insert_keyframe(frame)
+        if self.map.has_place(self.tracker.tracks.point).sum() >= self.config.min_tracked:
+            return self._begun(frame, np.zeros((6, 6)))
+        self.map.clear()
+        self.tracker.tracks = Tracks.none()
+        return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
+
+    def _wait(self, frame: Frame) -> TrackedFrame:
+        """One camera: a map where it has moved enough; until then its orientation, where it only turns."""
         begun = self._start.add(frame, self._num_frames)
-        if isinstance(begun, str):
-            return self._no_place(frame, begun, len(self._start.tracks))
-        return self._begin_with_one_camera(frame, begun)
+        if not isinstance(begun, str):
+            return self._begin_with_one_camera(frame, begun)
+        turned = self._turn(frame)
+        if turned is not None:
+            return self._turned(frame, turned, begun)
+        if self.map is self.maps[0]:
+            self.state = TrackingState.STARTING
+        return self._no_place(frame, begun, len(self._start.tracks))
 
     def _begin_with_one_camera(self, frame: Frame, begun: Begun) -> TrackedFrame:
-        self.maps[self.maps.index(self.map)] = begun.model
-        self._enter(begun.model)
-        self._tracks, self._cam_from_world = begun.tracks, begun.cam_from_world
-        points = self._tracks.point
-        self._insert_keyframe(frame, is_first=True)
+        """The new map goes on in the world of the turns before it, where its first frame is one of them."""
+        first, lens = begun.model.keyframes[0], self.camera.camera
+        there = self._turns.get(first.number)
+        place = begun.cam_from_world
+        if self.map is self.maps[0]:
+            if there is None:
+                self.first_frame, self.map.keyframes[:] = first.number, []
+            else:
+                begun.model.move(Similarity3(np.array(1.0), there.rotation.T, np.zeros(3)))
+                place = place @ there
+            self.map.keyframes[:] = [k for k in self.map.keyframes if k.number < first.number]
+        self.map.absorb(begun.model)
+        self.tracker.tracks, self._cam_from_world = begun.tracks, place
+        points = begun.tracks.point
+        self._insert_keyframe(frame)
         self.mapper.adjust_all()
-        self.map.rescale(1.0 / float(np.nanmedian(self.map.xyz[points, 2])))
+        depth = first.cam_from_world.apply(self.map.xyz[points])[:, 2]
+        self.map.rescale(1.0 / float(np.nanmedian(depth)))
         newest = self.map.keyframes[-1]
         self._cam_from_world = newest.cam_from_world
-        for one, keyframe, place, covariance in begun.place_waiting(self.camera.camera, self.config):
-            self._path.add(one.number, one.frame.timestamp_s, keyframe, place, covariance)
-        lens, place = self.camera.camera, self._cam_from_world
-        here = place_in_map(self.map, newest.point, newest.pixels, place, lens, self.config)
-        self._start = OneCameraStart(lens, self.config)
+        for one, keyframe, then, covariance in begun.place_waiting(self.map, lens, self.config):
+            self._path.add(one.number, one.frame.timestamp_s, keyframe, then, covariance)
+        start = self._cam_from_world
+        here = place_in_map(self.map, newest.point, newest.pixels, start, lens, self.config)
+        self._start, self._turns = OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
     def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
         for keyframe in self.map.keyframes:
-            describe_keyframe(keyframe)
+            if len(keyframe.point):
+                describe_keyframe(keyframe)
+        self._set_followed()
+        num_points = int(self.map.has_place(self.tracker.tracks.point).sum())
         is_first = self.map is self.maps[0]
-        self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
-        self._num_lost = 0
-        num_points = int(self.map.has_place(self._tracks.point).sum())
         return self._answer(
             frame, covariance, num_points, "the map begins" if is_first else "a new map begins"
         )
 
+    def _set_followed(self) -> None:
+        is_first = self.map is self.maps[0]
+        self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
+        self._num_lost, self._turning = 0, None
+
     def _enter(self, model: SlamMap) -> None:
         """Go on in this map."""
         self.map = model
-        self.mapper = LocalMapper(model, self.camera.camera, self.focal_baseline, self.config)
+        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config)
+        self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
 
     # A frame in the map.
 
     def _follow(self, frame: Frame) -> TrackedFrame:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
-        # The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
-        # velocity such a share of the error came back enlarged, from frame to frame.
-        predicted = self._cam_from_world
-        self._tracks.follow(self._before.grey, frame.grey, self._guess(predicted), self.config, and_back=True)
-        self._hold(frame, predicted)
-        found = self._locate(frame, predicted) or self._search_wider(frame, predicted)
-        if found is None:
-            return self._find_place(frame)
-        return self._placed(frame, *found)
+        found = self.tracker.follow(self._before, frame, self._cam_from_world)
+        return self._find_place(frame) if found is None else self._placed(frame, *found)
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         self._cam_from_world = refined.cam_from_world
-        self.mapper.place_from(self._cam_from_world, self._tracks.point, self._tracks.pixels)
+        tracks = self.tracker.tracks
+        self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
         reason = self._why_keyframe(num_agreeing)
         if reason:
             self._extend(frame)
             reason = self._close_loop() or reason
         return self._answer(frame, refined.covariance(), num_agreeing, reason)
+
+    def _why_keyframe(self, num_agreeing: int) -> str:
+        """Why this frame should be a keyframe; empty if it need not."""
+        age = self._num_frames - self._newest().number
+        if num_agreeing < self.config.keyframe_share * self._num_at_keyframe:
+            return "fewer points in sight"
+        if num_agreeing < self.config.keyframe_points and age >= 3:
+            return "few points in sight"
+        if self.tracker.tracks.shift_px() > self.config.keyframe_motion * self.camera.camera.width:
+            return "the points have moved"
+        return "time has passed" if age >= self.config.keyframe_gap else ""
 
     def _extend(self, frame: Frame) -> None:
         """A keyframe, new points, and the adjustment of the keyframes around it."""
@@ -182,80 +213,36 @@ class Slam:
         newest = len(self.map.keyframes) - 1
         self.mapper.triangulate(newest)
         self.mapper.adjust_around(newest)
-        self._forget_untracked()
+        self.tracker.forget_mistakes()
         self._cam_from_world = self.map.keyframes[newest].cam_from_world
 
-    def _hold(self, frame: Frame, predicted: Rigid3) -> None:
-        """Place the points by their first looks; those that look otherwise are given up."""
-        tracks, lens = self._tracks, self.camera.camera
-        tracks.pixels, is_same, self._is_stale = hold(
-            self.map, lens, frame.grey, predicted, tracks.point, tracks.pixels
-        )
-        self._is_stale = tracks.point[self._is_stale]
-        tracks.keep(is_same)
-
-    def _search_wider(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
-        lens, followed = self.camera.camera, self._tracks.point
-        self._tracks.add(*find_again(self.map, lens, frame.grey, predicted, followed, self.config))
-        return self._locate(frame, predicted)
-
-    def _guess(self, predicted: Rigid3) -> np.ndarray:
-        points = self.map.xyz[self._tracks.point]
-        return predict_pixels(
-            self._tracks.pixels, points, self._cam_from_world, predicted, self.camera.camera
-        )
-
-    def _locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
-        """The frame's pose; points that do not agree are given up."""
-        placed = np.flatnonzero(self.map.has_place(self._tracks.point))
-        points, pixels = self.map.xyz[self._tracks.point[placed]], self._tracks.pixels[placed]
-        deep = None
-        if frame.depth is not None and self.focal_baseline is not None:
-            measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.camera, self.config)
-            deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
-        proven = self.map.num_agreed[self._tracks.point[placed]] >= PROVEN_FRAMES
-        found = locate(points, pixels, self.camera.camera, predicted, deep, self.config, proven)
-        if found is None:
-            return None
-        refined, agrees = found
-        kept = np.ones(len(self._tracks.point), bool)
-        kept[placed] = agrees
-        self.map.num_agreed[self._tracks.point[placed[agrees]]] += 1
-        self._tracks.keep(kept)
-        return refined, int(agrees.sum())
-
-    def _why_keyframe(self, num_agreeing: int) -> str:
-        """Why this frame should be a keyframe; empty if it need not."""
-        last = self.map.keyframes[-1]
-        if num_agreeing < self.config.keyframe_share * self._num_at_keyframe:
-            return "fewer points in sight"
-        if num_agreeing < self.config.keyframe_points and self._num_frames - last.number >= 3:
-            return "few points in sight"
-        if self._tracks.shift_px() > self.config.keyframe_motion * self.camera.camera.width:
-            return "the points have moved"
-        if self._num_frames - last.number >= self.config.keyframe_gap:
-            return "time has passed"
-        return ""
+    def _insert_keyframe(self, frame: Frame) -> None:
+        tracker, place = self.tracker, self._cam_from_world
+        made = self.mapper.insert_keyframe(frame, self._num_frames, place, tracker.tracks, tracker.stale)
+        tracker.tracks, tracker.stale = made, np.zeros(0, np.int64)
+        self._num_at_keyframe = max(int(self.map.has_place(made.point).sum()), 1)
 
     # A camera that is lost.
 
     def _find_place(self, frame: Frame) -> TrackedFrame:
-        """The frame's place in one of the maps by what it looks like; else a new map begins."""
-        reason = f"{len(self._tracks)} points are followed, too few agree with the map"
-        if self.state is not TrackingState.LOST:
+        """The frame's place in one of the maps by what it looks like; else its turn, or a new map."""
+        reason = f"{len(self.tracker.tracks)} points are followed, too few agree with the map"
+        if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
         for model in self.maps:
             again = relocalize(frame.grey, model, self.camera.camera, self.config)
             if again is not None:
                 self._enter(model)
-                self._tracks = Tracks(again.pixels, again.points, again.pixels)
-                found = self._locate(frame, again.cam_from_world)
+                found = self.tracker.take_up(frame, again)
                 if found is not None:
-                    is_first = model is self.maps[0]
-                    self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
-                    self._num_lost = 0
+                    self._set_followed()
                     return self._placed(frame, *found)
         self._num_lost += 1
+        turned = None if self.camera.tells_depth else self._turn(frame)
+        if turned is not None:
+            self._num_lost = 0
+            return self._turned(frame, turned, "the camera only turns: its place is the last known")
+        self.state = TrackingState.LOST
         if self._num_lost <= self.config.lost_patience:
             return self._no_place(frame, reason)
         return self._begin_submap(frame, reason)
@@ -266,16 +253,18 @@ class Slam:
         if self.map is not self.maps[0] and len(self.map.keyframes) < LEAST_KEYFRAMES:
             self.maps.remove(self.map)
             self._path.forget(self.map.keyframes)
+            self._enter(self.maps[0])
 
     def _begin_submap(self, frame: Frame, reason: str) -> TrackedFrame:
+        known = self.map
         self.maps.append(SlamMap())
         self._enter(self.maps[-1])
         answer = self._begin(frame)
         if answer.submap_from_body is not None:
             return answer
-        self.maps = [m for m in self.maps if m is not self.map]
-        self._enter(self.maps[0])
-        return self._no_place(frame, f"{reason}; {answer.reason}")
+        self.maps.pop()
+        self._enter(known)
+        return self._no_place(frame, f"{reason}; {answer.reason}", answer.num_points)
 
     # Places seen again.
 
@@ -297,13 +286,14 @@ class Slam:
         return True
 
     def _joined(self, tie: Tie) -> bool:
+        """The map becomes part of the older one."""
+        tracks = self.tracker.tracks
         self.map.move(tie.there_from_here)
         self.maps.remove(self.map)
-        offset = tie.there.absorb(self.map)
-        self._tracks.point = self._tracks.point + offset
+        tracks.point = tracks.point + tie.there.absorb(self.map)
         self._enter(tie.there)
-        if self.map is self.maps[0]:
-            self.state = TrackingState.TRACKING
+        self.tracker.tracks = tracks
+        self._set_followed()
         self._settle()
         return True
 
@@ -314,76 +304,72 @@ class Slam:
         into = fuse(self.map, window[::-1], self.camera.camera, self.config)
         self.mapper.adjust_around(newest)
         self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
-        self._tracks.rename(into)
-        self._forget_untracked()
+        self.tracker.tracks.rename(into)
+        self.tracker.forget_mistakes()
         self._cam_from_world = self.map.keyframes[-1].cam_from_world
 
-    # Keyframes.
+    # Turns.
 
-    def _insert_keyframe(self, frame: Frame, *, is_first: bool = False) -> Keyframe:
-        """A keyframe at the present place: points in sight, older points found again, and new ones."""
-        lens, place = self.camera.camera, self._cam_from_world
-        if not is_first:
-            self._tracks.add(*find_again(self.map, lens, frame.grey, place, self._tracks.point, self.config))
-        elif self.camera.tells_depth:
-            self._tracks = Tracks.none()
-        corners = new_corners(frame.grey, self._tracks.pixels, self.config)
-        number = len(self.map.keyframes)
-        pixels = np.concatenate([self._tracks.pixels, corners])
-        points = np.concatenate([self._tracks.point, np.full(len(corners), -1)])
-        disparity = self._disparities(frame, pixels, points)
-        fresh = points < 0
-        points[fresh] = self.map.add_points(
-            self._from_depth(pixels[fresh], disparity[fresh]), pixels[fresh], number
-        )
-        lacking = ~self.map.has_place(points) & ~fresh
-        self.map.xyz[points[lacking]] = self._from_depth(pixels[lacking], disparity[lacking])
-        seen = Observations(pixels, disparity, points)
-        keyframe = Keyframe(self._num_frames, frame.timestamp_s, frame.grey, place, seen)
-        self.map.keyframes.append(keyframe)
-        stale = np.isin(points, self._is_stale)
-        self.map.anchor[points[stale]], self.map.anchor_px[points[stale]] = number, pixels[stale]
-        self._is_stale = np.zeros(0, np.int64)
-        self._tracks = Tracks(pixels.copy(), points.copy(), pixels.copy())
-        self._num_at_keyframe = max(int(self.map.has_place(points).sum()), 1)
-        return keyframe
+    def _turn(self, frame: Frame) -> Turned | None:
+        """The frame's orientation, if the camera has only turned since its place was known."""
+        if self._turning is None:
+            first = self._first_to_turn(frame)
+            if first is None:
+                return None
+            number = self._num_frames - int(first is not frame)
+            turning = Turning(first, number, self.camera.camera, self.config, self._cam_from_world)
+            if not turning.is_rich:
+                return None
+            self._turning = turning
+            if number not in {k.number for k in self.map.keyframes}:
+                self.map.keyframes += turning.keyframes
+            if first is frame:
+                known = np.zeros((6, 6))
+                return Turned(turning.keyframes[0], self._cam_from_world, known, 0, is_keyframe=False)
+        turned = self._turning.track(frame, self._num_frames)
+        if turned is None:
+            self._turning = None
+        return turned
 
-    def _disparities(self, frame: Frame, pixels: np.ndarray, points: np.ndarray) -> np.ndarray:
-        if self.focal_baseline is None:
-            return np.full(len(pixels), np.nan)
-        guess = np.full(len(pixels), np.nan)
-        known = points >= 0
-        depth = self._cam_from_world.apply(self.map.xyz[points[known]])[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan)
-        return disparities_of(frame, pixels, guess, self.camera, self.config)
+    def _first_to_turn(self, frame: Frame) -> Frame | None:
+        """The last frame with a known place, or the first of a world; None where a turn would be tied to nothing."""
+        if self.map.num_points:
+            return self._before if self._num_lost == 1 else None
+        if self.map is not self.maps[0] or self._turns:
+            return None
+        self.first_frame = self._num_frames
+        return frame
 
-    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        """Places of points by their disparities at the present place; NaN without one, or where it says little."""
-        if self.focal_baseline is None:
-            return np.full((len(pixels), 3), np.nan)
-        lens, most = self.camera.camera, self.config.max_depth_baselines
-        in_cam = points_by_disparity(pixels, disparity, lens, self.focal_baseline, most)
-        return self._cam_from_world.inverse().apply(in_cam)
-
-    def _forget_untracked(self) -> None:
-        """Stop following points whose observation in the newest keyframe was a mistake."""
-        self._tracks.keep(np.isin(self._tracks.point, self.map.keyframes[-1].point))
+    def _turned(self, frame: Frame, turned: Turned, reason: str) -> TrackedFrame:
+        self.state, self._cam_from_world = TrackingState.TURNING, turned.cam_from_world
+        if turned.is_keyframe:
+            self.map.keyframes.append(turned.keyframe)
+        if not self.map.num_points:
+            self._turns[self._num_frames] = turned.cam_from_world
+        return self._told_from(turned.keyframe, frame, turned.covariance, turned.num_points, reason)
 
     # Answers.
 
     def _answer(self, frame: Frame, covariance: np.ndarray, num_points: int, reason: str) -> TrackedFrame:
-        newest = self.map.keyframes[-1]
-        self._path.add(self._num_frames, frame.timestamp_s, newest, self._cam_from_world, covariance)
+        return self._told_from(self._newest(), frame, covariance, num_points, reason)
+
+    def _newest(self) -> Keyframe:
+        """The last keyframe that is not one of a turn."""
+        return next(k for k in reversed(self.map.keyframes) if len(k.point))
+
+    def _told_from(
+        self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
+    ) -> TrackedFrame:
+        self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
         place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
-            is_keyframe=newest.number == self._num_frames,
+            is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
-        count = len(self._tracks) if num_points is None else num_points
+        count = len(self.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def finish(self) -> None:
@@ -405,5 +391,5 @@ class Slam:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        is_starting = self.state is TrackingState.STARTING and not self.camera.tells_depth
-        return snapshot_of(self.map, self.state, self._start.tracks if is_starting else self._tracks)
+        tracks = self.tracker.tracks if self.map.num_points else self._start.tracks
+        return snapshot_of(self.map, self.state, tracks)

@@ -42,7 +42,7 @@ def snapshot_of(model: SlamMap, state: TrackingState, tracks: Tracks) -> Snapsho
         np.array([place.translation for place in keyframes]).reshape(-1, 3),
     )
     # Before the begin of one camera's map the rows that are followed are not yet the map's.
-    has_begun = state is not TrackingState.STARTING
+    has_begun = model.num_points > 0
     known = model.has_place(tracks.point) if has_begun else np.zeros(len(tracks), bool)
     points = model.xyz[np.isfinite(model.xyz[:, 0])]
     return Snapshot(state, places, points, tracks.pixels.copy(), known)

@@ -105,16 +105,22 @@ class Begun:
     """Of each track the map's point, -1 for none."""
 
     def place_waiting(
-        self, camera: Camera, config: SlamConfig
+        self, model: SlamMap, camera: Camera, config: SlamConfig
     ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
-        """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance."""
-        out, keyframes = [], self.model.keyframes
+        """Frames before the begin: each with the keyframe before it, cam_from_world, and its covariance.
+
+        Args:
+            model: the map that the points are in by now.
+            camera: any model.
+            config: thresholds.
+        """
+        out, keyframes = [], model.keyframes
         numbers = [k.number for k in keyframes]
         for one in self.waiting:
             keyframe = keyframes[int(np.searchsorted(numbers, one.number, side="right")) - 1]
             rows = self.row_of_track[one.track]
             pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
-            found = place_in_map(self.model, rows, pixels, keyframe.cam_from_world, camera, config)
+            found = place_in_map(model, rows, pixels, keyframe.cam_from_world, camera, config)
             if found is not None:
                 is_keyframe = keyframe.number == one.number
                 place = keyframe.cam_from_world if is_keyframe else found.cam_from_world

@@ -1,0 +1,86 @@
+"""A frame in a map: points are followed into it, held to their first looks, and a pose is found with which they agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.mapping import Disparities, RefinedPose
+from epipole.pipelines.slam.anchoring import hold
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.place_recognition import Recognition
+from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.single_depth import disparities_of
+from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
+
+PROVEN_FRAMES = 3
+"""In so many a point must have agreed with the others before it decides where the camera is."""
+
+
+class MapTracker:
+    """Follows points of one map.
+
+    Attributes:
+        tracks: the points that are followed.
+        stale: rows of those that look otherwise than when they were first seen.
+    """
+
+    def __init__(
+        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: SlamConfig
+    ) -> None:
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.focal_baseline = focal_baseline
+        self.tracks = Tracks.none()
+        self.stale = np.zeros(0, np.int64)
+
+    def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
+        """The pose of the next frame and the number of points that agree; None if too few do.
+
+        The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
+        velocity such a share of the error came back enlarged, from frame to frame.
+        """
+        tracks = self.tracks
+        guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
+        tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.pixels, is_same, is_stale = hold(
+            self.map, self.camera, frame.grey, place, tracks.point, tracks.pixels
+        )
+        self.stale = tracks.point[is_stale]
+        tracks.keep(is_same)
+        found = self.locate(frame, place)
+        if found is None:
+            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+            found = self.locate(frame, place)
+        return found
+
+    def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
+        """The pose of a frame that was recognised; its points are followed from here on."""
+        self.tracks = Tracks(recognized.pixels, recognized.points, recognized.pixels)
+        self.stale = np.zeros(0, np.int64)
+        return self.locate(frame, recognized.cam_from_world)
+
+    def locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
+        """The frame's pose; points that do not agree are given up."""
+        tracks = self.tracks
+        placed = np.flatnonzero(self.map.has_place(tracks.point))
+        rows, pixels = tracks.point[placed], tracks.pixels[placed]
+        deep = None
+        if frame.depth is not None and self.focal_baseline is not None:
+            measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.sensor, self.config)
+            deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
+        proven = self.map.num_agreed[rows] >= PROVEN_FRAMES
+        found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
+        if found is None:
+            return None
+        refined, agrees = found
+        kept = np.ones(len(tracks.point), bool)
+        kept[placed] = agrees
+        self.map.num_agreed[rows[agrees]] += 1
+        tracks.keep(kept)
+        return refined, int(agrees.sum())
+
+    def forget_mistakes(self) -> None:
+        """Stop following points whose observation in the newest keyframe was a mistake."""
+        self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))
