@@ -172,7 +172,7 @@ def _numbers(path: Path, rows: list[tuple[int, list[str]]], at_least: int) -> np
         except ValueError as error:
             raise FileFormatError(path, f"line {number}: {error}") from error
     # A variance may be infinite: that of a place of which nothing is known.
-    wrong = ~np.isfinite(out[:, :at_least]).all(axis=1) | np.isnan(out).any(axis=1)
+    wrong = np.asarray(~np.isfinite(out[:, :at_least]).all(axis=1) | np.isnan(out).any(axis=1))
     _refuse(path, rows, wrong, "a number is not finite")
     return out
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
+from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
@@ -18,6 +18,10 @@ from epipole.robust import triangulate_points
 
 LOSS_SCALE_PX = 1.0
 GROWTH = 1.1
+LEAST_TOGETHER = 8
+"""Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
+SHIFT_SIGMA_PX = 0.3
+"""Deviation of a pair's rectification along the rows."""
 
 
 class LocalMapper:
@@ -29,7 +33,7 @@ class LocalMapper:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for one camera."""
-        self._num_settled = config.window
+        self._num_settled = LEAST_TOGETHER
         """Keyframes when all were adjusted last."""
 
     def insert_keyframe(
@@ -69,7 +73,7 @@ class LocalMapper:
         known = points >= 0
         depth = place.apply(self.map.xyz[points[known]])[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan)
+            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan) - self.map.right_shift_px
         return disparities_of(frame, pixels, guess, self.sensor, self.config)
 
     def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, place: Rigid3) -> np.ndarray:
@@ -77,6 +81,7 @@ class LocalMapper:
         if self.focal_baseline is None:
             return np.full((len(pixels), 3), np.nan)
         most = self.config.max_depth_baselines
+        disparity = disparity + self.map.right_shift_px
         in_cam = points_by_disparity(pixels, disparity, self.camera, self.focal_baseline, most)
         return place.inverse().apply(in_cam)
 
@@ -190,6 +195,8 @@ class LocalMapper:
             function_tolerance=1e-4,
         )
         result = adjust_bundle(self._held(problem), config)
+        if self.focal_baseline is not None:
+            self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         for place, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
         self.map.xyz[rows] = result.points_in_world
@@ -230,21 +237,41 @@ class LocalMapper:
         free = np.zeros((len(views), 6))
         free[:num_free] = 1.0
         baseline = 0.0 if self.focal_baseline is None else self.focal_baseline / self.camera.focal_px
+        params = np.tile(self.camera.padded_params(), (2, 1))
+        shifted, params_free, priors = self._right_camera(params, views, num_free)
         return BundleProblem(
             self._places(views),
             Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
-            np.array([int(self.camera.model)], np.int32),
-            self.camera.padded_params()[None],
+            np.full(2, int(self.camera.model), np.int32),
+            shifted,
             self.map.xyz[rows].copy(),
             np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(rows)))]).astype(np.int64),
             frame[order].astype(np.int32),
             sensor[order],
-            np.zeros(len(order), np.int32),
+            sensor[order],
             pixels[order],
             free,
-            np.zeros((1, 12)),
+            params_free,
             np.ones(len(rows)),
+            priors=priors,
         )
+
+    def _right_camera(
+        self, params: np.ndarray, views: list[int], num_free: int
+    ) -> tuple[np.ndarray, np.ndarray, BundlePriors | None]:
+        """Parameters of both cameras, which of them are free, and what is known of these.
+
+        A constant error of all disparities bends the scene, and the frames' motion shows it: where a pair's pictures are
+        adjusted all together, the second one's principal point is found, too.
+        """
+        shifted, free = params.copy(), np.zeros((2, params.shape[1]))
+        shifted[1, 2] += self.map.right_shift_px
+        if self.sensor.baseline is None or num_free < len(views) or num_free < LEAST_TOGETHER:
+            return shifted, free, None
+        free[1, 2] = 1.0
+        sigma = np.full(params.shape, np.inf)
+        sigma[1, 2] = SHIFT_SIGMA_PX
+        return shifted, free, BundlePriors(params_expected=params, params_sigma=sigma)
 
     def forget_mistakes(self, keyframes: list[int], max_error_px: float) -> None:
         """Drop observations that are off by more, and points that are behind a camera that saw them."""

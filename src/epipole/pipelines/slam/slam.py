@@ -259,6 +259,7 @@ class Slam:
         known = self.map
         self.maps.append(SlamMap())
         self._enter(self.maps[-1])
+        self.map.right_shift_px = known.right_shift_px
         answer = self._begin(frame)
         if answer.submap_from_body is not None:
             return answer

@@ -67,6 +67,8 @@ class SlamMap:
         self._anchor_px = np.empty((4096, 2))
         self._num_agreed = np.empty(4096, np.int64)
         self.num_points = 0
+        self.right_shift_px = 0.0
+        """By how much further to the right than it was said the principal point of a pair's second camera lies."""
 
     @property
     def xyz(self) -> np.ndarray:
