@@ -144,6 +144,10 @@ class JobOptions:
     """Take frames as a camera gives them: those whose time passes while another is followed are dropped, and counted."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
     """Write the paths in this form, too, beside TUM's."""
+    map: Path | None = None
+    """Go on in the map of an earlier run (its output folder): the camera is found in it, and the map grows."""
+    localize: bool = False
+    """Only find the camera in that map, which stays as it is."""
     truth: Path | None = None
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
@@ -163,6 +167,8 @@ class JobOptions:
         check_fields(self)
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
+        if self.localize and self.map is None:
+            raise ConfigError("localize finds the camera in a map: give it, too (map)")
         if self.port is not None and not self.view:
             raise ConfigError("port is that of the live view: it needs view")
 

@@ -19,7 +19,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
     Args:
         model: the map.
         camera: of all keyframes.
-        names: of the frames' pictures, by the frames' numbers.
+        names: of the keyframes' pictures.
     """
     keyframes = [k for k in model.keyframes if len(k.point)]  # not those of turns, which see no point
     n, counts = len(keyframes), model.counts(list(range(len(model.keyframes))))
@@ -50,7 +50,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
             np.array([k.timestamp_s for k in keyframes], np.float64),
         ),
         Images(
-            tuple(names[k.number] for k in keyframes),
+            tuple(n for n, k in zip(names, model.keyframes) if len(k.point)),
             np.arange(n, dtype=np.int32),
             np.zeros(n, np.int32),
             np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),

@@ -64,13 +64,17 @@ class SlamCamera:
         """Whether a single frame has depth."""
         return self.depth is not None or self.baseline is not None
 
-    def check(self, frame: Frame) -> None:
-        """Check that a frame is this camera's.
+    def check(self, frame: Frame, before: Frame | None = None) -> None:
+        """Check that a frame is this camera's, and later than the one before.
 
         Raises:
             ShapeError: the pictures are not of the camera's size.
-            ConfigError: the frame lacks what tells depth.
+            ConfigError: the frame is not later, or lacks what tells depth.
         """
+        if before is not None and frame.timestamp_s <= before.timestamp_s:
+            raise ConfigError(
+                f"a frame of {frame.timestamp_s:.6f} s comes after one of {before.timestamp_s:.6f} s"
+            )
         lens = self.camera
         if frame.grey.shape != (lens.height, lens.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.cameras import Camera, CameraModel
+from epipole.cameras import CameraModel
+from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
-from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
 from epipole.robust import triangulate_points
 
 LOSS_SCALE_PX = 1.0
+LAST_SCALES_PX = (8.0, 2.0, 1.0)
+"""Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 GROWTH = 1.1
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
@@ -170,6 +173,15 @@ class LocalMapper:
         """Adjust every keyframe and every point."""
         self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
+    def adjust_for_good(self) -> None:
+        """After the last frame: tie keyframes together that see the same, and adjust all, again and again."""
+        if len(self.map.keyframes) < 2:
+            return
+        self.adjust_all()
+        for loss_scale_px in LAST_SCALES_PX:
+            tie_together(self.map, self.camera, self.config)
+            self.adjust_all(loss_scale_px)
+
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
     ) -> None:
@@ -289,6 +301,15 @@ class LocalMapper:
         return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
 
 
-def is_pinhole(camera: Camera) -> bool:
-    """Whether a second camera beside it can be one of the same rows."""
-    return camera.model == CameraModel.PINHOLE
+def focal_baseline_of(sensor: SlamCamera, config: SlamConfig) -> float | None:
+    """Focal length times baseline, of a depth sensor that of a pair with errors like its own; None for one camera.
+
+    Raises:
+        ConfigError: the camera tells depth and is no pinhole: a second one beside it has not the same rows.
+    """
+    baseline = sensor.baseline if sensor.depth is None else config.sensor_baseline_m
+    if baseline is None:
+        return None
+    if sensor.camera.model != CameraModel.PINHOLE:
+        raise ConfigError("with depth, or a second camera, pictures are undistorted and the camera a PINHOLE")
+    return sensor.camera.focal_px * baseline

@@ -8,13 +8,15 @@ from itertools import pairwise
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.geometry import Rigid3, Rotation3, Similarity3
+from epipole.geometry import Rotation3, Similarity3
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.place_recognition import (
     Recognition,
     describe_keyframe,
+    is_same_place,
     most_alike,
     recognize,
+    rival_of,
 )
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
@@ -23,15 +25,11 @@ CONFIRMATIONS = 3
 """Keyframes that must tell the same motion between what is remembered and what is seen."""
 PATIENCE = 4
 """Keyframes that may tell nothing in between."""
-SAME_MOTION_PX = 12.0
-"""Two motions are the same if the points seen again are moved by less, in the median."""
 LOCAL_POINTS = 10
 """Keyframes that share as many points are neighbours: to see a neighbour again tells nothing."""
 MIN_APART = 10
 """Keyframes between, at least."""
 LARGEST_SCALE = 3.0
-RIVAL_SHARE = 0.6
-"""Another place that agrees with more than this share of the points of the best makes both doubtful."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,11 +138,9 @@ class LoopCloser:
         if not plausible:
             return None
         best = max(plausible, key=lambda f: len(f.points))
-        for other in plausible:
-            is_rival = len(other.points) > RIVAL_SHARE * len(best.points)
-            if is_rival and not self._same(other.cam_from_world, best, there):
-                self._note(newest, there, best, "rejected", "two places look like this one")
-                return None
+        if rival_of(best, plausible, there, self.camera) is not None:
+            self._note(newest, there, best, "rejected", "two places look like this one")
+            return None
         motion = self._motion(newest, here, there, best)
         if not 1 / LARGEST_SCALE < float(motion.scale) < LARGEST_SCALE:
             self._note(
@@ -153,7 +149,7 @@ class LoopCloser:
             return None
         for hypothesis in self._waiting:
             told = hypothesis.there_from_here.move_cam_from_source(newest.cam_from_world)
-            if hypothesis.there is there and self._same(told, best, there):
+            if hypothesis.there is there and is_same_place(told, best, there, self.camera):
                 hypothesis.count, hypothesis.age = hypothesis.count + 1, 0
                 hypothesis.keyframe, hypothesis.there_from_here = best.keyframe, motion
                 break
@@ -164,13 +160,6 @@ class LoopCloser:
         words = f"told by {hypothesis.count} keyframes of {CONFIRMATIONS}"
         self._note(newest, there, best, "accepted" if is_sure else "waiting", words)
         return Tie(there, best.keyframe, motion, best) if is_sure else None
-
-    def _same(self, cam_from_there: Rigid3, found: Recognition, there: SlamMap) -> bool:
-        """Whether another pose sees the points where this one does."""
-        points = there.xyz[found.points]
-        one = self.camera.project(cam_from_there.apply(points))
-        off = np.linalg.norm(one - self.camera.project(found.cam_from_world.apply(points)), axis=1)
-        return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_MOTION_PX
 
     def _motion(self, newest: Keyframe, here: SlamMap, there: SlamMap, found: Recognition) -> Similarity3:
         """From the world of `here` to that of `there`; of one camera the unit, too, by the depths of the same points."""

@@ -81,6 +81,13 @@ class MapTracker:
         tracks.keep(kept)
         return refined, int(agrees.sum())
 
+    def look_again(self, frame: Frame, place: Rigid3) -> int:
+        """Take up all points of the map that are in sight; returns the number that is followed then."""
+        tracks = self.tracks
+        tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+        self.tracks = Tracks(tracks.pixels, tracks.point, tracks.pixels.copy())
+        return max(len(tracks), 1)
+
     def forget_mistakes(self) -> None:
         """Stop following points whose observation in the newest keyframe was a mistake."""
         self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -16,15 +16,16 @@ from epipole.geometry import Rigid3
 from epipole.mapping import refine_pose
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.robust import estimate_absolute_pose
 
 WORDS = Path(__file__).parent / "assets" / "words.npy"
 NEIGHBOURS = 3
 """Further keyframes whose points are compared together with those of one that looks alike."""
-MIN_SAMPLE, MIN_SHARE = 15, 0.4
+MIN_SAMPLE, MIN_SHARE = 12, 0.25
 """Fewest matches, and the share of them, that a pose must agree with. Patches that look alike by chance agree less."""
+SAME_PLACE_PX, RIVAL_SHARE = 12.0, 0.6
+ROUNDS, RIM_PX = 2, 5.0
 MIN_AGREEING = 30
 """... and fewest points when those that only the pose lets find are counted, too."""
 
@@ -128,37 +129,61 @@ def recognize(
     if agrees.sum() < max(MIN_SAMPLE, MIN_SHARE * len(matches)):
         words = f"a pose agrees with {int(agrees.sum())} of {len(matches)} matches only"
         return Recognition(number, len(matches), words, *none)
-    return _grown(view, model, number, camera, config, unwanted, refined.cam_from_world, len(matches))
-
-
-def _grown(
-    view: View,
-    model: SlamMap,
-    number: int,
-    camera: Camera,
-    config: SlamConfig,
-    unwanted: np.ndarray | None,
-    place: Rigid3,
-    num_matches: int,
-) -> Recognition:
-    """All points in sight at a pose, and the pose that agrees with them."""
-    followed = np.zeros(0, np.int64) if unwanted is None else unwanted
-    pixels, points = find_again(model, camera, view.grey, place, followed, config)
-    pixels, is_same, is_stale = hold(model, camera, view.grey, place, points, pixels)
-    pixels, points = pixels[is_same & ~is_stale], points[is_same & ~is_stale]
-    words, agrees = (
-        f"{len(points)} points look the same there, {MIN_AGREEING} are needed",
-        np.zeros(len(points), bool),
+    return _grown(
+        view,
+        model,
+        Recognition(number, len(matches), "", refined.cam_from_world, pixels, points),
+        camera,
+        config,
     )
-    if len(points) >= MIN_AGREEING:
-        refined = refine_pose(model.xyz[points], pixels, camera, place)
-        agrees = refined.error_sq <= config.max_error_px**2
-        words = (
-            f"{int(agrees.sum())} of {len(points)} points that look the same agree, {MIN_AGREEING} are needed"
-        )
+
+
+def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, config: SlamConfig) -> Recognition:
+    """All points that should be in sight at a pose and look so, and the pose that agrees with them."""
+    place, points = found.cam_from_world, found.points
+    in_cam = place.apply(model.xyz[points])
+    pixels = camera.project(in_cam)
+    size = np.array([camera.width, camera.height])
+    inside = (in_cam[:, 2] > 0) & (pixels >= RIM_PX).all(axis=1) & (pixels < size - RIM_PX).all(axis=1)
+    points, pixels = points[inside], pixels[inside]
+    # A few rounds: each is held to where a better pose foretells it.
+    agrees = np.zeros(len(points), bool)
+    for _ in range(ROUNDS):
+        held, is_same, is_stale = hold(model, camera, view.grey, place, points, pixels)
+        looks = is_same & ~is_stale
+        if looks.sum() < MIN_AGREEING:
+            words = (
+                f"{int(looks.sum())} of {len(points)} points look the same there, {MIN_AGREEING} are needed"
+            )
+            return replace(found, reason=words, pixels=held[looks], points=points[looks])
+        refined = refine_pose(model.xyz[points[looks]], held[looks], camera, place)
         place = refined.cam_from_world
-    reason = words if agrees.sum() < MIN_AGREEING else ""
-    return Recognition(number, num_matches, reason, place, pixels[agrees], points[agrees])
+        agrees = looks.copy()
+        agrees[looks] = refined.error_sq <= config.max_error_px**2
+        pixels = camera.project(place.apply(model.xyz[points]))
+    reason = ""
+    if agrees.sum() < MIN_AGREEING:
+        reason = f"{int(agrees.sum())} points that look the same agree, {MIN_AGREEING} are needed"
+    return replace(found, reason=reason, cam_from_world=place, pixels=held[agrees], points=points[agrees])
+
+
+def is_same_place(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
+    """Whether another pose sees the recognised points where they were seen."""
+    points = model.xyz[found.points]
+    one = camera.project(cam_from_world.apply(points))
+    off = np.linalg.norm(one - camera.project(found.cam_from_world.apply(points)), axis=1)
+    return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_PLACE_PX
+
+
+def rival_of(
+    best: Recognition, others: list[Recognition], model: SlamMap, camera: Camera
+) -> Recognition | None:
+    """Another place with which nearly as many points agree: of two that look alike neither can be believed."""
+    for other in others:
+        is_near = len(other.points) > RIVAL_SHARE * len(best.points)
+        if is_near and not is_same_place(other.cam_from_world, best, model, camera):
+            return other
+    return None
 
 
 def _points_around(model: SlamMap, number: int, unwanted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
-from epipole.pipelines.slam.place_recognition import Recognition, most_alike, recognize, view_of
+from epipole.pipelines.slam.place_recognition import Recognition, most_alike, recognize, rival_of, view_of
 from epipole.pipelines.slam.slam_map import SlamMap
 
 LATEST, ALIKE = 2, 4
@@ -15,7 +15,10 @@ LATEST, ALIKE = 2, 4
 
 
 def relocalize(grey: np.ndarray, model: SlamMap, camera: Camera, config: SlamConfig) -> Recognition | None:
-    """The place of a picture in a map, by the keyframe with most points in agreement; None if none has enough."""
+    """The place of a picture in a map, by the keyframe with most points in agreement.
+
+    None if none has enough, or if two places look like it.
+    """
     corners = new_corners(grey, np.zeros((0, 2)), config)
     if not len(corners):
         return None
@@ -24,4 +27,7 @@ def relocalize(grey: np.ndarray, model: SlamMap, camera: Camera, config: SlamCon
     alike = [k for k, _ in most_alike(view.look, model, np.zeros(count, bool), ALIKE)]
     found = [recognize(view, model, k, camera, config) for k in dict.fromkeys([*alike, *latest])]
     good = [f for f in found if not f.reason]
-    return max(good, key=lambda f: len(f.points)) if good else None
+    if not good:
+        return None
+    best = max(good, key=lambda f: len(f.points))
+    return best if rival_of(best, good, model, camera) is None else None

@@ -20,6 +20,7 @@ from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
@@ -50,20 +51,35 @@ class SlamResult:
 
 
 def write_results(
-    feed: Feed, system: Slam, records: list[FrameRecord], truth: Truth | None, job: JobOptions, run: Run
+    feed: Feed,
+    system: Slam,
+    records: list[FrameRecord],
+    given: tuple[Truth | None, KnownMap | None],
+    job: JobOptions,
+    run: Run,
 ) -> SlamResult:
     """Write what was found, and tell it.
+
+    Args:
+        feed: where the frames came from.
+        system: what followed them.
+        records: what became of each frame.
+        given: the true path, and the map that the run went on in, where there are any.
+        job: what is written.
+        run: the output folder.
 
     Raises:
         NoModelError: no frame got a place.
     """
-    source = feed.source
+    source, (truth, known_map) = feed.source, given
     tracked = [record.answer for record in records if record.answer is not None]
     problems = [record.problem for record in records if record.problem] + feed.notes()
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-    final, causal = (_of_body(path, source) for path in (system.trajectory(), _causal(tracked)))
-    model = reconstruction_of(system.maps[0], source.camera.camera, [r.name for r in records if r.answer])
+    tied = tracked[system.first_frame - system.first_number :]
+    final, causal = (_of_body(path, source) for path in (system.trajectory(), _causal(tied)))
+    names = _names(system, [record.name for record in records if record.answer], known_map)
+    model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
@@ -74,6 +90,7 @@ def write_results(
     with run.stage("write"), run.folder.publish("slam") as aside:
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
+        write_map(aside / MAP_FILE, system.maps[0], names, source.camera)
         write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
     with run.stage("report"):
         title = run.job.inputs[0].resolve().name
@@ -82,6 +99,13 @@ def write_results(
         run.folder.write_text("report.html", render_page(page))
     run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
+
+
+def _names(system: Slam, names: Sequence[str], known: KnownMap | None) -> list[str]:
+    """Names of the pictures of the first map's keyframes."""
+    keyframes = system.maps[0].keyframes
+    before = [] if known is None else list(known.names)
+    return before + [names[k.number - system.first_number] for k in keyframes[len(before) :]]
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:

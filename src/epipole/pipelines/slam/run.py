@@ -17,6 +17,7 @@ from epipole.io.video import is_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
+from epipole.pipelines.slam.map_files import read_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -65,24 +66,28 @@ def slam(
     given = options_of(CameraOptions, camera)
     frames = _open(source, wanted, given)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
+    known = None if wanted.map is None else read_map(wanted.map, frames.camera)
+    model = None if known is None else known.model
+    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
         feed = Feed(frames, wanted, is_stopped)
         with run.stage("track"):
-            system, records = _track(feed, config, progress, live)
+            records = _track(feed, system, progress, live)
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
             run.report("adjust", 1, 1)
-        return write_results(feed, system, records, truth, wanted, run)
+        return write_results(feed, system, records, (truth, known), wanted, run)
 
 
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
     own = {field.name: options.pop(field.name) for field in fields(JobOptions) if field.name in options}
-    if own.get("truth") is not None:
-        own["truth"] = as_path(own["truth"])
+    for name in ("truth", "map"):
+        if own.get(name) is not None:
+            own[name] = as_path(own[name])
     return options_of(JobOptions, job, own)
 
 
@@ -107,11 +112,8 @@ def _input(source: Path) -> Path:
     return source if index is None else Path(f"/dev/video{index}")
 
 
-def _track(
-    feed: Feed, config: SlamConfig, progress: ProgressCallback, live: LiveView
-) -> tuple[Slam, list[FrameRecord]]:
+def _track(feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView) -> list[FrameRecord]:
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
-    system = Slam(feed.source.camera, config)
     records: list[FrameRecord] = []
     for queued in feed:
         answer, problem, begin = None, "", perf_counter()
@@ -125,4 +127,4 @@ def _track(
         if answer is not None:
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(feed.num_expected, len(records))))
-    return system, records
+    return records

@@ -9,14 +9,13 @@ from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.local_mapping import LocalMapper, is_pinhole
-from epipole.pipelines.slam.loop_closing import LoopCandidate, LoopCloser, Tie
+from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.relocalizing import relocalize
-from epipole.pipelines.slam.revisiting import tie_together
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
@@ -24,8 +23,6 @@ from epipole.pipelines.slam.tracking import Tracks
 from epipole.pipelines.slam.turning import Turned, Turning
 from epipole.scene import Trajectory
 
-LAST_SCALES_PX = (8.0, 2.0, 1.0)
-"""Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
 LEAST_KEYFRAMES = 3
@@ -45,39 +42,51 @@ class Slam:
         maps: the first, in whose world answers are given, and those that are not joined to it yet.
         map: the one that the camera is followed in.
         state: of the last frame.
-        first_frame: the first frame of the world; what was answered before does not belong to it.
+        loops: every place that looked like one seen before, and what came of it.
+        first_number, first_frame: numbers of the first frame (after a known map's), and of the first one in the world.
     """
 
-    def __init__(self, camera: SlamCamera, config: SlamConfig | None = None) -> None:
+    def __init__(
+        self,
+        camera: SlamCamera,
+        config: SlamConfig | None = None,
+        known: SlamMap | None = None,
+        *,
+        is_map_fixed: bool = False,
+    ) -> None:
+        """Begin, or go on in a map.
+
+        Args:
+            camera: what is followed.
+            config: options.
+            known: a map from an earlier run, in whose world answers are given once the camera is recognised in it.
+            is_map_fixed: only find the camera in the known map, which stays as it is.
+
+        Raises:
+            ConfigError: depth of a camera that is no pinhole; a map that is to stay, and none is given.
+        """
+        if is_map_fixed and known is None:
+            raise ConfigError("a map that is to stay as it is must be given")
         self.config = SlamConfig() if config is None else config
         self.camera = camera
-        lens, baseline = camera.camera, camera.baseline
-        if camera.depth is not None:
-            baseline = self.config.sensor_baseline_m
-        if baseline is not None and not is_pinhole(lens):
-            raise ConfigError(
-                "with depth, or a second camera, pictures are undistorted and the camera a PINHOLE"
-            )
-        self.focal_baseline = None if baseline is None else lens.focal_px * baseline
-        self.state = TrackingState.STARTING
-        self.first_frame = 0
-        self.maps: list[SlamMap] = [SlamMap()]
+        self.focal_baseline = focal_baseline_of(camera, self.config)
+        self.state = TrackingState.STARTING if known is None else TrackingState.LOST
+        self.is_map_fixed = is_map_fixed
+        self.maps: list[SlamMap] = [SlamMap() if known is None else known]
+        self.first_number = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
+        self.first_frame = self.first_number
         self._enter(self.maps[0])
-        self._closer = LoopCloser(lens, self.config, is_metric=camera.tells_depth)
-        self._start = OneCameraStart(lens, self.config)
+        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
+        self.loops = self._closer.ledger
+        self._start = OneCameraStart(camera.camera, self.config)
         self._turning: Turning | None = None
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._cam_from_world = Rigid3.identity()
         self._path = Path()
-        self._num_frames = 0
+        self._num_frames = self.first_number
         self._num_lost = 0
         self._num_at_keyframe = 1
-
-    @property
-    def loops(self) -> list[LoopCandidate]:
-        """Every place that looked like one seen before, and what came of it."""
-        return self._closer.ledger
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -86,11 +95,7 @@ class Slam:
             ShapeError: the pictures are not of the camera's size.
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
-        self.camera.check(frame)
-        if self._before is not None and frame.timestamp_s <= self._before.timestamp_s:
-            raise ConfigError(
-                f"a frame of {frame.timestamp_s:.6f} s comes after one of {self._before.timestamp_s:.6f} s"
-            )
+        self.camera.check(frame, self._before)
         if not self.map.num_points:
             answer = self._begin(frame)
         elif self.state in (TrackingState.LOST, TrackingState.TURNING):
@@ -148,10 +153,9 @@ class Slam:
         depth = first.cam_from_world.apply(self.map.xyz[points])[:, 2]
         self.map.rescale(1.0 / float(np.nanmedian(depth)))
         newest = self.map.keyframes[-1]
-        self._cam_from_world = newest.cam_from_world
+        start = self._cam_from_world = newest.cam_from_world
         for one, keyframe, then, covariance in begun.place_waiting(self.map, lens, self.config):
             self._path.add(one.number, one.frame.timestamp_s, keyframe, then, covariance)
-        start = self._cam_from_world
         here = place_in_map(self.map, newest.point, newest.pixels, start, lens, self.config)
         self._start, self._turns = OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
@@ -168,8 +172,7 @@ class Slam:
         )
 
     def _set_followed(self) -> None:
-        is_first = self.map is self.maps[0]
-        self.state = TrackingState.TRACKING if is_first else TrackingState.SUBMAP
+        self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
         self._num_lost, self._turning = 0, None
 
     def _enter(self, model: SlamMap) -> None:
@@ -189,9 +192,12 @@ class Slam:
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         self._cam_from_world = refined.cam_from_world
         tracks = self.tracker.tracks
-        self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
+        if not self.is_map_fixed:
+            self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
         reason = self._why_keyframe(num_agreeing)
-        if reason:
+        if reason and self.is_map_fixed:
+            self._num_at_keyframe, reason = self.tracker.look_again(frame, self._cam_from_world), ""
+        elif reason:
             self._extend(frame)
             reason = self._close_loop() or reason
         return self._answer(frame, refined.covariance(), num_agreeing, reason)
@@ -214,7 +220,7 @@ class Slam:
         self.mapper.triangulate(newest)
         self.mapper.adjust_around(newest)
         self.tracker.forget_mistakes()
-        self._cam_from_world = self.map.keyframes[newest].cam_from_world
+        self._cam_from_world = self.map.keyframes[-1].cam_from_world
 
     def _insert_keyframe(self, frame: Frame) -> None:
         tracker, place = self.tracker, self._cam_from_world
@@ -230,25 +236,29 @@ class Slam:
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
         for model in self.maps:
-            again = relocalize(frame.grey, model, self.camera.camera, self.config)
-            if again is not None:
-                self._enter(model)
-                found = self.tracker.take_up(frame, again)
-                if found is not None:
-                    self._set_followed()
-                    return self._placed(frame, *found)
+            found = self._recognized(frame, model)
+            if found is not None:
+                return self._placed(frame, *found)
         self._num_lost += 1
-        turned = None if self.camera.tells_depth else self._turn(frame)
+        turned = None if self.camera.tells_depth or self.is_map_fixed else self._turn(frame)
         if turned is not None:
-            self._num_lost = 0
             return self._turned(frame, turned, "the camera only turns: its place is the last known")
         self.state = TrackingState.LOST
-        if self._num_lost <= self.config.lost_patience:
+        if self._num_lost <= self.config.lost_patience or self.is_map_fixed:
             return self._no_place(frame, reason)
         return self._begin_submap(frame, reason)
 
+    def _recognized(self, frame: Frame, model: SlamMap) -> tuple[RefinedPose, int] | None:
+        again = relocalize(frame.grey, model, self.camera.camera, self.config)
+        if again is None:
+            return None
+        self._enter(model)
+        found = self.tracker.take_up(frame, again)
+        if found is not None:
+            self._set_followed()
+        return found
+
     def _lose(self) -> None:
-        self.state = TrackingState.LOST
         self._closer.forget()
         if self.map is not self.maps[0] and len(self.map.keyframes) < LEAST_KEYFRAMES:
             self.maps.remove(self.map)
@@ -342,7 +352,7 @@ class Slam:
         return frame
 
     def _turned(self, frame: Frame, turned: Turned, reason: str) -> TrackedFrame:
-        self.state, self._cam_from_world = TrackingState.TURNING, turned.cam_from_world
+        self.state, self._cam_from_world, self._num_lost = TrackingState.TURNING, turned.cam_from_world, 0
         if turned.is_keyframe:
             self.map.keyframes.append(turned.keyframe)
         if not self.map.num_points:
@@ -376,14 +386,9 @@ class Slam:
     def finish(self) -> None:
         """After the last frame: tie keyframes together that see the same, and adjust the whole of every map."""
         here = self.map
-        for model in self.maps:
-            if len(model.keyframes) < 2:
-                continue
+        for model in [] if self.is_map_fixed else self.maps:
             self._enter(model)
-            self.mapper.adjust_all()
-            for loss_scale_px in LAST_SCALES_PX:
-                tie_together(model, self.camera.camera, self.config)
-                self.mapper.adjust_all(loss_scale_px)
+            self.mapper.adjust_for_good()
         self._enter(here)
 
     def trajectory(self, number: int = 0) -> Trajectory:

@@ -1,0 +1,159 @@
+"""Maps on disk: one file, whole or not there, from which SLAM goes on or finds its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.frames import SlamCamera
+from epipole.pipelines.slam.place_recognition import describe_keyframe
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.runs.units import is_done, load, store, stored_key
+
+MAP_FILE = Path("map") / "map.npz"
+VERSION = "epipole map 1"
+ROTATION_TOLERANCE = 1e-6
+
+
+class KnownMap(NamedTuple):
+    """A map from disk."""
+
+    model: SlamMap
+    names: tuple[str, ...]
+    """Of the keyframes' pictures."""
+    is_metric: bool
+
+
+def write_map(path: Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera) -> None:
+    """Write a map.
+
+    Args:
+        path: the file.
+        model: the map; keyframes of turns, which see no point, are left out.
+        names: of the keyframes' pictures, a name for each of the model's keyframes.
+        sensor: whose map it is.
+
+    Raises:
+        WorkspaceError: the place is not writable.
+    """
+    number = {id(k): n for n, k in enumerate(k for k in model.keyframes if len(k.point))}
+    keyframes = [k for k in model.keyframes if len(k.point)]
+    column = np.array([number.get(id(k), -1) for k in model.keyframes], np.int64)
+    lens = sensor.camera
+    size = (lens.height, lens.width)
+    arrays = {
+        "camera_model": np.array(int(lens.model)),
+        "camera_params": lens.params,
+        "size": np.array([lens.width, lens.height]),
+        "is_metric": np.array(sensor.tells_depth),
+        "right_shift_px": np.array(model.right_shift_px),
+        "number": np.array([k.number for k in keyframes], np.int64),
+        "name": np.array([n for n, k in zip(names, model.keyframes) if len(k.point)], np.str_),
+        "timestamp_s": np.array([k.timestamp_s for k in keyframes], np.float64),
+        "rotation": np.array([k.cam_from_world.rotation for k in keyframes]).reshape(-1, 3, 3),
+        "translation": np.array([k.cam_from_world.translation for k in keyframes]).reshape(-1, 3),
+        "grey": np.array([k.grey for k in keyframes], np.uint8).reshape(-1, *size),
+        "offsets": np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),
+        "pixels": np.concatenate([np.zeros((0, 2)), *(k.pixels for k in keyframes)]),
+        "disparity_px": np.concatenate([np.zeros(0), *(k.disparity_px for k in keyframes)]),
+        "point": np.concatenate([np.zeros(0, np.int64), *(k.point for k in keyframes)]),
+        "xyz": model.xyz,
+        "anchor": column[model.anchor],
+        "anchor_px": model.anchor_px,
+        "num_agreed": model.num_agreed,
+    }
+    store(path, VERSION, arrays)
+
+
+def read_map(path: Path, sensor: SlamCamera) -> KnownMap:
+    """Read a map, and make its keyframes ready to be recognised.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+        sensor: the camera that is to be followed in it.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+        ConfigError: it is the map of another camera, or its unit is not this camera's.
+    """
+    path = next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
+    arrays = _arrays(path)
+    lens = sensor.camera
+    size, params = arrays["size"], arrays["camera_params"]
+    if (int(size[0]), int(size[1])) != (lens.width, lens.height):
+        raise ConfigError(
+            f"{path} is of pictures of {size[0]}x{size[1]}, these are {lens.width}x{lens.height}"
+        )
+    mine = Camera(lens.model, lens.width, lens.height, lens.params)
+    if int(arrays["camera_model"]) != int(lens.model) or not np.allclose(params, mine.params, rtol=0.02):
+        raise ConfigError(f"{path} is the map of another camera: {params} against {mine.params}")
+    if sensor.tells_depth and not arrays["is_metric"]:
+        raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
+    return KnownMap(_model_of(arrays), tuple(str(n) for n in arrays["name"]), bool(arrays["is_metric"]))
+
+
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    if not is_done(path, VERSION):
+        key = stored_key(path) if path.is_file() else ""
+        why = f"it is of another version ({key})" if key not in ("", VERSION) else "it is no map, or damaged"
+        raise FileFormatError(path, why if path.exists() else "no such file")
+    try:
+        arrays = load(path)
+        _check(arrays)
+    except (WorkspaceError, KeyError, ValueError, IndexError, TypeError) as error:
+        raise FileFormatError(path, f"its arrays are no map's: {error}") from error
+    return arrays
+
+
+def _check(arrays: dict[str, np.ndarray]) -> None:
+    """Check that the arrays fit each other.
+
+    Raises:
+        ValueError: they do not.
+    """
+    k, p, n = len(arrays["number"]), len(arrays["xyz"]), len(arrays["point"])
+    width, height = (int(v) for v in arrays["size"])
+    shapes = {
+        **dict.fromkeys(("number", "name", "timestamp_s"), (k,)),
+        **dict.fromkeys(("anchor", "num_agreed"), (p,)),
+        **{"rotation": (k, 3, 3), "translation": (k, 3), "grey": (k, height, width), "offsets": (k + 1,)},
+        **{"pixels": (n, 2), "disparity_px": (n,), "point": (n,), "xyz": (p, 3), "anchor_px": (p, 2)},
+    }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} is {arrays[name].shape}, not {shape}")
+    turned = arrays["rotation"] @ np.swapaxes(arrays["rotation"], 1, 2)
+    if k and not np.abs(turned - np.eye(3)).max() < ROTATION_TOLERANCE:
+        raise ValueError("a rotation is none")
+    for name in ("timestamp_s", "translation", "pixels", "anchor_px", "camera_params"):
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{name} is not finite")
+    offsets, point, anchor = arrays["offsets"], arrays["point"], arrays["anchor"]
+    if offsets[0] != 0 or offsets[-1] != n or (np.diff(offsets) < 0).any():
+        raise ValueError("offsets do not rise to the number of observations")
+    if (n and not 0 <= point.min() <= point.max() < p) or (p and not -1 <= anchor.min() <= anchor.max() < k):
+        raise ValueError("an index has no place")
+
+
+def _model_of(arrays: dict[str, np.ndarray]) -> SlamMap:
+    model, offsets = SlamMap(), arrays["offsets"]
+    # Points that were first seen in a keyframe that is not there are of no use.
+    xyz = np.where(arrays["anchor"][:, None] >= 0, arrays["xyz"].astype(np.float64), np.nan)
+    rows = model.add_points(xyz, arrays["anchor_px"], np.maximum(arrays["anchor"], 0))
+    model.num_agreed[rows] = arrays["num_agreed"]
+    model.right_shift_px = float(arrays["right_shift_px"])
+    for k, number in enumerate(arrays["number"]):
+        own = slice(offsets[k], offsets[k + 1])
+        place = Rigid3(arrays["rotation"][k], arrays["translation"][k])
+        seen = Observations(*(arrays[name][own].copy() for name in ("pixels", "disparity_px", "point")))
+        grey = np.ascontiguousarray(arrays["grey"][k], np.uint8)
+        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), grey, place, seen)
+        describe_keyframe(keyframe)
+        model.keyframes.append(keyframe)
+    return model
