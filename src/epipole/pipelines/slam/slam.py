@@ -297,11 +297,17 @@ class Slam:
         return True
 
     def _joined(self, tie: Tie) -> bool:
-        self.map.move(tie.there_from_here)
-        self.maps.remove(self.map)
-        offset = tie.there.absorb(self.map)
-        self._tracks.point = self._tracks.point + offset
-        self._enter(tie.there)
+        # The older map stays, with its world.
+        here, there = self.map, tie.there
+        if self.maps.index(there) < self.maps.index(here):
+            here.move(tie.there_from_here)
+            self._tracks.point = self._tracks.point + there.absorb(here)
+            self.maps.remove(here)
+            self._enter(there)
+        else:
+            there.move(tie.there_from_here.inverse())
+            here.absorb(there)
+            self.maps.remove(there)
         if self.map is self.maps[0]:
             self.state = TrackingState.TRACKING
         self._settle()
