@@ -31,6 +31,8 @@ RESULTS = {
         "CameraErrors",
         "DriftPerLength",
         "TrajectoryError",
+        "TrajectoryEvaluation",
+        "TrajectoryScore",
         "RefinedPose",
         "Rendering",
         "Snapshot",

@@ -89,7 +89,7 @@ class LoopCloser:
         view = describe_keyframe(newest)
         excluded, unwanted = self._surroundings(here, there)
         for hypothesis in self._waiting:
-            hypothesis.age += 1
+            hypothesis.age += hypothesis.there is there
         self._waiting = [h for h in self._waiting if h.age <= PATIENCE]
         again = [h.keyframe for h in self._waiting if h.there is there and h.keyframe < len(there.keyframes)]
         alike = [k for k, _ in most_alike(view.look, there, excluded, CANDIDATES)]

@@ -34,6 +34,7 @@ class MapTracker:
         self.focal_baseline = focal_baseline
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
+        self._num_at_start = 1
 
     def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
         """The pose of the next frame and the number of points that agree; None if too few do.
@@ -57,8 +58,7 @@ class MapTracker:
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """The pose of a frame that was recognised; its points are followed from here on."""
-        self.tracks = Tracks(recognized.pixels, recognized.points, recognized.pixels)
-        self.stale = np.zeros(0, np.int64)
+        self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
         return self.locate(frame, recognized.cam_from_world)
 
     def locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
@@ -81,12 +81,26 @@ class MapTracker:
         tracks.keep(kept)
         return refined, int(agrees.sum())
 
-    def look_again(self, frame: Frame, place: Rigid3) -> int:
-        """Take up all points of the map that are in sight; returns the number that is followed then."""
+    def start_from(self, tracks: Tracks) -> None:
+        """Follow these from here on."""
+        self.tracks, self.stale = tracks, np.zeros(0, np.int64)
+        self._num_at_start = max(int(self.map.has_place(tracks.point).sum()), 1)
+
+    def look_again(self, frame: Frame, place: Rigid3) -> None:
+        """Take up all points of the map that are in sight."""
         tracks = self.tracks
         tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
-        self.tracks = Tracks(tracks.pixels, tracks.point, tracks.pixels.copy())
-        return max(len(tracks), 1)
+        self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
+
+    def why_keyframe(self, num_agreeing: int, age: int) -> str:
+        """Why the present frame, so many after the last keyframe, should be one; empty if it need not."""
+        if num_agreeing < self.config.keyframe_share * self._num_at_start:
+            return "fewer points in sight"
+        if num_agreeing < self.config.keyframe_points and age >= 3:
+            return "few points in sight"
+        if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
+            return "the points have moved"
+        return "time has passed" if age >= self.config.keyframe_gap else ""
 
     def forget_mistakes(self) -> None:
         """Stop following points whose observation in the newest keyframe was a mistake."""

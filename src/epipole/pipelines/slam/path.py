@@ -53,8 +53,9 @@ class Path:
             np.stack([s.cam_from_keyframe.translation for s in steps]) * grown[:, None],
         )
         there = Rigid3(np.stack([k.rotation for k in keys]), np.stack([k.translation for k in keys]))
+        unit = np.stack([*3 * [grown], *3 * [np.ones(len(steps))]], axis=1)
         return Trajectory(
             np.array([s.timestamp_s for s in steps]),
             (relative @ there).inverse(),
-            np.stack([s.covariance for s in steps]),
+            np.stack([s.covariance for s in steps]) * unit[:, :, None] * unit[:, None, :],
         )

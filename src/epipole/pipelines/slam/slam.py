@@ -86,7 +86,6 @@ class Slam:
         self._path = Path()
         self._num_frames = self.first_number
         self._num_lost = 0
-        self._num_at_keyframe = 1
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -194,24 +193,14 @@ class Slam:
         tracks = self.tracker.tracks
         if not self.is_map_fixed:
             self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
-        reason = self._why_keyframe(num_agreeing)
+        reason = self.tracker.why_keyframe(num_agreeing, self._num_frames - self._newest().number)
         if reason and self.is_map_fixed:
-            self._num_at_keyframe, reason = self.tracker.look_again(frame, self._cam_from_world), ""
+            self.tracker.look_again(frame, self._cam_from_world)
+            reason = ""
         elif reason:
             self._extend(frame)
             reason = self._close_loop() or reason
         return self._answer(frame, refined.covariance(), num_agreeing, reason)
-
-    def _why_keyframe(self, num_agreeing: int) -> str:
-        """Why this frame should be a keyframe; empty if it need not."""
-        age = self._num_frames - self._newest().number
-        if num_agreeing < self.config.keyframe_share * self._num_at_keyframe:
-            return "fewer points in sight"
-        if num_agreeing < self.config.keyframe_points and age >= 3:
-            return "few points in sight"
-        if self.tracker.tracks.shift_px() > self.config.keyframe_motion * self.camera.camera.width:
-            return "the points have moved"
-        return "time has passed" if age >= self.config.keyframe_gap else ""
 
     def _extend(self, frame: Frame) -> None:
         """A keyframe, new points, and the adjustment of the keyframes around it."""
@@ -225,8 +214,7 @@ class Slam:
     def _insert_keyframe(self, frame: Frame) -> None:
         tracker, place = self.tracker, self._cam_from_world
         made = self.mapper.insert_keyframe(frame, self._num_frames, place, tracker.tracks, tracker.stale)
-        tracker.tracks, tracker.stale = made, np.zeros(0, np.int64)
-        self._num_at_keyframe = max(int(self.map.has_place(made.point).sum()), 1)
+        tracker.start_from(made)
 
     # A camera that is lost.
 
@@ -297,13 +285,18 @@ class Slam:
         return True
 
     def _joined(self, tie: Tie) -> bool:
-        """The map becomes part of the older one."""
-        tracks = self.tracker.tracks
-        self.map.move(tie.there_from_here)
-        self.maps.remove(self.map)
-        tracks.point = tracks.point + tie.there.absorb(self.map)
-        self._enter(tie.there)
-        self.tracker.tracks = tracks
+        """The younger map becomes part of the older one, in whose world all is told."""
+        here, there, tracks = self.map, tie.there, self.tracker.tracks
+        if self.maps.index(there) < self.maps.index(here):
+            here.move(tie.there_from_here)
+            tracks.point = tracks.point + there.absorb(here)
+            self.maps.remove(here)
+            self._enter(there)
+            self.tracker.tracks = tracks
+        else:
+            there.move(tie.there_from_here.inverse())
+            here.absorb(there)
+            self.maps.remove(there)
         self._set_followed()
         self._settle()
         return True

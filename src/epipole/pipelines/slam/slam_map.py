@@ -137,13 +137,19 @@ class SlamMap:
             keyframe.unit *= float(new_from_old.scale)
 
     def absorb(self, other: SlamMap) -> int:
-        """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows."""
+        """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows.
+
+        Keyframes stay in the order of their frames, so that the newest is the last.
+        """
         offset, before = self.num_points, len(self.keyframes)
         rows = self.add_points(other.xyz, other.anchor_px, other.anchor + before)
         self.num_agreed[rows] = other.num_agreed
         for keyframe in other.keyframes:
             keyframe.point = keyframe.point + offset
-        self.keyframes += other.keyframes
+        both = self.keyframes + other.keyframes
+        order = np.argsort([keyframe.number for keyframe in both], kind="stable")
+        self.keyframes = [both[k] for k in order]
+        self.anchor[:] = np.argsort(order)[self.anchor]
         other.keyframes, other.num_points = [], 0
         return offset
 
