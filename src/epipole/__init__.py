@@ -20,7 +20,7 @@ _CONFIGS = (
 )
 _DATA = (
     *("Camera", "CameraModel", "CameraOptions", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig"),
-    *("Slam", "SlamCamera", "DepthCamera", "Frame"),
+    *("Slam", "SlamCamera", "DepthCamera", "Frame", "read_slam_map", "write_slam_map"),
 )
 _RESULTS = (
     *(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole._checks import as_path
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
@@ -30,7 +31,7 @@ class KnownMap(NamedTuple):
     is_metric: bool
 
 
-def write_map(path: Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera) -> None:
+def write_slam_map(path: str | Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera) -> None:
     """Write a map.
 
     Args:
@@ -68,10 +69,10 @@ def write_map(path: Path, model: SlamMap, names: Sequence[str], sensor: SlamCame
         "anchor_px": model.anchor_px,
         "num_agreed": model.num_agreed,
     }
-    store(path, VERSION, arrays)
+    store(as_path(path), VERSION, arrays)
 
 
-def read_map(path: Path, sensor: SlamCamera) -> KnownMap:
+def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """Read a map, and make its keyframes ready to be recognised.
 
     Args:
@@ -82,6 +83,7 @@ def read_map(path: Path, sensor: SlamCamera) -> KnownMap:
         FileFormatError: it is no map, or damaged.
         ConfigError: it is the map of another camera, or its unit is not this camera's.
     """
+    path = as_path(path)
     path = next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
     arrays = _arrays(path)
     lens = sensor.camera

@@ -20,7 +20,7 @@ from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
-from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_map
+from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
@@ -90,7 +90,7 @@ def write_results(
     with run.stage("write"), run.folder.publish("slam") as aside:
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
-        write_map(aside / MAP_FILE, system.maps[0], names, source.camera)
+        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera)
         write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
     with run.stage("report"):
         title = run.job.inputs[0].resolve().name

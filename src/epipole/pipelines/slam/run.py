@@ -17,7 +17,7 @@ from epipole.io.video import is_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
-from epipole.pipelines.slam.map_files import read_map
+from epipole.pipelines.slam.map_files import read_slam_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -66,7 +66,7 @@ def slam(
     given = options_of(CameraOptions, camera)
     frames = _open(source, wanted, given)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
-    known = None if wanted.map is None else read_map(wanted.map, frames.camera)
+    known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
