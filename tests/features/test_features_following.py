@@ -83,6 +83,25 @@ def test_patches_that_say_nothing_have_no_score(picture):
         align_patches(picture, picture, pixels, warps, pixels, 1)
 
 
+@pytest.mark.parametrize("gain", [0.3, 0.6, 1.3, 2.2])
+def test_points_are_followed_into_a_picture_of_another_exposure(picture, pixels, gain):
+    """As well as into one of the same: with the brightness as it is most points were lost."""
+    middle = np.rint(40 + 0.3 * picture).astype(np.uint8)  # nothing is over-exposed in either
+    motion = np.float64([[1, 0, 3.3], [0, 1, -1.7]])
+    other = np.rint(gain * warped(middle, motion)).clip(0, 255).astype(np.uint8)
+    found, mask = follow_points(middle, other, pixels)
+    assert mask.mean() > 0.9
+    assert np.linalg.norm(found[mask] - pixels[mask] - [3.3, -1.7], axis=1).max() < 0.3
+    back, mask = follow_points(other, middle, pixels + [3.3, -1.7])
+    assert mask.mean() > 0.9 and np.linalg.norm(back[mask] - pixels[mask], axis=1).max() < 0.3
+
+
+def test_odd_places_do_not_trouble_the_brightness(picture):
+    odd = np.array([[60.0, 60.0], [-30.0, 5.0], [1e12, 1e12], [np.nan, 50.0]])
+    _, mask = follow_points(picture, picture, odd)
+    assert mask[0] and not mask[1:].any()
+
+
 @reference_of(_patch_kernels.align_patches)
 def test_the_kernel_is_its_source(picture, monkeypatch):
     calls = record_calls(monkeypatch, patches, _patch_kernels.align_patches)

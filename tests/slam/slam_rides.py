@@ -10,10 +10,12 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io import write_trajectory
+from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
-from epipole.synthetic import courtyard, look_at, render
+from epipole.synthetic import courtyard, look_at, render, rides
+from epipole.synthetic.ride import Ride as SyntheticRide
 
 CAMERA = Camera("PINHOLE", 320, 240, [260.0, 260.0, 159.5, 119.5])
 BASELINE = 0.12
@@ -95,3 +97,52 @@ def write_pairs(folder: Path, count: int = 12) -> Path:
     truth = Trajectory(np.arange(count) * 0.1, ride().truth()[np.arange(count)])
     write_trajectory(truth, folder / "poses.txt", "kitti")
     return folder
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Every few frames of a ride of `epipole.synthetic`, in small pictures."""
+
+    ride: SyntheticRide
+    pictures: dict
+
+    def frames(self, kind: str, numbers=None) -> list[Frame]:
+        """As the sensor gives them, a tenth of a second apart, in the order of these numbers (all of them, in order)."""
+        out = []
+        for n, number in enumerate(self.pictures if numbers is None else numbers):
+            left, right, depth = self.pictures[number]
+            kinds = right if kind == "stereo" else None, depth if kind == "rgbd" else None
+            out.append(Frame(0.1 * n, left, *kinds))
+        return out
+
+    def truth(self, numbers=None) -> Rigid3:
+        """world_from_body with the first of these frames as the world."""
+        places = self.ride.world_from_camera[np.array(list(self.pictures if numbers is None else numbers))]
+        return places[0].inverse() @ places
+
+    def sensor(self, kind: str, focal_factor: float = 1.0) -> SlamCamera:
+        """The camera, or one of a wrong focal length."""
+        lens, params = self.ride.camera, self.ride.camera.params.copy()
+        params[:2] *= focal_factor
+        lens = Camera(lens.model, lens.width, lens.height, params)
+        if kind == "rgbd":
+            return SlamCamera(lens, None, DepthCamera(lens, Rigid3.identity()))
+        return SlamCamera(lens, self.ride.baseline if kind == "stereo" else None)
+
+
+@cache
+def drawn(name: str, count: int, step: int, *, with_right: bool = False) -> Drawn:
+    """Every `step`-th of the first `count` frames, rendered once for all tests of a process."""
+    ride = getattr(rides, name)(count, (320, 240))
+    pictures = {}
+    for number in range(0, count, step):
+        left = ride.left(number)
+        pictures[number] = left.grey, ride.right(number).grey if with_right else None, left.depth
+    return Drawn(ride, pictures)
+
+
+def errors(slam: Slam, truth: Rigid3, alignment: str, number: int = 0):
+    """Of a path whose frames are a tenth of a second apart."""
+    path = slam.trajectory(number)
+    rows = np.rint(10 * path.timestamp_s).astype(int)
+    return absolute_error(path.world_from_body, truth[rows], alignment)

@@ -10,6 +10,11 @@ from epipole._declared import checked
 from epipole.config import FlowConfig, options_of
 from epipole.errors import ShapeError
 
+LARGEST_GAIN = 1.2
+"""Between pictures as they are; one that is darker by more is first made as bright as the other."""
+AROUND_PX = 15
+"""Side of the square whose mean tells how bright a point is."""
+
 
 @checked
 def follow_points(
@@ -22,6 +27,9 @@ def follow_points(
     and_back: bool = True,
 ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
     """Find points of one picture in another (Lucas and Kanade 1981; Bouguet 2001), and back again.
+
+    The method takes a point to be as bright in both. Where exposure differs, so that the points are darker in one of the pictures
+    by a sixth or more (median), that one is brightened first.
 
     Args:
         first: grey picture that the points are in.
@@ -50,6 +58,7 @@ def follow_points(
         axis=1, keepdims=True
     )
     start = np.where(usable, start, at)
+    first, second = _equally_bright(first, second, at, start)
     side = (config.window_px, config.window_px)
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
     flags = cv2.OPTFLOW_USE_INITIAL_FLOW
@@ -66,3 +75,23 @@ def follow_points(
         )  # fmt: skip
         mask &= (returned[:, 0] == 1) & (np.linalg.norm(back - at, axis=1) <= config.max_return_px)
     return there.astype(np.float64), mask
+
+
+def _equally_bright(
+    first: np.ndarray, second: np.ndarray, at: np.ndarray, there: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pictures, the darker one multiplied if points at these places differ by more than the method bears."""
+    one, other = _brightness(first, at), _brightness(second, there)
+    gain = float(np.median((other + 1.0) / (one + 1.0)))
+    if gain > LARGEST_GAIN:
+        return cv2.convertScaleAbs(first, alpha=gain), second
+    if gain < 1.0 / LARGEST_GAIN:
+        return first, cv2.convertScaleAbs(second, alpha=1.0 / gain)
+    return first, second
+
+
+def _brightness(picture: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n,) mean grey around pixels; what lies outside counts as the rim."""
+    last = np.array(picture.shape[::-1]) - 1
+    column, row = np.rint(np.clip(np.nan_to_num(pixels), 0, last)).astype(np.int64).T
+    return cv2.blur(picture, (AROUND_PX, AROUND_PX))[row, column].astype(np.float64)
