@@ -28,6 +28,8 @@ class KnownMap(NamedTuple):
     model: SlamMap
     names: tuple[str, ...]
     """Of the keyframes' pictures."""
+    numbers: tuple[int, ...]
+    """Of the keyframes' frames."""
     is_metric: bool
 
 
@@ -97,7 +99,12 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         raise ConfigError(f"{path} is the map of another camera: {params} against {mine.params}")
     if sensor.tells_depth and not arrays["is_metric"]:
         raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
-    return KnownMap(_model_of(arrays), tuple(str(n) for n in arrays["name"]), bool(arrays["is_metric"]))
+    return KnownMap(
+        _model_of(arrays),
+        tuple(str(n) for n in arrays["name"]),
+        tuple(int(n) for n in arrays["number"]),
+        bool(arrays["is_metric"]),
+    )
 
 
 def _arrays(path: Path) -> dict[str, np.ndarray]:

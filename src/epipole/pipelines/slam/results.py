@@ -103,9 +103,9 @@ def write_results(
 
 def _names(system: Slam, names: Sequence[str], known: KnownMap | None) -> list[str]:
     """Names of the pictures of the first map's keyframes."""
-    keyframes = system.maps[0].keyframes
-    before = [] if known is None else list(known.names)
-    return before + [names[k.number - system.first_number] for k in keyframes[len(before) :]]
+    named = {} if known is None else dict(zip(known.numbers, known.names))
+    named |= {system.first_number + n: name for n, name in enumerate(names)}
+    return [named[keyframe.number] for keyframe in system.maps[0].keyframes]
 
 
 def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:

@@ -8,6 +8,7 @@ from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.forgetting import forget
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
@@ -200,6 +201,7 @@ class Slam:
         elif reason:
             self._extend(frame)
             reason = self._close_loop() or reason
+            forget(self.map, self._path, self.tracker.tracks)
         return self._answer(frame, refined.covariance(), num_agreeing, reason)
 
     def _extend(self, frame: Frame) -> None:

@@ -177,5 +177,29 @@ class SlamMap:
         self.xyz[gone] = np.nan
         return into
 
+    def remove_keyframe(self, number: int) -> None:
+        """Take a keyframe out; points that were first seen in it are known by another one that sees them, or are gone."""
+        gone = self.keyframes.pop(number)
+        orphans = self.anchor == number
+        self.anchor[self.anchor > number] -= 1
+        for k, keyframe in enumerate(self.keyframes):
+            rows = np.flatnonzero(orphans[keyframe.point])
+            points = keyframe.point[rows]
+            self.anchor[points], self.anchor_px[points] = k, keyframe.pixels[rows]
+            orphans[points] = False
+        self.xyz[orphans] = np.nan
+        self.anchor[orphans] = 0
+        gone.keep(np.zeros(len(gone.point), bool))
+
+    def keep_points(self, mask: np.ndarray) -> np.ndarray:
+        """Give up the rows of other points, which no keyframe may see; returns what each row has become, -1 for gone."""
+        into = np.where(mask, np.cumsum(mask) - 1, -1)
+        for name in ("_xyz", "_anchor", "_anchor_px", "_num_agreed"):
+            setattr(self, name, getattr(self, name)[: self.num_points][mask].copy())
+        self.num_points = int(mask.sum())
+        for keyframe in self.keyframes:
+            keyframe.point = into[keyframe.point]
+        return into
+
     def __repr__(self) -> str:
         return f"SlamMap({len(self.keyframes)} keyframes, {int(np.isfinite(self.xyz[:, 0]).sum())} points)"
