@@ -69,6 +69,12 @@ def show_slam(result: SlamResult) -> None:
     table.add_row("map", f"{summary['num_keyframes']} keyframes, {summary['num_points']:,} points")
     if summary["mean_reprojection_error_px"] is not None:
         table.add_row("reprojection error", f"{summary['mean_reprojection_error_px']:.2f} px (mean)")
+    closed = sum(loop["verdict"] == "accepted" for loop in summary["loops"])
+    if closed:
+        table.add_row("places seen again", f"{closed} loops closed" if closed > 1 else "a loop closed")
+    for number, part in enumerate(summary["submaps"], 1):
+        words = f"{part['num_frames']} frames, tied to the first by no place: trajectory_submap_{number}.txt"
+        table.add_row("map of its own", words)
     length = result.trajectory.path_length()
     unit = "m" if summary["is_metric"] else "units of the map, not metres"
     table.add_row("length of the path", f"{length:.4g} {unit}")

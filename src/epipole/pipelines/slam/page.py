@@ -95,6 +95,7 @@ def render_page(page: SlamPage) -> str:
         truth_source=(page.summary.get("truth") or {}).get("source", ""),
         loops=loops[:MOST_LOOPS],
         num_loops=len(loops),
+        submaps=page.summary.get("submaps") or [],
         num_accepted=sum(loop.get("verdict") == "accepted" for loop in loops),
         timings=draw_timings(page.timings),
         total_seconds=sum(page.timings.values()),
