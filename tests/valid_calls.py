@@ -484,6 +484,10 @@ def _mapping() -> Iterator[Row]:
     }
     deep = {"disparity_px": 6.0 / sight[:, 2], "focal_baseline": 6.0, "sigma_px": 1.0}
     yield _row(mapping.Disparities, **deep)
+    spread = np.random.default_rng(5).normal(size=(12, 3))
+    yield _row(
+        mapping.fit_scale_to_positions, positions_in_model=spread, positions_in_world=2.0 * spread, sigma=0.01
+    )
     more = {"sigma_px": np.ones(6), "disparities": mapping.Disparities(**deep), "loss_scale": 2.0}
     yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)

@@ -21,13 +21,16 @@ from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_PLY, graph_of, tra
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
-from epipole.errors import EpipoleError
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, EpipoleError
+from epipole.geometry import Rigid3
 from epipole.io import (
     read_bal,
     read_colmap_model,
     read_database,
     read_g2o,
     read_points_ply,
+    read_positions,
     read_sequence,
     read_trajectory,
     read_transforms,
@@ -54,6 +57,9 @@ from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
 from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.sfm.pairing import read_pairs
+from epipole.pipelines.slam.frames import SlamCamera
+from epipole.pipelines.slam.map_files import read_slam_map, write_slam_map
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
@@ -192,6 +198,33 @@ def _trajectory(name: str) -> Callable[[Path], None]:
         assert_motions(found.world_from_body)
 
     return read
+
+
+def _positions(folder: Path) -> None:
+    found = read_positions(folder / "a.txt")
+    assert len(found.timestamp_s) == len(found.positions) and (np.diff(found.timestamp_s) > 0).all()
+    assert np.isfinite(found.positions).all()
+
+
+SLAM_CAMERA = SlamCamera(Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]))
+
+
+def _put_slam_map(folder: Path) -> None:
+    model = SlamMap()
+    model.add_points(np.ones((5, 3)), np.full((5, 2), 9.0), 0)
+    for n in range(2):
+        seen = Observations(np.full((5, 2), 9.0), np.full(5, np.nan), np.arange(5))
+        grey = np.full((24, 32), 100 + n, np.uint8)
+        model.keyframes.append(Keyframe(n, 0.1 * n, grey, Rigid3.identity(), seen))
+    write_slam_map(folder / "map.npz", model, ["a.png", "b.png"], SLAM_CAMERA)
+
+
+def _slam_map(folder: Path) -> None:
+    try:
+        known = read_slam_map(folder / "map.npz", SLAM_CAMERA)
+    except ConfigError:  # the map of another camera
+        return
+    assert len(known.names) == len(known.model.keyframes)
 
 
 def _pose_matrix(folder: Path) -> None:
@@ -456,6 +489,11 @@ FORMATS: dict[str, Format] = {
         _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n"),
         *("a.txt", "text", lambda folder: trajectory_format(folder / "a.txt"), ("trajectory_format",)),
     ),
+    "positions": Format(
+        _put("a.txt", b"# t x y z\n0.5 1 2 3\n0.6, 1, 2, 4\n0.7 1 2 5\n"),
+        *("a.txt", "text", _positions, ("read_positions",)),
+    ),
+    "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),

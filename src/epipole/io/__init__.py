@@ -25,6 +25,7 @@ from epipole.io.sequences import ImageSequence as ImageSequence
 from epipole.io.sequences import SequenceKind as SequenceKind
 from epipole.io.sequences import read_sequence as read_sequence
 from epipole.io.trajectories import TrajectoryFormat as TrajectoryFormat
+from epipole.io.trajectories import read_positions as read_positions
 from epipole.io.trajectories import read_trajectory as read_trajectory
 from epipole.io.trajectories import write_trajectory as write_trajectory
 from epipole.io.transforms_json import read_transforms as read_transforms

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float64
 
 from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
@@ -88,6 +90,33 @@ def read_pose_matrix(path: str | Path) -> Rigid3:
     if not np.abs(nearest - rotation).max() <= _ROTATION_TOLERANCE:
         raise FileFormatError(path, "its first three columns are no rotation matrix")
     return Rigid3(nearest, np.ascontiguousarray(values[:3, 3]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionLog:
+    """Measured places."""
+
+    timestamp_s: Float64[np.ndarray, " n"]
+    """Rising."""
+    positions: Float64[np.ndarray, "n 3"]
+
+
+def read_positions(path: str | Path) -> PositionLog:
+    """Read a log of places: `seconds x y z` a line, by spaces or commas, and whatever else follows (TUM's files are such).
+
+    Raises:
+        FileFormatError: no such file, a line without four numbers, times that do not rise, or no line at all.
+    """
+    path = Path(path)
+    rows = [(number, words[:4]) for number, words in _rows(path)]
+    values = _numbers(path, rows, 4)
+    _refuse(
+        path,
+        rows,
+        np.diff(values[:, 0], prepend=-np.inf) <= 0,
+        "its time is not after that of the line above",
+    )
+    return PositionLog(values[:, 0].copy(), values[:, 1:4].copy())
 
 
 @checked

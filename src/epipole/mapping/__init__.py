@@ -7,6 +7,8 @@ from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import connect_matches as connect_matches
+from epipole.mapping.metric_scale import ScaleFit as ScaleFit
+from epipole.mapping.metric_scale import fit_scale_to_positions as fit_scale_to_positions
 from epipole.mapping.model_builder import ModelBuilder as ModelBuilder
 from epipole.mapping.model_builder import Snapshot as Snapshot
 from epipole.mapping.pose_refinement import Disparities as Disparities

@@ -36,6 +36,9 @@ class LocalMapper:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
         """Focal length times baseline; None for one camera."""
+        self.positions: dict[int, np.ndarray] = {}
+        """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
+        self.position_sigma = 1.0
         self._num_settled = LEAST_TOGETHER
         """Keyframes when all were adjusted last."""
 
@@ -278,12 +281,21 @@ class LocalMapper:
         """
         shifted, free = params.copy(), np.zeros((2, params.shape[1]))
         shifted[1, 2] += self.map.right_shift_px
-        if self.sensor.baseline is None or num_free < len(views) or num_free < LEAST_TOGETHER:
+        if num_free < len(views) or num_free < LEAST_TOGETHER:
+            return shifted, free, None
+        if self.positions:
+            return shifted, free, self._known_places(views)
+        if self.sensor.baseline is None:
             return shifted, free, None
         free[1, 2] = 1.0
         sigma = np.full(params.shape, np.inf)
         sigma[1, 2] = SHIFT_SIGMA_PX
         return shifted, free, BundlePriors(params_expected=params, params_sigma=sigma)
+
+    def _known_places(self, views: list[int]) -> BundlePriors:
+        none = np.full(3, np.nan)
+        measured = np.array([self.positions.get(self.map.keyframes[k].number, none) for k in views])
+        return BundlePriors(position_in_world=measured, position_sigma=self.position_sigma)
 
     def forget_mistakes(self, keyframes: list[int], max_error_px: float) -> None:
         """Drop observations that are off by more, and points that are behind a camera that saw them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from epipole.io.colmap import write_colmap_model
 from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.ply import write_scene_ply
 from epipole.io.trajectories import write_trajectory
+from epipole.mapping import ScaleFit
+from epipole.pipelines.slam.anchors import moved_path, scale_summary, scale_words
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
@@ -50,11 +52,22 @@ class SlamResult:
         return f"SlamResult({self.trajectory!r} in {self.out})"
 
 
+class Given(NamedTuple):
+    """What was known besides the frames."""
+
+    truth: Truth | None
+    """The true path, to compare with."""
+    map: KnownMap | None
+    """The map that the run went on in."""
+    scale: ScaleFit | None
+    """What measured places told."""
+
+
 def write_results(
     feed: Feed,
     system: Slam,
     records: list[FrameRecord],
-    given: tuple[Truth | None, KnownMap | None],
+    given: Given,
     job: JobOptions,
     run: Run,
 ) -> SlamResult:
@@ -64,25 +77,32 @@ def write_results(
         feed: where the frames came from.
         system: what followed them.
         records: what became of each frame.
-        given: the true path, and the map that the run went on in, where there are any.
+        given: what was known besides the frames.
         job: what is written.
         run: the output folder.
 
     Raises:
         NoModelError: no frame got a place.
     """
-    source, (truth, known_map) = feed.source, given
+    source, truth = feed.source, given.truth
     tracked = [record.answer for record in records if record.answer is not None]
     problems = [record.problem for record in records if record.problem] + feed.notes()
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
     tied = tracked[system.first_frame - system.first_number :]
-    final, causal = (_of_body(path, source) for path in (system.trajectory(), _causal(tied)))
-    names = _names(system, [record.name for record in records if record.answer], known_map)
+    came = _causal(tied) if given.scale is None else moved_path(_causal(tied), given.scale.world_from_model)
+    final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
+    names = _names(system, [record.name for record in records if record.answer], given.map)
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
+    if given.scale is not None:
+        summary |= {
+            "scale": scale_words(given.scale),
+            "is_metric": True,
+            "anchor": scale_summary(given.scale),
+        }
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))

@@ -9,11 +9,14 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole.config import options_of
-from epipole.errors import ConfigError, EpipoleError
+from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
+from epipole.io.trajectories import PositionLog, read_positions
 from epipole.io.video import is_video
+from epipole.mapping import ScaleFit
+from epipole.pipelines.slam.anchors import anchor_to_positions
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
@@ -25,11 +28,11 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import SlamResult, write_results
+from epipole.pipelines.slam.results import Given, SlamResult, write_results
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
-from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
+from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
 
 
 def slam(
@@ -69,6 +72,11 @@ def slam(
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
+    places = None if wanted.positions is None else read_positions(wanted.positions)
+    if places is not None and frames.camera.tells_depth:
+        raise ConfigError(
+            "positions tell the scale of one camera; this source has its metres from its own depth"
+        )
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
@@ -78,14 +86,24 @@ def slam(
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             system.finish()
+            fit = None if places is None else _anchored(system, places, wanted, run)
             run.report("adjust", 1, 1)
-        return write_results(feed, system, records, (truth, known), wanted, run)
+        return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+
+
+def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> ScaleFit | None:
+    """The scale by measured places; None, and a warning that says why, where they do not tell it."""
+    try:
+        return anchor_to_positions(system, places, job.positions_sigma_m)
+    except DegenerateGeometryError as error:
+        run.warnings.append(f"the path stays up to scale: {error}")
+        return None
 
 
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
     own = {field.name: options.pop(field.name) for field in fields(JobOptions) if field.name in options}
-    for name in ("truth", "map"):
+    for name in ("truth", "map", "positions"):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
     return options_of(JobOptions, job, own)

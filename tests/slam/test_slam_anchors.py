@@ -1,0 +1,121 @@
+"""Measured places make one camera's path metric, and its result says what fixed the scale and how well."""
+
+import copy
+import json
+
+import cv2
+import numpy as np
+import pytest
+from tests.slam.slam_rides import CAMERA, MONO, RGBD, followed, ride
+
+from epipole import CameraOptions
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
+from epipole.io import read_positions, read_trajectory
+from epipole.io.trajectories import PositionLog
+from epipole.metrics import absolute_error
+from epipole.pipelines.slam.anchors import anchor_to_positions
+from epipole.pipelines.slam.run import slam as run_slam
+
+SIGMA = 0.01
+
+
+@pytest.fixture(scope="module")
+def finished():
+    system, _ = followed(ride().frames("mono"), MONO)
+    system.finish()
+    return system
+
+
+def log_of(rng, every=2, shift_s=0.0):
+    """The true places of some frames, with noise, by the frames' clock."""
+    places = ride().truth().translation[::every]
+    times = 0.1 * np.arange(30)[::every] + shift_s
+    return PositionLog(times, places + SIGMA * rng.standard_normal(places.shape))
+
+
+def test_the_true_scale_lies_within_what_is_stated(finished, rng):
+    within, worst = 0, 0.0
+    for _ in range(12):
+        system = copy.deepcopy(finished)
+        fit = anchor_to_positions(system, log_of(rng), SIGMA)
+        found = absolute_error(system.trajectory().world_from_body, ride().truth(), "similarity")
+        off = abs(np.log(float(found.truth_from_estimate.scale)))
+        within += off < 2.0 * fit.sigma / float(fit.world_from_model.scale)
+        worst = max(worst, off)
+    assert within >= 10 and worst < 0.05
+
+
+def test_places_between_frames_are_compared_with_the_path_between_them(finished, rng):
+    system = copy.deepcopy(finished)
+    with_shift = log_of(rng, shift_s=0.05)
+    there = ride().truth().translation
+    exact = PositionLog(with_shift.timestamp_s[:-1], 0.5 * (there[:-1:2] + there[1::2])[:14])
+    fit = anchor_to_positions(system, exact, SIGMA)
+    assert fit.kept_mask.all() and fit.residual_m < 0.02
+
+
+def test_what_tells_no_scale_is_refused(finished, rng):
+    still = PositionLog(0.1 * np.arange(30), 1.0 * rng.standard_normal((30, 3)))
+    with pytest.raises(DegenerateGeometryError):
+        anchor_to_positions(copy.deepcopy(finished), still, 1.0)
+    later = log_of(rng, shift_s=100.0)
+    with pytest.raises(DegenerateGeometryError, match="0 places"):
+        anchor_to_positions(copy.deepcopy(finished), later, SIGMA)
+    metric, _ = followed(ride().frames("rgbd")[:6], RGBD)
+    with pytest.raises(ConfigError, match="one camera"):
+        anchor_to_positions(metric, log_of(rng), SIGMA)
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("anchored") / "pictures"
+    folder.mkdir()
+    for n, picture in enumerate(ride().left):
+        cv2.imwrite(str(folder / f"{n:03d}.png"), picture)
+    return folder
+
+
+LENS = CameraOptions(camera_params=",".join(str(p) for p in (260.0, 260.0, 160.0, 120.0)))
+
+
+def test_the_job_states_what_fixed_the_scale(pictures, tmp_path, rng):
+    assert np.allclose(LENS.camera((320, 240)).params, CAMERA.params)
+    log = log_of(rng)
+    times = np.arange(30)[::2] / 30.0  # a folder of pictures is of 30 Hz
+    lines = [f"{t:.6f}, {x}, {y}, {z}, 99" for t, (x, y, z) in zip(times, log.positions, strict=True)]
+    (tmp_path / "log.csv").write_text("# seconds, x, y, z, satellites\n" + "\n".join(lines))
+    out = tmp_path / "out"
+    options = {"camera": LENS, "positions": tmp_path / "log.csv", "positions_sigma_m": SIGMA}
+    result = run_slam(pictures, out, **options)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["is_metric"] and "measured places" in summary["scale"] and "1 sigma" in summary["scale"]
+    assert 0 < summary["anchor"]["relative_sigma"] < 0.03
+    for name in ("trajectory.txt", "trajectory_causal.txt"):  # both in metres, in the log's world
+        path = read_trajectory(out / name)
+        frames = np.rint(30 * path.timestamp_s).astype(int)
+        off = path.world_from_body.translation - ride().truth().translation[frames]
+        assert np.sqrt((off**2).sum(axis=1).mean()) < 0.05
+    assert result.summary["scale"] == summary["scale"]
+
+
+def test_places_that_tell_nothing_leave_the_path_up_to_scale(pictures, tmp_path):
+    (tmp_path / "log.txt").write_text("".join(f"{n / 30} 1 2 3\n" for n in range(30)))
+    result = run_slam(pictures, tmp_path / "out", camera=LENS, positions=tmp_path / "log.txt")
+    assert not result.summary["is_metric"] and "up to scale" in result.summary["scale"]
+    assert any("stays up to scale" in w for w in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no instant"),
+        ("0 1 2\n", "3 columns"),
+        ("0 1 2 x\n", "x"),
+        ("1 0 0 0\n1 0 0 0\n", "time"),
+        ("0 1 2 nan\n", "finite"),
+    ],
+)
+def test_logs_that_are_none(tmp_path, text, words):
+    (tmp_path / "log.txt").write_text(text)
+    with pytest.raises(FileFormatError, match=words):
+        read_positions(tmp_path / "log.txt")
