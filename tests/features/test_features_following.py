@@ -92,7 +92,7 @@ def test_points_are_followed_into_a_picture_of_another_exposure(picture, pixels,
     found, mask = follow_points(middle, other, pixels)
     assert mask.mean() > 0.9
     assert np.linalg.norm(found[mask] - pixels[mask] - [3.3, -1.7], axis=1).max() < 0.3
-    back, mask = follow_points(other, middle, pixels + [3.3, -1.7])
+    back, mask = follow_points(other, middle, pixels + np.array([3.3, -1.7]))
     assert mask.mean() > 0.9 and np.linalg.norm(back[mask] - pixels[mask], axis=1).max() < 0.3
 
 

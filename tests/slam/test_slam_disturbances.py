@@ -9,6 +9,8 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.slam import Slam
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
+
 KINDS = ["rgbd", "mono"]
 
 

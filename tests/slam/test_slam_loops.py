@@ -11,6 +11,8 @@ from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.loop_closing import LoopCloser
 from epipole.pipelines.slam.slam import Slam
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
+
 COUNT, STEP, FORK = 381, 3, 110
 
 
@@ -29,8 +31,8 @@ def off_between(slam: Slam, truth: Rigid3, first: int, second: int) -> tuple[flo
     return float(np.linalg.norm(ours.translation - true.translation)), float(np.degrees(turned))
 
 
-@pytest.fixture(scope="module", params=[("rgbd", 0.95), ("mono", 0.98)], ids=["rgbd", "mono"])
-def closed_and_open(request):
+@pytest.fixture(scope="module", params=[("rgbd", 0.95), ("mono", 0.97)], ids=["rgbd", "mono"])
+def closed_and_open(request, unchecked_module):
     """A SLAM with a wrong focal length, and a copy of it that is kept from closing loops."""
     kind, factor = request.param
     frames = room().frames(kind)
@@ -61,7 +63,7 @@ def test_a_loop_takes_the_drift_with_it(closed_and_open):
     assert with_loop[1] < 0.5 and open_end[1] > 10 * with_loop[1]
     assert with_loop[0] < 0.02 and open_end[0] > 2 * with_loop[0]
     ours, theirs = (errors(one, truth, "similarity").position.rmse for one in (slam, without))
-    assert theirs > 2 * ours and ours < 0.015, (ours, theirs)
+    assert theirs > 2 * ours and ours < 0.025, (ours, theirs)
 
 
 def test_the_ledger_says_what_came_of_every_place(closed_and_open):
