@@ -68,7 +68,9 @@ def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
     found = optimize_pose_graph_robustly(graph, is_loop, PoseGraphConfig(confidence=CONFIDENCE))
     if not found.kept_mask[-1]:
         return False
-    _move(model, places, found.world_from_body)
+    moved = found.world_from_body
+    assert isinstance(moved, Rigid3 | Similarity3)
+    _move(model, places, moved)
     return True
 
 
