@@ -1,5 +1,6 @@
 """Recordings of ROS, videos and cameras become paths; real time drops and counts; Ctrl-C keeps what there is."""
 
+import itertools
 import json
 import os
 import signal
@@ -242,7 +243,9 @@ def test_all_frames_are_taken_otherwise():
 
 
 def test_dropped_frames_are_told(tmp_path, capsys, monkeypatch):
-    """Pictures of a thousand a second cannot be kept up with."""
+    """Two thousand pictures a second cannot be kept up with by a computer that takes a millisecond for each."""
+    ticks = itertools.count()
+    monkeypatch.setattr(Clock, "now_s", lambda _: 0.001 * next(ticks))
     for n in range(30):
         cv2.imwrite(str(tmp_path / f"{n:03d}.png"), ride().left[n])
     (tmp_path / "times.txt").write_text("\n".join(str(0.0005 * n) for n in range(30)))
@@ -250,12 +253,9 @@ def test_dropped_frames_are_told(tmp_path, capsys, monkeypatch):
     with pytest.raises(SystemExit):
         main(["slam", str(tmp_path), str(out), "--camera-params", PARAMS, "--realtime", "--max-frames", "0"])
     assert "max-frames must be at least 1" in capsys.readouterr().err
-    try:
-        main(["slam", str(tmp_path), str(out), "--camera-params", PARAMS, "--realtime"])
-    except SystemExit:  # too few are left to begin a map: the error says so, and writes nothing
-        pytest.fail(capsys.readouterr().err)
+    main(["slam", str(tmp_path), str(out), "--camera-params", PARAMS, "--realtime"])
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["num_dropped"] + summary["num_frames"] == 30 and summary["num_dropped"] > 0
+    assert summary["num_dropped"] + summary["num_frames"] == 30 and 10 <= summary["num_dropped"] <= 20
     assert f"frames dropped       {summary['num_dropped']}, to keep up" in capsys.readouterr().out
 
 

@@ -14,6 +14,8 @@ from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
 
+pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
+
 STEP, BLANK, TEXTURE = 4, 97, 118
 """Frames 97 to 118 of the ride show the white wall alone."""
 
@@ -23,7 +25,7 @@ def corridor():
 
 
 @pytest.fixture(scope="module")
-def whole():
+def whole(unchecked_module):
     slam = Slam(corridor().sensor("rgbd"))
     return slam, [slam.track(frame) for frame in corridor().frames("rgbd")]
 

@@ -17,9 +17,11 @@ from epipole.pipelines.slam.slam_map import SlamMap
 EDGES_EACH, EDGE_POINTS = 5, 30
 """Every keyframe is tied to so many that share most points with it, if they share enough."""
 LENGTH_SHARE, DEPTH_SHARE, TURN_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
-"""Standard deviations of an edge: shares of its length and of the scene's depth, rotation, logarithm of the scale.
+"""Standard deviations: a share of an edge's length; for each keyframe that it goes over, a share of the scene's depth, rotation,
+and logarithm of the scale.
 
-Drift is systematic, and edges that overlap repeat each other: a graph of edges as good as they are alone would not bend.
+Drift is systematic, and edges that overlap repeat each other: a graph of edges as good as they are alone would not bend. An even
+drift grows with an edge, and so must its deviation: with the same for all, the long ones forbid what the short ones allow.
 """
 CONFIDENCE = 1.0 - 1e-9
 """A loop that bends the way by more than these deviations allow is rejected. What is usual is no measure: drift is not noise."""
@@ -47,8 +49,9 @@ def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
     depth = _median_depth(model)
     length = np.linalg.norm(between.translation, axis=1)
     deviation = np.empty((len(length) + 1, 7))
-    deviation[:-1, :3] = (LENGTH_SHARE * length + DEPTH_SHARE * depth)[:, None]
-    deviation[:-1, 3:] = [TURN_RAD, TURN_RAD, TURN_RAD, SCALE]
+    steps = np.minimum(second - first, EDGES_EACH)
+    deviation[:-1, :3] = (LENGTH_SHARE * length + DEPTH_SHARE * depth * steps)[:, None]
+    deviation[:-1, 3:] = steps[:, None] * [TURN_RAD, TURN_RAD, TURN_RAD, SCALE]
     deviation[-1, :3], deviation[-1, 3:] = LOOP_DEPTH_SHARE * depth, [*3 * [LOOP_TURN_RAD], LOOP_SCALE]
     first, second = np.append(first, tie.keyframe), np.append(second, newest)
     size = 6 if is_metric else 7
