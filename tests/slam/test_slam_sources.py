@@ -278,7 +278,16 @@ def folder(tmp_path):
     return path
 
 
+@pytest.fixture
+def heeding():
+    """Ctrl-C as in a terminal: what runs in the background may be told to take no notice of it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
+@pytest.mark.usefixtures("heeding")
 def test_ctrl_c_writes_what_there_is(folder, tmp_path):
     result = run_slam(folder, tmp_path / "out", camera=KNOWN, progress=stop_after(15))
     assert result.summary["interrupted"] and result.summary["num_placed"] == 15
@@ -290,6 +299,7 @@ def test_ctrl_c_writes_what_there_is(folder, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
+@pytest.mark.usefixtures("heeding")
 def test_ctrl_c_twice_stops_at_once(folder, tmp_path):
     def progress(report):
         if report.done >= 5:
@@ -306,6 +316,7 @@ def test_ctrl_c_twice_stops_at_once(folder, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
+@pytest.mark.usefixtures("heeding")
 def test_the_command_tells_that_it_was_stopped(folder, tmp_path, capsys, monkeypatch):
     from epipole import screen
 

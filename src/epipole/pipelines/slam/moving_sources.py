@@ -32,8 +32,10 @@ _WHOLE = 0.98
 
 
 def camera_index(source: Path) -> int | None:
-    """The number of a camera, where the source is one and no file is called so."""
-    return int(str(source)) if str(source).isdecimal() and not source.exists() else None
+    """The number of a camera, where the source is one of at most three digits and no file is called so."""
+    text = str(source)
+    is_number = len(text) <= 3 and text.isascii() and text.isdecimal()
+    return int(text) if is_number and not source.exists() else None
 
 
 def open_video_frames(path: Path, given: CameraOptions) -> FrameSource:
