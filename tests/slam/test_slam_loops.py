@@ -31,7 +31,7 @@ def off_between(slam: Slam, truth: Rigid3, first: int, second: int) -> tuple[flo
     return float(np.linalg.norm(ours.translation - true.translation)), float(np.degrees(turned))
 
 
-@pytest.fixture(scope="module", params=[("rgbd", 0.95), ("mono", 0.97)], ids=["rgbd", "mono"])
+@pytest.fixture(scope="module", params=[("rgbd", 0.93), ("mono", 0.97)], ids=["rgbd", "mono"])
 def closed_and_open(request, unchecked_module):
     """A SLAM with a wrong focal length, and a copy of it that is kept from closing loops."""
     kind, factor = request.param
@@ -50,7 +50,7 @@ def closed_and_open(request, unchecked_module):
 
 
 def test_a_loop_takes_the_drift_with_it(closed_and_open):
-    kind, slam, without, answers = closed_and_open
+    _, slam, without, answers = closed_and_open
     accepted = [loop for loop in slam.loops if loop.verdict == "accepted"]
     assert len(accepted) == 1
     assert accepted[0].frame > FORK and accepted[0].keyframe <= 10 and accepted[0].num_agreeing >= 30
@@ -63,8 +63,7 @@ def test_a_loop_takes_the_drift_with_it(closed_and_open):
     assert with_loop[1] < 0.5 and open_end[1] > 10 * with_loop[1]
     assert with_loop[0] < 0.02 and open_end[0] > 2 * with_loop[0]
     ours, theirs = (errors(one, truth, "similarity").position.rmse for one in (slam, without))
-    # With depth the wrong lens alone leaves 1 to 1.5 cm, loop or none.
-    assert theirs > (1.5 if kind == "rgbd" else 2.0) * ours and ours < 0.025, (ours, theirs)
+    assert theirs > 2 * ours and ours < 0.025, (ours, theirs)
 
 
 def test_the_ledger_says_what_came_of_every_place(closed_and_open):

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._checks import as_path
-from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import SlamCamera
@@ -94,9 +93,8 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         raise ConfigError(
             f"{path} is of pictures of {size[0]}x{size[1]}, these are {lens.width}x{lens.height}"
         )
-    mine = Camera(lens.model, lens.width, lens.height, lens.params)
-    if int(arrays["camera_model"]) != int(lens.model) or not np.allclose(params, mine.params, rtol=0.02):
-        raise ConfigError(f"{path} is the map of another camera: {params} against {mine.params}")
+    if int(arrays["camera_model"]) != int(lens.model) or not np.allclose(params, lens.params, rtol=0.02):
+        raise ConfigError(f"{path} is the map of another camera: {params} against {lens.params}")
     if sensor.tells_depth and not arrays["is_metric"]:
         raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
     return KnownMap(
