@@ -366,6 +366,8 @@ def _features() -> Iterator[Row]:
     pictures = {"first": _picture(), "second": _picture()}
     yield _row(features.follow_points, **pictures, **at, config=features.FlowConfig(levels=2), and_back=True)
     yield _row(features.align_patches, **pictures, **at, warps=np.tile(np.eye(2), (2, 1, 1)), half_px=4)
+    yield _row(features.find_patches, **pictures, **at, warps=np.tile(np.eye(2), (2, 1, 1)), levels=2)
+    yield _row(features.find_along_rows, **pictures, pixels=at["pixels"], max_shift=9, half_px=3)
     yield _row(features.root_sift, descriptors=np.abs(words))
     yield _row(features.describe_upright, grey=_picture(), pixels=at["pixels"], sigma_px=3.0)
 

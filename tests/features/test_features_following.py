@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, ShapeError
-from epipole.features import FlowConfig, _patch_kernels, align_patches, follow_points, patches
+from epipole.features import (
+    FlowConfig,
+    _patch_kernels,
+    align_patches,
+    find_along_rows,
+    find_patches,
+    follow_points,
+    patches,
+)
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
 
@@ -112,3 +120,48 @@ def test_the_kernel_is_its_source(picture, monkeypatch):
     )
     for arguments in calls:
         assert_same_as_python(_patch_kernels.align_patches, *arguments, rtol=1e-9, atol=1e-9)
+
+
+def test_halved_pictures_find_patches_from_further_away(picture, pixels, rng):
+    affine = cv2.getRotationMatrix2D((160, 120), 10.0, 1.1)
+    moved = warped(picture, affine)
+    truth = pixels @ affine[:, :2].T + affine[:, 2]
+    inside = (truth > 30).all(axis=1) & (truth < [290, 210]).all(axis=1)
+    way = rng.normal(size=truth.shape)
+    guess = truth + 9.0 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    warps = np.tile(affine[:, :2], (len(pixels), 1, 1))
+    hits = []
+    for levels in (1, 3):
+        found, score = find_patches(picture, moved, pixels, warps, guess, levels)
+        hits.append(((score > 0.9) & (np.linalg.norm(found - truth, axis=1) < 0.3))[inside].mean())
+    assert hits[1] > 0.85 > 0.5 > hits[0], hits
+    with pytest.raises(ConfigError, match="levels"):
+        find_patches(picture, moved, pixels, warps, guess, 0)
+
+
+def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(picture, pixels, rng):
+    shift = 17
+    right = np.roll(picture, -shift, axis=1)
+    found, score, rival = find_along_rows(picture, right, pixels, 40)
+    inside = (pixels > [shift + 6, 6]).all(axis=1) & (pixels < [314, 234]).all(axis=1)
+    assert inside.sum() > 20
+    assert (found[inside] == shift).all() and (score[inside] > 0.999).all()
+    assert (score - rival)[inside].min() > 0
+    tile = np.tile(rng.integers(0, 255, (240, 20), np.uint8), (1, 16))
+    _, score, rival = find_along_rows(tile, tile, np.array([[150.0, 100.0]]), 40)
+    assert score[0] > 0.999 and rival[0] > 0.999
+    _, score, _ = find_along_rows(
+        np.full_like(picture, 7), picture, np.array([[100.0, 100.0], [np.nan, 1.0]]), 40
+    )
+    assert np.isnan(score).all()
+    with pytest.raises(ConfigError, match="max_shift"):
+        find_along_rows(picture, right, pixels, -1)
+
+
+@reference_of(_patch_kernels.find_along_rows)
+def test_the_kernel_along_rows_is_its_source(picture, monkeypatch):
+    calls = record_calls(monkeypatch, patches, _patch_kernels.find_along_rows)
+    find_along_rows(picture, np.roll(picture, -3, axis=1), np.array([[50.3, 60.7], [3.0, 3.0]]), 9, 3)
+    assert calls
+    for arguments in calls:
+        assert_same_as_python(_patch_kernels.find_along_rows, *arguments, rtol=1e-12, atol=1e-12)

@@ -9,6 +9,8 @@ from epipole.features.flow import follow_points as follow_points
 from epipole.features.match import match_along_epipolar_lines as match_along_epipolar_lines
 from epipole.features.match import match_descriptors as match_descriptors
 from epipole.features.patches import align_patches as align_patches
+from epipole.features.patches import find_along_rows as find_along_rows
+from epipole.features.patches import find_patches as find_patches
 from epipole.features.retrieve import describe_image as describe_image
 from epipole.features.retrieve import most_similar as most_similar
 from epipole.features.retrieve import train_vocabulary as train_vocabulary

@@ -6,6 +6,8 @@ import numpy as np
 
 from epipole._jit import kernel
 
+REASSOC = frozenset({"reassoc"})
+"""Sums over a patch may be taken in any order: in the order written they cannot be taken eight at a time."""
 MOST_STEPS = 12
 SETTLED_SQ = 0.01 * 0.01
 """Squared step, in pixels, at which a patch has settled."""
@@ -45,42 +47,76 @@ def _warped_patch(image, x, y, warp, half, patch):
     return True
 
 
-@kernel(allocates=True)
+@kernel(fuse=True, extra_fastmath=REASSOC)
+def _compare(other, x, y, half, patch, gx, gy, sums):
+    """Sums over the patch at (x, y): of values s, s^2, s patch, s gx, s gy."""
+    side = 2 * half + 1
+    left, top = x - half, y - half
+    column, row = int(left), int(top)
+    a, b = left - column, top - row
+    w00, w01, w10, w11 = (1.0 - b) * (1.0 - a), (1.0 - b) * a, b * (1.0 - a), b * a
+    total, squares, product, along_x, along_y = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(side):
+        upper, lower = other[row + i, column:], other[row + i + 1, column:]
+        p, dx, dy = patch[i], gx[i], gy[i]
+        for j in range(side):
+            value = w00 * upper[j] + w01 * upper[j + 1] + w10 * lower[j] + w11 * lower[j + 1]
+            total += value
+            squares += value * value
+            product += value * p[j]
+            along_x += value * dx[j]
+            along_y += value * dy[j]
+    sums[0], sums[1], sums[2], sums[3], sums[4] = total, squares, product, along_x, along_y
+
+
+@kernel(fuse=True)
+def _template(bordered, side, patch, gx, gy):
+    """A patch without its border and its mean, and its gradients without theirs."""
+    mean, mean_x, mean_y = 0.0, 0.0, 0.0
+    for i in range(side):
+        for j in range(side):
+            patch[i, j] = bordered[i + 1, j + 1]
+            gx[i, j] = 0.5 * (bordered[i + 1, j + 2] - bordered[i + 1, j])
+            gy[i, j] = 0.5 * (bordered[i + 2, j + 1] - bordered[i, j + 1])
+            mean += patch[i, j]
+            mean_x += gx[i, j]
+            mean_y += gy[i, j]
+    count = side * side
+    for i in range(side):
+        for j in range(side):
+            patch[i, j] -= mean / count
+            gx[i, j] -= mean_x / count
+            gy[i, j] -= mean_y / count
+
+
+@kernel(allocates=True, extra_fastmath=REASSOC)
 def align_patches(image, other, pixels, warps, half, start, stop, found, score):
     """Place each patch of `image` in `other`; found holds guesses and becomes the places.
 
     Inverse compositional Gauss-Newton over the shift, a gain and an offset of brightness (Baker and Matthews, IJCV 2004;
-    the warp of the template as Forster et al., SVO, ICRA 2014). score becomes the correlation of the patches, from -1 to
-    1, and NaN where a patch left its picture or is flat.
+    the warp of the template as Forster et al., SVO, ICRA 2014). Patch and gradients have no mean, so that the offset drops
+    out of every sum. score becomes the correlation of the patches, from -1 to 1, and NaN where a patch left its picture or
+    is flat.
     """
     side = 2 * half + 1
-    patch = np.empty((side + 2, side + 2))
-    gx, gy, seen = np.empty((side, side)), np.empty((side, side)), np.empty((side, side))
+    bordered, patch = np.empty((side + 2, side + 2)), np.empty((side, side))
+    gx, gy, sums = np.empty((side, side)), np.empty((side, side)), np.empty(5)
     height, width = other.shape
     count = float(side * side)
     for k in range(start, stop):
         score[k] = math.nan
-        if not _warped_patch(image, pixels[k, 0], pixels[k, 1], warps[k], half, patch):
+        if not _warped_patch(image, pixels[k, 0], pixels[k, 1], warps[k], half, bordered):
             continue
-        mean, mean_x, mean_y = 0.0, 0.0, 0.0
+        _template(bordered, side, patch, gx, gy)
+        xx, xy, yy, spread, own_x, own_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(side):
             for j in range(side):
-                gx[i, j] = 0.5 * (patch[i + 1, j + 2] - patch[i + 1, j])
-                gy[i, j] = 0.5 * (patch[i + 2, j + 1] - patch[i, j + 1])
-                mean += patch[i + 1, j + 1]
-                mean_x += gx[i, j]
-                mean_y += gy[i, j]
-        mean, mean_x, mean_y = mean / count, mean_x / count, mean_y / count
-        xx, xy, yy, spread = 0.0, 0.0, 0.0, 0.0
-        for i in range(side):
-            for j in range(side):
-                gx[i, j] -= mean_x
-                gy[i, j] -= mean_y
-                patch[i + 1, j + 1] -= mean
                 xx += gx[i, j] * gx[i, j]
                 xy += gx[i, j] * gy[i, j]
                 yy += gy[i, j] * gy[i, j]
-                spread += patch[i + 1, j + 1] * patch[i + 1, j + 1]
+                spread += patch[i, j] * patch[i, j]
+                own_x += gx[i, j] * patch[i, j]
+                own_y += gy[i, j] * patch[i, j]
         determinant = xx * yy - xy * xy
         if not (determinant > 1e-6 * (xx + yy) * (xx + yy) and spread > count):
             continue
@@ -89,30 +125,16 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
             if not (x >= half and y >= half and x < width - half - 1 and y < height - half - 1):
                 score[k] = math.nan
                 break
-            level, power, product = 0.0, 0.0, 0.0
-            for i in range(side):
-                for j in range(side):
-                    seen[i, j] = _value_at(other, x + j - half, y + i - half)
-                    level += seen[i, j]
-            level /= count
-            for i in range(side):
-                for j in range(side):
-                    value = seen[i, j] - level
-                    power += value * value
-                    product += value * patch[i + 1, j + 1]
+            _compare(other, x, y, half, patch, gx, gy, sums)
+            power = sums[1] - sums[0] * sums[0] / count
             if not power > 0.1 * count:
                 score[k] = math.nan
                 break
-            score[k] = product / math.sqrt(power * spread)
+            score[k] = sums[2] / math.sqrt(power * spread)
             if step == MOST_STEPS:
                 break
             gain = math.sqrt(spread / power)
-            bx, by = 0.0, 0.0
-            for i in range(side):
-                for j in range(side):
-                    error = gain * (seen[i, j] - level) - patch[i + 1, j + 1]
-                    bx += gx[i, j] * error
-                    by += gy[i, j] * error
+            bx, by = gain * sums[3] - own_x, gain * sums[4] - own_y
             dx, dy = (yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant
             size_sq = dx * dx + dy * dy
             if size_sq > 1.0:
@@ -121,3 +143,45 @@ def align_patches(image, other, pixels, warps, half, start, stop, found, score):
             if size_sq < SETTLED_SQ:
                 break
         found[k, 0], found[k, 1] = x, y
+
+
+@kernel(allocates=True)
+def find_along_rows(image, other, pixels, max_shift, half, start, stop, out):
+    """Best whole shift to the left of each patch, its correlation, and the best at two or more pixels from there."""
+    height, width = image.shape
+    count = (2 * half + 1) * (2 * half + 1)
+    scores = np.empty(max_shift + 1)
+    for k in range(start, stop):
+        x, y = round(pixels[k, 0]), round(pixels[k, 1])
+        if not (x >= half and y >= half and x < width - half and y < height - half):
+            continue
+        total, squares = 0, 0
+        for i in range(y - half, y + half + 1):
+            for j in range(x - half, x + half + 1):
+                value = int(image[i, j])
+                total += value
+                squares += value * value
+        spread = count * squares - total * total
+        if spread < count * count:  # a standard deviation of one grey level
+            continue
+        last = min(max_shift, x - half)
+        best = 0
+        for shift in range(last + 1):
+            there, power, product = 0, 0, 0
+            for i in range(y - half, y + half + 1):
+                for j in range(x - half, x + half + 1):
+                    value = int(other[i, j - shift])
+                    there += value
+                    power += value * value
+                    product += value * int(image[i, j])
+            across = count * power - there * there
+            scores[shift] = -1.0
+            if across > 0:
+                scores[shift] = (count * product - there * total) / math.sqrt(float(across) * float(spread))
+            if scores[shift] > scores[best]:
+                best = shift
+        rival = -1.0
+        for shift in range(last + 1):
+            if abs(shift - best) >= 2:
+                rival = max(rival, scores[shift])
+        out[k, 0], out[k, 1], out[k, 2] = best, scores[best], rival

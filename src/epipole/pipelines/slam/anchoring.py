@@ -57,17 +57,38 @@ def hold(
 
 def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
     """(n, 2, 2) d(pixel now) / d(pixel when first seen), for small surfaces that faced the camera then."""
-    out = np.tile(np.eye(2), (len(points), 1, 1))
-    if not len(points):
-        return out
     anchors, which = np.unique(model.anchor[points], return_inverse=True)
     then = [model.keyframes[int(k)].cam_from_world for k in anchors]
+    return warps_between(then, which, model.anchor_px[points], model.xyz[points], camera, cam_from_world)
+
+
+def warps_between(
+    then: list[Rigid3],
+    which: np.ndarray,
+    pixels: np.ndarray,
+    points_in_world: np.ndarray,
+    camera: Camera,
+    cam_from_world: Rigid3,
+) -> np.ndarray:
+    """(n, 2, 2) d(pixel now) / d(pixel then), for small surfaces that faced the camera then.
+
+    Args:
+        then: cam_from_world of other pictures.
+        which: (n,) of these.
+        pixels: (n, 2) in them.
+        points_in_world: (n, 3); NaN: as far as the others (median).
+        camera: any model.
+        cam_from_world: of the present picture.
+    """
+    out = np.tile(np.eye(2), (len(pixels), 1, 1))
+    if not len(pixels):
+        return out
     there = Rigid3(np.stack([p.rotation for p in then]), np.stack([p.translation for p in then]))
     motion = cam_from_world @ there.inverse()
-    in_cam = np.einsum("nj,nj->n", there.rotation[which, 2], model.xyz[points]) + there.translation[which, 2]
+    in_cam = np.einsum("nj,nj->n", there.rotation[which, 2], points_in_world) + there.translation[which, 2]
     known = in_cam > 0
     depth = np.where(known, in_cam, np.median(in_cam[known]) if known.any() else 1.0)
-    ends = model.anchor_px[points] + STEPS_PX[:, None]
+    ends = pixels + STEPS_PX[:, None]
     rays = camera.unproject(ends.reshape(-1, 2)).reshape(4, -1, 3)
     moved = np.einsum("nij,snj->sni", motion.rotation[which], rays / rays[..., 2:] * depth[:, None])
     seen = camera.project((moved + motion.translation[which]).reshape(-1, 3)).reshape(4, -1, 2)

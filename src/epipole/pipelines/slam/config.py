@@ -43,7 +43,7 @@ class SlamConfig:
     """Two rays that meet under a narrower angle give no point."""
     place_angle_deg: float = 1.0
     """... and under a wider one than this a point that only one keyframe has seen gets its place from a frame between."""
-    start_angle_deg: float = 0.7
+    start_angle_deg: float = 1.0
     """One camera: median angle of the rays at which the map begins."""
     lost_patience: int = 3
     """Frames without a place after which a map of its own begins."""

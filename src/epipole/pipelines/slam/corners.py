@@ -22,17 +22,15 @@ def new_corners(grey: np.ndarray, present_px: np.ndarray, config: SlamConfig) ->
     mask = np.full(grey.shape, 255, np.uint8)
     for x, y in np.rint(present_px).astype(int):
         cv2.circle(mask, (int(x), int(y)), config.min_distance_px, 0, -1)
-    found = cv2.goodFeaturesToTrack(
-        grey, wanted, config.corner_quality, config.min_distance_px, mask=mask, blockSize=BLOCK_PX
+    found, strength = cv2.goodFeaturesToTrackWithQuality(
+        grey, wanted, config.corner_quality, config.min_distance_px, mask, blockSize=BLOCK_PX
     )
     if found is None:
         return np.zeros((0, 2))
     side = config.flow.window_px // 2
-    inside = (found[:, 0] >= side).all(axis=1) & (found[:, 0] < np.array(grey.shape[::-1]) - side).all(axis=1)
-    corners = found[inside, 0].astype(np.float64)
-    strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
-    column, row = np.rint(corners).astype(int).T
-    return corners[strength[row, column] > NOISE_FACTOR * _strength_of_noise(noise_of(grey))]
+    corners, last = found[:, 0].astype(np.float64), np.array(grey.shape[::-1]) - side
+    inside = (corners >= side).all(axis=1) & (corners < last).all(axis=1)
+    return corners[inside & (strength.ravel() > NOISE_FACTOR * _strength_of_noise(noise_of(grey)))]
 
 
 def noise_of(grey: np.ndarray) -> float:

@@ -20,7 +20,7 @@ from epipole.robust import triangulate_points
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
-GROWTH = 1.1
+GROWTH = 1.25
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
 SHIFT_SIGMA_PX = 0.3
@@ -55,7 +55,7 @@ class LocalMapper:
             stale: rows of points that look otherwise by now: they are known by their present look from here on.
         """
         if self.map.keyframes:
-            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
         corners = new_corners(frame.grey, tracks.pixels, self.config)
         index = len(self.map.keyframes)
         pixels = np.concatenate([tracks.pixels, corners])
@@ -182,7 +182,7 @@ class LocalMapper:
             return
         self.adjust_all()
         for loss_scale_px in LAST_SCALES_PX:
-            tie_together(self.map, self.camera, self.config)
+            tie_together(self.map, self.camera)
             self.adjust_all(loss_scale_px)
 
     def adjust(

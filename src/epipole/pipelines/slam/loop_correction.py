@@ -116,7 +116,7 @@ def _move(model: SlamMap, before: Rigid3, after: Rigid3 | Similarity3) -> None:
         keyframe.unit *= float(scale[k])
 
 
-def fuse(model: SlamMap, keyframes: list[int], camera: Camera, config: SlamConfig) -> np.ndarray:
+def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
     """Show keyframes all points that should be in sight: those that they know under another row become one point.
 
     Returns:
@@ -126,7 +126,7 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera, config: SlamConfi
     for k in keyframes:
         keyframe = model.keyframes[k]
         place = keyframe.cam_from_world
-        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, config)
+        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point)
         pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
         good = is_same & ~is_stale
         pixels, points = pixels[good], points[good]

@@ -52,7 +52,7 @@ class MapTracker:
         tracks.keep(is_same)
         found = self.locate(frame, place)
         if found is None:
-            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
             found = self.locate(frame, place)
         return found
 
@@ -89,7 +89,7 @@ class MapTracker:
     def look_again(self, frame: Frame, place: Rigid3) -> None:
         """Take up all points of the map that are in sight."""
         tracks = self.tracks
-        tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
+        tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
     def why_keyframe(self, num_agreeing: int, age: int) -> str:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.features.flow import follow_points
+from epipole.features.patches import find_patches
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam.anchoring import hold
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.anchoring import hold, warps_between
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 MOST_KEYFRAMES = 4
-LARGEST_TURN_DEG, LARGEST_SCALE = 25.0, 1.35
+LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
 """Beyond, a patch of the older picture does not look like the new one's."""
+HALF_PX = 10
+LEAST_SCORE = 0.8
+REACH_PX = 2.0
+"""From so far a patch is found without halving the picture."""
 SEARCH_PX, DRIFT_PX = 8.0, 25.0
 """How far from where the map says a point may be found: at once, and after the last frame."""
 
@@ -24,12 +29,14 @@ def find_again(
     grey: np.ndarray,
     cam_from_world: Rigid3,
     followed: np.ndarray,
-    config: SlamConfig,
     search_px: float = SEARCH_PX,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(pixels, points) of points that are in sight and not followed, by patches of the keyframes that see most of them."""
+    pixels, points = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
     missing = np.isfinite(model.xyz[:, 0])
     missing[followed] = False
+    if not missing.any():
+        return pixels[0], points[0]
     expected = np.full((model.num_points, 2), np.nan)
     rows = np.flatnonzero(missing)
     in_cam = cam_from_world.apply(model.xyz[rows])
@@ -38,16 +45,25 @@ def find_again(
         axis=1
     )
     missing[rows] = inside & (in_cam[:, 2] > 0)
-    views = [_usable(k, model, missing, cam_from_world) for k in model.keyframes]
-    pixels, points = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    rotations = np.stack([k.cam_from_world.rotation for k in model.keyframes])
+    # The trace of a rotation is 1 + 2 cos of its angle.
+    is_turned = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) < 1 + 2 * LEAST_COSINE
+    none = np.zeros(0, np.int64)
+    views = [
+        none if turned else _usable(k, model, missing, cam_from_world)
+        for k, turned in zip(model.keyframes, is_turned, strict=True)
+    ]
     for index in np.argsort([-len(v) for v in views], kind="stable")[:MOST_KEYFRAMES]:
         keyframe, own = model.keyframes[int(index)], views[int(index)]
         own = own[missing[keyframe.point[own]]]
         if len(own) < 5:
             continue
-        wanted = expected[keyframe.point[own]]
-        there, found = follow_points(keyframe.grey, grey, keyframe.pixels[own], wanted, config.flow)
-        found &= np.linalg.norm(there - wanted, axis=1) <= search_px
+        at, wanted, xyz = keyframe.pixels[own], expected[keyframe.point[own]], model.xyz[keyframe.point[own]]
+        then = [keyframe.cam_from_world]
+        warps = warps_between(then, np.zeros(len(own), np.int64), at, xyz, camera, cam_from_world)
+        levels = 1 + math.ceil(math.log2(search_px / REACH_PX))
+        there, score = find_patches(keyframe.grey, grey, at, warps, wanted, levels, HALF_PX)
+        found = (score >= LEAST_SCORE) & (np.linalg.norm(there - wanted, axis=1) <= search_px)
         pixels.append(there[found])
         points.append(keyframe.point[own[found]])
         missing[points[-1]] = False
@@ -59,23 +75,16 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
     own = np.flatnonzero(missing[keyframe.point])
     if not len(own):
         return own
-    relative = cam_from_world.rotation @ keyframe.cam_from_world.rotation.T
-    if np.degrees(np.arccos(np.clip((np.trace(relative) - 1) / 2, -1, 1))) > LARGEST_TURN_DEG:
-        return own[:0]
-    there = model.xyz[keyframe.point[own]] - keyframe.cam_from_world.inverse().translation
-    here = model.xyz[keyframe.point[own]] - cam_from_world.inverse().translation
+    xyz = model.xyz[keyframe.point[own]]
+    there = xyz - keyframe.cam_from_world.inverse().translation
+    here = xyz - cam_from_world.inverse().translation
     far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
     cosine = (there * here).sum(axis=1) / np.maximum(far * near, 1e-12)
     ratio = near / np.maximum(far, 1e-12)
-    fits = (
-        (cosine > np.cos(np.radians(LARGEST_TURN_DEG)))
-        & (ratio < LARGEST_SCALE)
-        & (ratio > 1 / LARGEST_SCALE)
-    )
-    return own[fits]
+    return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
 
 
-def tie_together(model: SlamMap, camera: Camera, config: SlamConfig) -> int:
+def tie_together(model: SlamMap, camera: Camera) -> int:
     """Let every keyframe see all points of the map that are in its picture; returns the number of new observations.
 
     While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
@@ -83,7 +92,7 @@ def tie_together(model: SlamMap, camera: Camera, config: SlamConfig) -> int:
     count = 0
     for keyframe in model.keyframes:
         place = keyframe.cam_from_world
-        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, config, DRIFT_PX)
+        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
         if not len(points):
             continue
         pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)

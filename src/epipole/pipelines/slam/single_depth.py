@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.features.flow import follow_points
-from epipole.features.patches import align_patches
+from epipole.features.patches import find_along_rows, find_patches
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 
 ROWS_PX = 1.0
 """A point of the right picture is at most so far off its row."""
 LEAST_SCORE = 0.7
+LEAST_LEAD = 0.05
+"""Of the best place in a row over others."""
+LARGEST_SHARE = 0.2
+"""Largest disparity that is sought, as a share of the picture's width."""
+GUESS_LEVELS = 2
 ROUNDS = 4
 SMOOTH = 0.03
 """Depths around a point differ by at most this share: else it lies on an edge, and its depth may be another thing's."""
@@ -37,24 +42,21 @@ def disparities_of(
         return camera.camera.focal_px * config.sensor_baseline_m / z
     if frame.right_grey is None or not len(pixels):
         return none
-    known = guess_px[np.isfinite(guess_px)]
-    likely = np.where(np.isfinite(guess_px), guess_px, np.median(known) if len(known) else 0.0)
+    guess, unknown = guess_px.copy(), ~np.isfinite(guess_px)
+    guess[unknown] = _best_shifts(frame.grey, frame.right_grey, pixels[unknown])
+    start = pixels - np.stack([guess, np.zeros(len(pixels))], axis=1)
     same = np.tile(np.eye(2), (len(pixels), 1, 1))
-    best, best_off = none, np.full(len(pixels), np.inf)
-    for factor in (1.0,) if len(known) else (0.0, 20.0, 60.0):
-        start = pixels - np.stack(
-            [likely * factor if len(known) else np.full(len(pixels), factor), 0 * likely], axis=1
-        )
-        right, found = follow_points(frame.grey, frame.right_grey, pixels, start, config.flow)
-        settled, score = align_patches(frame.grey, frame.right_grey, pixels, same, right)
-        right = np.where((score > LEAST_SCORE)[:, None], settled, right)
-        found &= score > LEAST_SCORE
-        found &= np.abs(right[:, 1] - pixels[:, 1]) <= ROWS_PX
-        disparity = pixels[:, 0] - right[:, 0]
-        found &= disparity > 0.3
-        off = np.where(found, np.abs(right[:, 1] - pixels[:, 1]), np.inf)
-        best, best_off = np.where(off < best_off, disparity, best), np.minimum(off, best_off)
-    return best
+    right, score = find_patches(frame.grey, frame.right_grey, pixels, same, start, GUESS_LEVELS)
+    disparity = pixels[:, 0] - right[:, 0]
+    found = (score > LEAST_SCORE) & (np.abs(right[:, 1] - pixels[:, 1]) <= ROWS_PX) & (disparity > 0.3)
+    return np.where(found, disparity, np.nan)
+
+
+def _best_shifts(left: np.ndarray, right: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n,) disparities to two pixels by a search along the whole row, at half the size; NaN where two places look alike."""
+    most = int(left.shape[1] * LARGEST_SHARE / 2)
+    shift, score, rival = find_along_rows(cv2.pyrDown(left), cv2.pyrDown(right), pixels / 2, most)
+    return np.where((score > LEAST_SCORE) & (score - rival > LEAST_LEAD), 2 * shift, np.nan)
 
 
 def points_by_disparity(

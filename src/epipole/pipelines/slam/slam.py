@@ -307,7 +307,7 @@ class Slam:
         """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
         newest = len(self.map.keyframes) - 1
         window, _ = self.mapper.window_of(newest)
-        into = fuse(self.map, window[::-1], self.camera.camera, self.config)
+        into = fuse(self.map, window[::-1], self.camera.camera)
         self.mapper.adjust_around(newest)
         self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
         self.tracker.tracks.rename(into)

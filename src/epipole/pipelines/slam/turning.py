@@ -104,7 +104,7 @@ class Turning:
     def _insert_keyframe(self, frame: Frame, number: int) -> None:
         tracks, lens, sphere = self._tracks, self.camera, self._sphere
         place = self._cam_from_sphere
-        tracks.add(*find_again(sphere, lens, frame.grey, place, tracks.point, self.config))
+        tracks.add(*find_again(sphere, lens, frame.grey, place, tracks.point))
         corners = new_corners(frame.grey, tracks.pixels, self.config)
         directions = _unit(lens.unproject(corners)) @ place.rotation
         fresh = sphere.add_points(directions, corners, len(sphere.keyframes))
