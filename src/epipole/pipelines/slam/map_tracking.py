@@ -11,6 +11,7 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
@@ -42,7 +43,7 @@ class MapTracker:
         The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
         velocity such a share of the error came back enlarged, from frame to frame.
         """
-        tracks = self.tracks
+        tracks, followed = self.tracks, self.tracks.point
         guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
         tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
         tracks.pixels, is_same, is_stale = hold(
@@ -54,7 +55,16 @@ class MapTracker:
         if found is None:
             tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
             found = self.locate(frame, place)
-        return found
+        return self._with_right_picture(before, frame, place, followed) if found is None else found
+
+    def _with_right_picture(
+        self, before: Frame, frame: Frame, place: Rigid3, points: np.ndarray
+    ) -> tuple[RefinedPose, int] | None:
+        found = place_by_right_picture(self.map, self.sensor, (before, frame), place, points, self.config)
+        if found is None:
+            return None
+        refined, self.tracks = found
+        return refined, len(self.tracks)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """The pose of a frame that was recognised; its points are followed from here on."""

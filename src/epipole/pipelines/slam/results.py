@@ -22,6 +22,7 @@ from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
@@ -96,7 +97,11 @@ def write_results(
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
+    with run.stage("check"):
+        lens = check_lens(system.maps[0], source.camera.camera)
+        run.warnings += lens_warnings(lens, system.maps[0].right_shift_px)
     summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
+    summary["lens"] = None if lens is None else asdict(lens)
     if given.scale is not None:
         summary |= {
             "scale": scale_words(given.scale),
