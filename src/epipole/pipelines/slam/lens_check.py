@@ -10,6 +10,7 @@ found differs by 1 to 3 % from the true one, many times the formal deviation. `M
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -137,7 +138,7 @@ def _turning_most(model: SlamMap) -> list[Keyframe]:
     views = [k for k in model.keyframes if model.has_place(k.point).any()]
     if len(views) <= MOST_KEYFRAMES:
         return views
-    turns = [(b.cam_from_world @ a.cam_from_world.inverse()).rotation for a, b in zip(views, views[1:])]
+    turns = [(b.cam_from_world @ a.cam_from_world.inverse()).rotation for a, b in pairwise(views)]
     angles = np.arccos(np.clip([(np.trace(turn) - 1.0) / 2.0 for turn in turns], -1.0, 1.0))
     together = np.convolve(angles, np.ones(MOST_KEYFRAMES - 1), "valid")
     first = int(np.argmax(together))

@@ -8,10 +8,11 @@ from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
+from epipole.pipelines.slam.second_motion import second_motion
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
@@ -26,6 +27,7 @@ class MapTracker:
     Attributes:
         tracks: the points that are followed.
         stale: rows of those that look otherwise than when they were first seen.
+        moving: what moves in the last frame besides the camera.
     """
 
     def __init__(
@@ -35,6 +37,7 @@ class MapTracker:
         self.focal_baseline = focal_baseline
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
+        self.moving: MovingThing | None = None
         self._num_at_start = 1
 
     def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
@@ -74,6 +77,7 @@ class MapTracker:
     def locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
         """The frame's pose; points that do not agree are given up."""
         tracks = self.tracks
+        tracks.keep(frame.is_used(tracks.pixels))
         placed = np.flatnonzero(self.map.has_place(tracks.point))
         rows, pixels = tracks.point[placed], tracks.pixels[placed]
         deep = None
@@ -87,9 +91,14 @@ class MapTracker:
         refined, agrees = found
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
+        self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
+
+    def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
+        fresh = self.map.anchor[points] == len(self.map.keyframes) - 1
+        return second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
 
     def start_from(self, tracks: Tracks) -> None:
         """Follow these from here on."""

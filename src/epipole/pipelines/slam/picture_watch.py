@@ -99,7 +99,9 @@ def _examined(grey: np.ndarray) -> tuple[str, np.ndarray]:
     elif mean < DARK:
         problem = f"the picture is dark (mean {mean:.0f} of 255): no light, or the lens is covered"
     else:
-        problem = f"the picture is of one shade (mean {mean:.0f} of 255): the lens is covered, or a blank wall"
+        problem = (
+            f"the picture is of one shade (mean {mean:.0f} of 255): the lens is covered, or a blank wall"
+        )
     return problem, np.sqrt(_edges(half) / np.maximum(_edges(small), 1e-3))
 
 
@@ -107,6 +109,7 @@ def _edges(grey: np.ndarray) -> np.ndarray:
     """(8,) mean squared derivatives along directions that are 22.5 degrees apart."""
     along_x, along_y = (cv2.Sobel(grey, cv2.CV_32F, *order) for order in ((1, 0), (0, 1)))
     xx, xy, yy = (
-        cv2.mean(cv2.multiply(a, b))[0] for a, b in ((along_x, along_x), (along_x, along_y), (along_y, along_y))
+        cv2.mean(cv2.multiply(a, b))[0]
+        for a, b in ((along_x, along_x), (along_x, along_y), (along_y, along_y))
     )
     return _COS * _COS * xx + 2.0 * _COS * _SIN * xy + _SIN * _SIN * yy

@@ -87,8 +87,7 @@ class Slam:
         self._watch, self._look = PictureWatch(), Look()
         self._cam_from_world = Rigid3.identity()
         self._path = Path()
-        self._num_frames = self.first_number
-        self._num_lost = 0
+        self._num_frames, self._num_lost = self.first_number, 0
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -376,6 +375,7 @@ class Slam:
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
             is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
+            moving=self.tracker.moving,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:

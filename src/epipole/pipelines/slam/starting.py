@@ -143,6 +143,7 @@ class OneCameraStart:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
         tracks = self.tracks
         tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        tracks.keep(frame.is_used(tracks.pixels))
         started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
         reason = started.reason or problem
         if not reason:
@@ -155,7 +156,7 @@ class OneCameraStart:
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
         """Begin to wait for a second place, apart from this frame's."""
-        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config)
+        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config, frame.ignored_mask)
         self.tracks = Tracks(corners, np.arange(len(corners)), corners)
         self._num_at_start = len(corners)
         self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
