@@ -62,7 +62,9 @@ def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
     assert "1 lines repeat a time" in doubled
 
 
-@pytest.mark.parametrize(("factor", "is_told"), [(1.0, False), (1000.0, True), (0.001, True)])
+@pytest.mark.parametrize(
+    ("factor", "is_told"), [(1.0, False), (10.0, True), (0.1, True), (1000.0, True), (0.001, True)]
+)
 def test_depth_in_a_wrong_unit_is_told(factor, is_told):
     """Registered depth that is too long by a factor agrees with the pictures: only its range tells."""
     ranges = DepthRange()

@@ -9,6 +9,7 @@ from epipole.mapping import Disparities, RefinedPose
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
+from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
@@ -47,6 +48,9 @@ class MapTracker:
         velocity such a share of the error came back enlarged, from frame to frame.
         """
         tracks, followed = self.tracks, self.tracks.point
+        if not shows_something(before.grey):
+            tracks.keep(np.zeros(len(tracks), bool))
+            return self._find_again((before, frame), place, followed)
         guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
         tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
         tracks.pixels, is_same, is_stale = hold(
@@ -55,18 +59,27 @@ class MapTracker:
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
         found = self.locate(frame, place)
-        if found is None:
-            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point, self.config))
-            found = self.locate(frame, place)
-        return self._with_right_picture(before, frame, place, followed) if found is None else found
+        return self._find_again((before, frame), place, followed) if found is None else found
 
-    def _with_right_picture(
-        self, before: Frame, frame: Frame, place: Rigid3, points: np.ndarray
+    def _find_again(
+        self, frames: tuple[Frame, Frame], place: Rigid3, followed: np.ndarray
     ) -> tuple[RefinedPose, int] | None:
-        found = place_by_right_picture(self.map, self.sensor, (before, frame), place, points, self.config)
-        if found is None:
-            return None
-        refined, self.tracks = found
+        """The pose by all points of the map that should be in sight; where the left picture shows none, by the right one."""
+        tracks, frame = self.tracks, frames[1]
+        right = place_by_right_picture(self.map, self.sensor, frames, place, followed, self.config)
+        near = place
+        if (
+            right is not None
+        ):  # it tells where they are in the left one to a pixel: near enough for their patches
+            near, seen = right[0].cam_from_world, right[1]
+            pixels, is_same, _ = hold(self.map, self.camera, frame.grey, near, seen.point, seen.pixels)
+            tracks.keep(np.zeros(len(tracks), bool))
+            tracks.add(pixels[is_same], seen.point[is_same])
+        tracks.add(*find_again(self.map, self.camera, frame.grey, near, tracks.point, self.config))
+        found = self.locate(frame, near)
+        if found is not None or right is None:
+            return found
+        refined, self.tracks = right
         return refined, len(self.tracks)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:

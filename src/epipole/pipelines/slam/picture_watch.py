@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from epipole.mapping import RefinedPose
+from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
 
 REMEMBERED = 15
 """Frames before this one that tell how sharp pictures of this camera and place are; a blur that lasts becomes usual."""
 LEAST_REMEMBERED = 3
+SURE = 2
+"""So many times as many points as usual must agree on the place of a picture with a problem."""
 BLURRED = 0.68
 """Share of the usual detail below which a picture is blurred. The kitchen of 7-Scenes, carried by hand, goes down to 0.71;
 10 pixels of motion leave 0.60 to 0.67 in most pictures, 5 pixels 0.8."""
@@ -34,12 +38,22 @@ class Look:
     """Of a pair's second picture."""
 
     is_left_alone: bool = False
-    """Whether the problem is of a pair's left picture, and the right one has none."""
+    """Whether a pair's left picture shows nothing, and the right one does."""
 
     @property
     def is_usable(self) -> bool:
         """Whether the (left) picture may become a keyframe."""
         return not self.problem
+
+    def sure(
+        self, found: tuple[RefinedPose, int] | None, config: SlamConfig
+    ) -> tuple[RefinedPose, int] | None:
+        """A place and the number of points that agree; None where these are few for such a picture.
+
+        Points that are found in a blurred picture are off by more than others, and all to the same side.
+        """
+        is_sure = found is None or self.is_usable or found[1] >= SURE * config.min_tracked
+        return found if is_sure else None
 
     def told(self, answer: TrackedFrame) -> TrackedFrame:
         """The answer with what is wrong: alone where the frame has a place, else before the reason why it has none."""
@@ -66,13 +80,14 @@ class PictureWatch:
     def look(self, frame: Frame) -> Look:
         """What is wrong with the pictures, in words."""
         problem, detail = _examined(frame.grey)
-        if not problem:
+        shows_nothing = bool(problem)
+        if not shows_nothing:
             problem = self._blur(detail)
             self._usual.append(np.minimum(detail, MOST_USUAL))
         if frame.right_grey is None:
             return Look(problem)
         right = _examined(frame.right_grey)[0]
-        if problem and not right:
+        if shows_nothing and not right:
             return Look(problem.replace("the picture", "the left picture"), is_left_alone=True)
         return Look(problem, right.replace("the picture", "the right picture"))
 
@@ -81,6 +96,11 @@ class PictureWatch:
             return ""
         share = float((detail / np.median(np.array(self._usual), axis=0)).min())
         return f"the picture is blurred: {100 * share:.0f} % of the usual detail" if share < BLURRED else ""
+
+
+def shows_something(grey: np.ndarray) -> bool:
+    """Whether there is anything in a picture that points could be followed from."""
+    return float(grey[::8, ::8].std()) >= LEAST_CONTRAST
 
 
 def _examined(grey: np.ndarray) -> tuple[str, np.ndarray]:

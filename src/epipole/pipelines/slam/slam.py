@@ -188,7 +188,7 @@ class Slam:
     def _follow(self, frame: Frame) -> TrackedFrame:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
-        found = self.tracker.follow(self._before, frame, self._cam_from_world)
+        found = self._look.sure(self.tracker.follow(self._before, frame, self._cam_from_world), self.config)
         return self._find_place(frame) if found is None else self._placed(frame, *found)
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
@@ -228,7 +228,7 @@ class Slam:
         reason = f"{len(self.tracker.tracks)} points are followed, too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
-        for model in self.maps:
+        for model in self.maps if self._look.is_usable else ():
             found = self._recognized(frame, model)
             if found is not None:
                 return self._placed(frame, *found)
