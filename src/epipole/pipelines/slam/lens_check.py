@@ -79,7 +79,8 @@ class LensCheck:
         if self.is_focal_wrong:
             out.append(
                 f"the focal length given is {self.given_focal_px:.0f} px, the pictures agree with {found}: path and map are"
-                " bent; calibrate the camera (epipole calibrate)"
+                " bent; calibrate the camera (epipole calibrate). Rows that are read one after another (a rolling shutter) look"
+                " like that, too"
             )
         if self.is_distortion_wrong:
             out.append(

@@ -102,15 +102,11 @@ def write_results(
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
-    with run.stage("check"):
-        lens = check_lens(system.maps[0], source.camera.camera)
-        run.warnings += [*lens_warnings(lens, system.maps[0].right_shift_px), *doubts(tracked, final)]
-    summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
-    summary |= {
-        "lens": None if lens is None else asdict(lens),
-        "poor_pictures": poor_pictures(tracked),
-        "moving": moving_things(tracked),
-    }
+    checked = _checked(system, tracked, final, run)
+    summary, known = (
+        {**_summary(source, system, records, model, run.warnings), **feed.summary(), **checked},
+        None,
+    )
     if given.scale is not None:
         summary |= {
             "scale": scale_words(given.scale),
@@ -133,6 +129,18 @@ def write_results(
         run.folder.write_text("report.html", render_page(page))
     run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
+
+
+def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
+    """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
+    with run.stage("check"):
+        lens = check_lens(system.maps[0], system.camera.camera)
+        run.warnings += [*lens_warnings(lens, system.maps[0].right_shift_px), *doubts(tracked, path)]
+        return {
+            "lens": None if lens is None else asdict(lens),
+            "poor_pictures": poor_pictures(tracked),
+            "moving": moving_things(tracked),
+        }
 
 
 def _names(system: Slam, names: Sequence[str], known: KnownMap | None) -> list[str]:
