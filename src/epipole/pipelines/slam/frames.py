@@ -142,7 +142,7 @@ class MovingThing:
     high_px: tuple[float, float]
     """Right and bottom."""
     motion: Float64[np.ndarray, " 3"]
-    """Of their middle, in the map's world and unit."""
+    """Of their middle, in the map's world and unit; NaN where one camera cannot tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +163,7 @@ class TrackedFrame:
     submap_from_body: Rigid3 | None = None
     """The place in the map that the camera is followed in, where that is not the first one."""
     moving: MovingThing | None = None
-    """A thing that moves, where its points have a place (seen with depth, or from two sides while it rested)."""
+    """A thing that moves besides the camera."""
 
     def __repr__(self) -> str:
         return f"TrackedFrame({self.timestamp_s:.3f} s, {self.state.value}, {self.num_points} points)"

@@ -13,7 +13,7 @@ from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
-from epipole.pipelines.slam.second_motion import second_motion
+from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
@@ -105,6 +105,8 @@ class MapTracker:
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
         self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
+        if self.moving is None and self.focal_baseline is None:
+            self.moving = self._motion_in_picture(rows[agrees], refined.cam_from_world)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
@@ -112,6 +114,15 @@ class MapTracker:
     def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
         fresh = self.map.anchor[points] == len(self.map.keyframes) - 1
         return second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+
+    def _motion_in_picture(self, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
+        newest = len(self.map.keyframes) - 1
+        lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
+        points = self.tracks.point[lacking]
+        now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
+        depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
+        then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
+        return second_motion_in_picture(then, now, self.camera, now_from_then, depth, self.config.seed)
 
     def start_from(self, tracks: Tracks) -> None:
         """Follow these from here on."""

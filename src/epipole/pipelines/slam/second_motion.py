@@ -9,13 +9,17 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import MovingThing
-from epipole.robust import estimate_absolute_pose
+from epipole.robust import estimate_absolute_pose, estimate_homography
 
 LEAST_POINTS = 15
 LEAST_SHARE = 0.5
 """Of the points that disagree: chance mistakes do not agree on anything."""
 MAX_ERROR_PX = 1.5
 MAX_ITERATIONS = 300
+OFF_PX, ROUGH_PX = 4.0, 3.0
+"""One camera: further than this from where a point of the scene can be; and what a homography leaves of a thing with depth."""
+NEAREST = 0.2
+"""Of the scene's median depth: nearer than that nothing of it is."""
 MOST_TURN_DEG, MOST_SHIFT = 20.0, 0.3
 """From one picture to the next a thing turns by no more, and moves by no larger share of its distance."""
 
@@ -55,5 +59,53 @@ def second_motion(
     angle_deg = np.degrees(np.linalg.norm(moved.log()[3:]))
     if angle_deg > MOST_TURN_DEG or np.linalg.norm(motion) > MOST_SHIFT * np.linalg.norm(place.apply(center)):
         return None
-    (left, top), (right, bottom) = np.percentile(pixels[agrees], [5.0, 95.0], axis=0).tolist()
-    return MovingThing(int(agrees.sum()), (left, top), (right, bottom), motion)
+    return _thing(pixels[agrees], motion)
+
+
+def second_motion_in_picture(
+    pixels_then: np.ndarray,
+    pixels: np.ndarray,
+    camera: Camera,
+    now_from_then: Rigid3,
+    depth: float,
+    seed: int,
+) -> MovingThing | None:
+    """The same of one camera's points that have no place: they are where no point of the scene can be, whatever its depth.
+
+    Args:
+        pixels_then: (n, 2) in the last keyframe.
+        pixels: (n, 2) where they are seen.
+        camera: any model.
+        now_from_then: from the keyframe to the frame.
+        depth: of the scene, in the middle.
+        seed: of the samples.
+    """
+    if len(pixels) < LEAST_POINTS:
+        return None
+    rays = camera.unproject(pixels_then)
+    rays = rays / np.maximum(rays[:, 2:], 1e-6)
+    far = camera.project(now_from_then.apply(1e3 * depth * rays))
+    near = camera.project(now_from_then.apply(NEAREST * depth * rays))
+    along = near - far
+    share = np.einsum("ni,ni->n", pixels - far, along) / np.maximum(np.einsum("ni,ni->n", along, along), 1e-9)
+    off_px = np.linalg.norm(far + np.clip(share, 0.0, 1.0)[:, None] * along - pixels, axis=1)
+    off = off_px > OFF_PX
+    if off.sum() < LEAST_POINTS:
+        return None
+    ransac = RansacConfig(
+        max_error_px=ROUGH_PX,
+        min_inliers=LEAST_POINTS,
+        min_inlier_ratio=LEAST_SHARE,
+        max_iterations=MAX_ITERATIONS,
+        seed=seed,
+    )
+    found = estimate_homography(pixels_then[off], pixels[off], ransac)
+    agrees = found.inlier_mask
+    if not found.success or agrees.sum() < LEAST_SHARE * off.sum():
+        return None
+    return _thing(pixels[off][agrees], np.full(3, np.nan))
+
+
+def _thing(pixels: np.ndarray, motion: np.ndarray) -> MovingThing:
+    (left, top), (right, bottom) = np.percentile(pixels, [5.0, 95.0], axis=0).tolist()
+    return MovingThing(len(pixels), (left, top), (right, bottom), motion)
