@@ -42,6 +42,7 @@ from epipole.io import (
 )
 from epipole.io.bags import bag_frames, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.calibration_files import (
+    read_body_from_camera,
     read_calibration,
     read_stereo_rig,
     write_calibration,
@@ -289,6 +290,10 @@ def _euroc_pair(folder: Path) -> None:
     (folder / "b.yaml").write_bytes(EUROC.replace(b"0.0, 0.0, -0.02", b"0.0, 0.0, 0.09"))
 
 
+def _body(folder: Path) -> None:
+    assert_motions(read_body_from_camera(folder / "sensor.yaml"))
+
+
 def _map(read: Callable[[Path], np.ndarray], name: str) -> Callable[[Path], None]:
     def run(folder: Path) -> None:
         assert read(folder / name).ndim == 2
@@ -528,6 +533,10 @@ FORMATS: dict[str, Format] = {
     "calibration-ros": _calibrated("yaml", _ros, "left.yaml", "right.yaml"),
     "calibration-kalibr": _calibrated("yaml", _put("a.yaml", yaml.safe_dump(KALIBR).encode()), "a.yaml"),
     "calibration-euroc": _calibrated("yaml", _euroc_pair, "a.yaml", "b.yaml"),
+    "calibration-euroc-body": Format(
+        *(lambda folder: (folder / "sensor.yaml").write_bytes(EUROC), "sensor.yaml", "yaml", _body),
+        ("read_body_from_camera",),
+    ),
     "calibration-xml": _calibrated("text", _put("a.xml", XML), "a.xml"),
     "calibration-kitti": _calibrated("text", _put("calib.txt", KITTI), "calib.txt"),
     "calibration-kitti-rows": _calibrated("text", _put("c.txt", KITTI_ROWS), "c.txt", size=(1242, 375)),

@@ -62,7 +62,9 @@ def test_a_list_of_euroc_out_of_order(tmp_path, data_dir):
     assert "1 lines repeat a time" in doubled
 
 
-@pytest.mark.parametrize(("factor", "is_told"), [(1.0, False), (1000.0, True), (0.001, True)])
+@pytest.mark.parametrize(
+    ("factor", "is_told"), [(1.0, False), (10.0, True), (0.05, True), (1000.0, True), (0.001, True)]
+)
 def test_depth_in_a_wrong_unit_is_told(factor, is_told):
     """Registered depth that is too long by a factor agrees with the pictures: only its range tells."""
     ranges = DepthRange()
@@ -87,7 +89,9 @@ def test_depth_pictures_of_another_size(tmp_path):
     cv2.imwrite(str(folder / "depth" / "4.png"), np.full((60, 80), 5000, np.uint16))
     result = run_slam(folder, tmp_path / "out", camera=KNOWN)
     assert result.summary["num_placed"] == COUNT - 1
-    assert "frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240" in result.warnings
+    (warning,) = result.warnings
+    assert warning.startswith("frame 4 is left out: the depth is 80 x 60, the depth camera's 320 x 240")
+    assert "depth that is registered to the picture has its size" in warning
     for n in range(COUNT):
         cv2.imwrite(str(folder / "depth" / f"{n}.png"), np.full((60, 80), 5000, np.uint16))
     with pytest.raises(NoModelError, match="the depth is 80 x 60"):

@@ -6,6 +6,7 @@ from slam_rides import RGBD, STEREO, drawn, errors, followed, ride
 
 from epipole import _parallel
 from epipole.metrics import absolute_error
+from epipole.pipelines.slam.doubts import doubts
 from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.slam import Slam
 
@@ -35,6 +36,10 @@ def test_a_box_that_walks_does_not_take_the_camera_along(kind, alignment, most_m
     if kind == "rgbd":
         places = np.array([answers[n].world_from_body.translation for n in resting])
         assert np.linalg.norm(places - places[0], axis=1).max() < 0.01  # the box crosses meanwhile
+    moving = {4 * n: a.moving for n, a in enumerate(answers) if a.moving is not None}
+    assert len(moving) >= 5 and all(60 <= number <= 184 for number in moving)  # it is in sight there
+    (warning,) = doubts(answers, slam.trajectory())
+    assert "something moves besides the camera" in warning
 
 
 @pytest.mark.parametrize("shade", [0, 3, 255])

@@ -63,15 +63,20 @@ def euroc_cameras(
         cameras.append(
             camera_of_words(path, size, numbers_of(path, content, "intrinsics", 4), model, words, d)
         )
-        body_from_cam = numbers_of(path, content, "T_BS", 4, 4)
-        rotation = body_from_cam[:3, :3]
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-            raise FileFormatError(path, "T_BS holds no rotation")
-        cams_from_body.append(Rigid3.from_matrix(body_from_cam).inverse())
+        cams_from_body.append(body_from_camera(path, content).inverse())
     places = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
     return tuple(cameras), Rigid3(
         np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])
     )
+
+
+def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
+    """EuRoC's T_BS."""
+    body_from_cam = numbers_of(path, content, "T_BS", 4, 4)
+    rotation = body_from_cam[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+        raise FileFormatError(path, "T_BS holds no rotation")
+    return Rigid3.from_matrix(body_from_cam)
 
 
 def kitti_cameras(

@@ -108,6 +108,19 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
     return _opencv_pair(path, merged, size)
 
 
+def read_body_from_camera(path: str | Path) -> Rigid3:
+    """The place of a camera in the body (the IMU) that EuRoC's `sensor.yaml` tells (T_BS): body_from_camera.
+
+    Raises:
+        FileFormatError: the file holds none.
+    """
+    path = Path(path)
+    try:
+        return datasets.body_from_camera(path, _parse(path))
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(path, f"T_BS cannot be read: {error}") from error
+
+
 def read_stereo_rig(
     *paths: str | Path, size: tuple[int, int] | None = None, cameras: tuple[int, int] | None = None
 ) -> StereoRig:

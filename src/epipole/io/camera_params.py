@@ -46,7 +46,11 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
     known = params_of_text(text)
     if len(known) != model.num_params:
         names = ",".join(model.param_names)
-        raise ConfigError(f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}")
+        example = ",".join(f"{value:g}" for value in _example(model, size))
+        raise ConfigError(
+            f"{model.name} takes {model.num_params} parameters ({names}), got {len(known)}: such as {example}; cx and cy count"
+            " from the picture's corner, half a pixel more than from the first pixel's centre"
+        )
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")
     return camera
@@ -76,3 +80,10 @@ def refuse_impossible(camera: Camera, where: str) -> None:
                 f"{where}: {name} = {value:g} cannot be of a camera of {camera.width}x{camera.height} pixels "
                 f"({low:g} to {high:g} is possible)"
             )
+
+
+def _example(model: CameraModel, size: tuple[int, int]) -> list[float]:
+    """Numbers as they might be, in COLMAP's order, for pictures of this size."""
+    longer = float(max(size))
+    focal = [float(round(longer))] * len(model.focal_indices)
+    return [*focal, size[0] / 2, size[1] / 2, *[0.0] * len(model.distortion_indices)]

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
 from epipole.io.files import file_text
@@ -92,13 +92,26 @@ class ImageSequence:
         return f"ImageSequence({self.kind.value}, {len(self)} frames over {seconds:.1f} s)"
 
 
-def read_sequence(folder: str | Path) -> ImageSequence:
+def read_sequence(folder: str | Path, fps: float | None = None) -> ImageSequence:
     """What a folder of frames holds; the layout is seen from its files.
+
+    Args:
+        folder: of any of the layouts.
+        fps: frames a second of pictures that have no times; None: 30, with a warning.
 
     Raises:
         FileFormatError: there is no picture, or a file that comes with the layout is damaged.
+        ConfigError: fps is given for frames that have times of their own.
     """
-    folder = Path(folder)
+    found = _read_sequence(Path(folder), fps)
+    if fps is not None and (found.kind is not SequenceKind.PICTURES or _times_file(Path(folder)).is_file()):
+        raise ConfigError(
+            f"fps is for folders of pictures without times; these ({found.kind.value}) have their own"
+        )
+    return found
+
+
+def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
         raise FileFormatError(folder, "is no folder of frames")
     for at in (folder / "mav0", folder):
@@ -114,7 +127,7 @@ def read_sequence(folder: str | Path) -> ImageSequence:
         return _seven_scenes(folder, names)
     if (folder / "image_0").is_dir():
         return _kitti(folder, folder / "image_0", None)
-    return _pictures(folder, names)
+    return _pictures(folder, names, fps)
 
 
 def _seven_scenes(folder: Path, names: tuple[str, ...]) -> ImageSequence:
@@ -251,17 +264,26 @@ def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
     return ImageSequence(SequenceKind.KITTI, frames, rig.left, rig)
 
 
-def _pictures(folder: Path, names: tuple[str, ...]) -> ImageSequence:
+def _pictures(folder: Path, names: tuple[str, ...], fps: float | None) -> ImageSequence:
     if not names:
         raise FileFormatError(folder, "there is no picture in it")
-    times = _times(folder, len(names), _PLAIN_HZ)
+    times = _times(folder, len(names), fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
-    return ImageSequence(SequenceKind.PICTURES, frames, None)
+    note = (
+        f"the pictures have no times: {_PLAIN_HZ:g} a second are assumed (give fps, or a file times.txt with the seconds"
+        " of a picture a line)"
+    )
+    is_told = fps is not None or _times_file(folder).is_file()
+    return ImageSequence(SequenceKind.PICTURES, frames, None, warnings=() if is_told else (note,))
+
+
+def _times_file(folder: Path) -> Path:
+    return folder / "times.txt"
 
 
 def _times(folder: Path, count: int, rate_hz: float) -> list[float]:
     """Of `times.txt`, a number a line; else as the usual rate has them."""
-    path = folder / "times.txt"
+    path = _times_file(folder)
     if not path.is_file():
         return [n / rate_hz for n in range(count)]
     try:

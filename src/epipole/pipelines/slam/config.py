@@ -58,6 +58,7 @@ class SlamConfig:
     max_depth_baselines: float = 120.0
     """Points that are further than so many baselines get no depth from a single frame."""
     seed: int = 0
+    """Of all that is drawn at random: the same seed, the same path."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -84,7 +85,8 @@ class CameraOptions:
     camera_model: str | None = None
     """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
     camera_params: str | None = None
-    """Intrinsics, comma separated, in COLMAP's order: the principal point counts from the picture's corner."""
+    """Intrinsics, comma separated, in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy): the principal point counts
+    from the picture's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
     calibration: Path | None = None
     """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
 
@@ -138,8 +140,16 @@ class JobOptions:
     """What to use; auto takes depth, else a second camera, where there is one."""
     topics: str | None = None
     """Recordings of ROS: the topic of the pictures; LEFT,RIGHT; or PICTURES,DEPTH (found by type and name unless given)."""
+    start: int = 0
+    """First frame to follow: so many of the source before it are left out."""
+    stride: int = 1
+    """Follow every so-many-th frame from there on."""
     max_frames: int | None = None
     """Frames to follow at most."""
+    fps: float | None = None
+    """Folders of pictures without times: frames a second (30 unless given)."""
+    masks: Path | None = None
+    """Folder of masks for a folder of pictures: MASKS/NAME.png; points where the mask is black are not used."""
     realtime: bool = False
     """Take frames as a camera gives them: those whose time passes while another is followed are dropped, and counted."""
     trajectory_format: Literal["tum", "kitti", "euroc"] = "tum"
@@ -172,6 +182,10 @@ class JobOptions:
         check_fields(self)
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
+        if self.start < 0 or self.stride < 1:
+            raise ConfigError(f"start must be at least 0 and stride 1, got {self.start} and {self.stride}")
+        if self.fps is not None and not 0 < self.fps < 1e6:
+            raise ConfigError(f"fps must be positive, got {self.fps}")
         if not 0 < self.positions_sigma_m < math.inf:
             raise ConfigError(f"positions_sigma_m must be positive and finite, got {self.positions_sigma_m}")
         if self.localize and self.map is None:

@@ -14,12 +14,16 @@ LEAST_NOISE = 0.5
 """Grey levels: rounding alone makes a third."""
 
 
-def new_corners(grey: np.ndarray, present_px: np.ndarray, config: SlamConfig) -> np.ndarray:
+def new_corners(
+    grey: np.ndarray, present_px: np.ndarray, config: SlamConfig, ignored_mask: np.ndarray | None = None
+) -> np.ndarray:
     """(n, 2) corners (Shi and Tomasi, CVPR 1994) to a fraction of a pixel, strongest first, up to the number asked for."""
     wanted = config.num_features - len(present_px)
     if wanted <= 0:
         return np.zeros((0, 2))
     mask = np.full(grey.shape, 255, np.uint8)
+    if ignored_mask is not None:
+        mask[ignored_mask] = 0
     for x, y in np.rint(present_px).astype(int):
         cv2.circle(mask, (int(x), int(y)), config.min_distance_px, 0, -1)
     found, strength = cv2.goodFeaturesToTrackWithQuality(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 NEAREST_M, FARTHEST_M = 0.05, 100.0
+USUAL_M = 0.3, 10.0
+"""Median depths of what depth cameras are carried through: beyond, a factor of ten is likelier than the place."""
 _STEP = 4
 
 
@@ -29,8 +31,13 @@ class DepthRange:
         if not self._medians_m:
             return []
         median_m = float(np.median(self._medians_m))
-        if NEAREST_M <= median_m <= FARTHEST_M:
+        if USUAL_M[0] <= median_m <= USUAL_M[1]:
             return []
+        if NEAREST_M <= median_m <= FARTHEST_M:
+            return [
+                f"the median depth is {median_m:.3g} m, unusual for a depth camera ({USUAL_M[0]:g} to {USUAL_M[1]:g} m): is"
+                " the unit of the depth pictures right? A factor on all depths is one on all lengths of path and map"
+            ]
         return [
             f"the median depth is {median_m:.4g} m, no depth camera's ({NEAREST_M:g} to {FARTHEST_M:g} m): the unit "
             "of the depth pictures is probably wrong, and with it all lengths"

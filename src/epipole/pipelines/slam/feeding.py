@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from types import FrameType
 from typing import Any
 
@@ -47,7 +48,8 @@ class Feed:
         self._clock = Clock() if clock is None else clock
 
     def __iter__(self) -> Iterator[QueuedFrame]:
-        frames = self.source.frames()
+        source = self.source.frames()
+        frames = self._wanted(source)
         count, last = 0, -1
         try:
             for frame in self._in_real_time(frames) if self._waits else frames:
@@ -55,7 +57,7 @@ class Feed:
                     self.is_interrupted = True
                     return
                 if self.source.is_live:
-                    self.num_dropped += frame.number - last - 1
+                    self.num_dropped += max(0, frame.number - last - self.job.stride)
                     last = frame.number
                 yield frame
                 count += 1
@@ -64,12 +66,16 @@ class Feed:
         except EpipoleError as error:
             self.problems.append(f"the source ends after {count} frames: {error}")
         finally:
-            frames.close()
+            source.close()
+
+    def _wanted(self, frames: Iterator[QueuedFrame]) -> Iterator[QueuedFrame]:
+        return islice(frames, self.job.start, None, self.job.stride)
 
     @property
     def num_expected(self) -> int:
         """Frames that will be followed, as far as the source tells."""
-        return min(self.source.num_frames, self.job.max_frames or self.source.num_frames)
+        wanted = len(range(self.job.start, self.source.num_frames, self.job.stride))
+        return min(wanted, self.job.max_frames or wanted)
 
     def notes(self) -> list[str]:
         """What is odd about the source, in words."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from epipole._declared import check_fields
 from epipole.cameras import Camera
@@ -88,7 +88,10 @@ class SlamCamera:
         sensor = self.depth.camera
         if frame.depth.shape != (sensor.height, sensor.width):
             size = f"{frame.depth.shape[1]} x {frame.depth.shape[0]}"
-            raise ShapeError(f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height}")
+            raise ShapeError(
+                f"the depth is {size}, the depth camera's {sensor.width} x {sensor.height} (depth that is registered to the"
+                " picture has its size)"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +104,16 @@ class Frame:
     """Of a rectified pair."""
     depth: Float32[np.ndarray, "h2 w2"] | None = None
     """Metres along the optical axis, at the depth camera's pixels; zero or NaN where not known."""
+    ignored_mask: Bool[np.ndarray, "h w"] | None = None
+    """True where the (left) picture is not to be used: people, the vehicle itself."""
+
+    def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+        """Which places in the picture are to be used."""
+        if self.ignored_mask is None:
+            return np.ones(len(pixels), bool)
+        height, width = self.ignored_mask.shape
+        column, row = np.rint(pixels).astype(int).T
+        return ~self.ignored_mask[row.clip(0, height - 1), column.clip(0, width - 1)]
 
     def __post_init__(self) -> None:
         """Check the pictures.
@@ -120,6 +133,19 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MovingThing:
+    """Points of the map that moved together since the last keyframe, and otherwise than the scene."""
+
+    num_points: int
+    low_px: tuple[float, float]
+    """Left and top of the rectangle that nearly all of them are in."""
+    high_px: tuple[float, float]
+    """Right and bottom."""
+    motion: Float64[np.ndarray, " 3"]
+    """Of their middle, in the map's world and unit; NaN where one camera cannot tell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class TrackedFrame:
     """What was known when a frame came."""
 
@@ -136,6 +162,8 @@ class TrackedFrame:
     is_keyframe: bool
     submap_from_body: Rigid3 | None = None
     """The place in the map that the camera is followed in, where that is not the first one."""
+    moving: MovingThing | None = None
+    """A thing that moves besides the camera."""
 
     def __repr__(self) -> str:
         return f"TrackedFrame({self.timestamp_s:.3f} s, {self.state.value}, {self.num_points} points)"

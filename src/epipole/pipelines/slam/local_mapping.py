@@ -56,7 +56,8 @@ class LocalMapper:
         """
         if self.map.keyframes:
             tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
-        corners = new_corners(frame.grey, tracks.pixels, self.config)
+            tracks.keep(frame.is_used(tracks.pixels))
+        corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
         index = len(self.map.keyframes)
         pixels = np.concatenate([tracks.pixels, corners])
         points = np.concatenate([tracks.point, np.full(len(corners), -1)])

@@ -9,7 +9,6 @@ from epipole.cameras import Camera
 from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
 from epipole.pipelines.slam.anchoring import hold
-from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loop_closing import Tie, paired_rows
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.slam_map import SlamMap

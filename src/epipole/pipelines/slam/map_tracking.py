@@ -8,9 +8,12 @@ from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, RefinedPose
 from epipole.pipelines.slam.anchoring import hold
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
+from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
+from epipole.pipelines.slam.right_picture import place_by_right_picture
+from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
@@ -25,6 +28,7 @@ class MapTracker:
     Attributes:
         tracks: the points that are followed.
         stale: rows of those that look otherwise than when they were first seen.
+        moving: what moves in the last frame besides the camera.
     """
 
     def __init__(
@@ -34,6 +38,7 @@ class MapTracker:
         self.focal_baseline = focal_baseline
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
+        self.moving: MovingThing | None = None
         self._num_at_start = 1
 
     def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
@@ -42,7 +47,10 @@ class MapTracker:
         The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
         velocity such a share of the error came back enlarged, from frame to frame.
         """
-        tracks = self.tracks
+        tracks, followed = self.tracks, self.tracks.point
+        if not shows_something(before.grey):
+            tracks.keep(np.zeros(len(tracks), bool))
+            return self._find_again((before, frame), place, followed)
         guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
         tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
         tracks.pixels, is_same, is_stale = hold(
@@ -51,10 +59,28 @@ class MapTracker:
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
         found = self.locate(frame, place)
-        if found is None:
-            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
-            found = self.locate(frame, place)
-        return found
+        return self._find_again((before, frame), place, followed) if found is None else found
+
+    def _find_again(
+        self, frames: tuple[Frame, Frame], place: Rigid3, followed: np.ndarray
+    ) -> tuple[RefinedPose, int] | None:
+        """The pose by all points of the map that should be in sight; where the left picture shows none, by the right one."""
+        tracks, frame = self.tracks, frames[1]
+        right = place_by_right_picture(self.map, self.sensor, frames, place, followed, self.config)
+        near = place
+        if (
+            right is not None
+        ):  # it tells where they are in the left one to a pixel: near enough for their patches
+            near, seen = right[0].cam_from_world, right[1]
+            pixels, is_same, _ = hold(self.map, self.camera, frame.grey, near, seen.point, seen.pixels)
+            tracks.keep(np.zeros(len(tracks), bool))
+            tracks.add(pixels[is_same], seen.point[is_same])
+        tracks.add(*find_again(self.map, self.camera, frame.grey, near, tracks.point))
+        found = self.locate(frame, near)
+        if found is not None or right is None:
+            return found
+        refined, self.tracks = right
+        return refined, len(self.tracks)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """The pose of a frame that was recognised; its points are followed from here on."""
@@ -64,6 +90,7 @@ class MapTracker:
     def locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
         """The frame's pose; points that do not agree are given up."""
         tracks = self.tracks
+        tracks.keep(frame.is_used(tracks.pixels))
         placed = np.flatnonzero(self.map.has_place(tracks.point))
         rows, pixels = tracks.point[placed], tracks.pixels[placed]
         deep = None
@@ -77,9 +104,25 @@ class MapTracker:
         refined, agrees = found
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
+        self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
+        if self.moving is None and self.focal_baseline is None:
+            self.moving = self._motion_in_picture(rows[agrees], refined.cam_from_world)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
+
+    def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
+        fresh = self.map.anchor[points] == len(self.map.keyframes) - 1
+        return second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+
+    def _motion_in_picture(self, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
+        newest = len(self.map.keyframes) - 1
+        lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
+        points = self.tracks.point[lacking]
+        now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
+        depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
+        then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
+        return second_motion_in_picture(then, now, self.camera, now_from_then, depth, self.config.seed)
 
     def start_from(self, tracks: Tracks) -> None:
         """Follow these from here on."""

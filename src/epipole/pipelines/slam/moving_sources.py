@@ -54,7 +54,9 @@ def open_video_frames(path: Path, given: CameraOptions) -> FrameSource:
         raise FileFormatError(path, "no frame of the video can be decoded")
     lens = given.camera((first.shape[1], first.shape[0]))
     if lens is None:
-        raise ConfigError("nothing tells the camera of a video: give camera_params, or a calibration")
+        raise ConfigError(
+            "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
+        )
     count = int(announced) if 0 < announced < 1e9 else 0
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
     made, counted = of_one_camera(lens), _Counted(count, "the video ends after {} of {} announced frames")
@@ -124,7 +126,9 @@ def open_camera(
     lens = given.camera((first.shape[1], first.shape[0]))
     if lens is None:
         capture.release()
-        raise ConfigError("nothing tells the intrinsics of a camera: give camera_params, or a calibration")
+        raise ConfigError(
+            "nothing tells the intrinsics of a camera: give camera_params (fx,fy,cx,cy), or a calibration"
+        )
     made, newest = of_one_camera(lens), _Newest(capture, clock)
 
     def frames() -> Generator[QueuedFrame, None, None]:

@@ -18,10 +18,12 @@ from epipole.io.trajectories import write_trajectory
 from epipole.mapping import ScaleFit
 from epipole.pipelines.slam.anchors import moved_path, scale_summary, scale_words
 from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.doubts import doubts, moving_things, poor_pictures
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
@@ -33,6 +35,10 @@ from epipole.runs import Run
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+
+
+WARM = 2
+"""Keyframes after which all that is needed was loaded: the largest time is that of later frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +102,11 @@ def write_results(
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
-    summary, known = {**_summary(source, system, records, model, run.warnings), **feed.summary()}, None
+    checked = _checked(system, tracked, final, run)
+    summary, known = (
+        {**_summary(source, system, records, model, run.warnings), **feed.summary(), **checked},
+        None,
+    )
     if given.scale is not None:
         summary |= {
             "scale": scale_words(given.scale),
@@ -105,8 +115,8 @@ def write_results(
         }
     if truth is not None:
         known = truth_at_frames(truth, records)
-        summary["truth"], doubts = truth_summary(truth, known, (final, causal), len(records))
-        run.warnings += doubts
+        summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
+        run.warnings += odd
     with run.stage("write"), run.folder.publish("slam") as aside:
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
@@ -119,6 +129,18 @@ def write_results(
         run.folder.write_text("report.html", render_page(page))
     run.finish({**summary, "timings_s": run.timings_s})
     return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
+
+
+def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
+    """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
+    with run.stage("check"):
+        lens = check_lens(system.maps[0], system.camera.camera)
+        run.warnings += [*lens_warnings(lens, system.maps[0].right_shift_px), *doubts(tracked, path)]
+        return {
+            "lens": None if lens is None else asdict(lens),
+            "poor_pictures": poor_pictures(tracked),
+            "moving": moving_things(tracked),
+        }
 
 
 def _names(system: Slam, names: Sequence[str], known: KnownMap | None) -> list[str]:
@@ -183,6 +205,8 @@ def _summary(
     tracked = [record.answer for record in records if record.answer is not None]
     states = [t.state for t in tracked]
     ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
+    keyframes = [n for n, record in enumerate(records) if record.answer and record.answer.is_keyframe]
+    warm = ms[keyframes[WARM - 1] + 1 :] if len(keyframes) >= WARM else ms
     placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
     tells = source.camera.tells_depth
     return {
@@ -198,7 +222,7 @@ def _summary(
         "ms_per_frame": {
             "median": float(np.median(ms)),
             "p95": float(np.percentile(ms, 95)),
-            "max": float(ms.max()),
+            "max": float(warm.max() if len(warm) else ms.max()),
         },
         "reasons": _reasons(tracked),
         "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],

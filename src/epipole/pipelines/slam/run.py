@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import Any
 
 from epipole._checks import as_path
+from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
@@ -103,7 +104,7 @@ def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> S
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
     own = {field.name: options.pop(field.name) for field in fields(JobOptions) if field.name in options}
-    for name in ("truth", "map", "positions"):
+    for name in ("truth", "map", "positions", "masks"):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
     return options_of(JobOptions, job, own)
@@ -112,16 +113,20 @@ def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
 def _open(source: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
+    if job.masks is not None and not source.is_dir():
+        raise ConfigError("masks are of folders of pictures")
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)
+    if job.fps is not None and (index is not None or is_video(source)):
+        raise ConfigError("fps is for folders of pictures without times: a video has its own")
     if index is not None or is_video(source):
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
         return open_video_frames(source, given) if index is None else open_camera(index, given)
-    sequence = read_sequence(source)
+    sequence = read_sequence(source, job.fps)
     header = read_header(sequence.frames[0].picture)
-    return open_sequence(sequence, job.sensor, given.camera((header.width, header.height)))
+    return open_sequence(sequence, job.sensor, given.camera((header.width, header.height)), job.masks)
 
 
 def _input(source: Path) -> Path:
@@ -134,14 +139,15 @@ def _track(feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView)
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
     records: list[FrameRecord] = []
     for queued in feed:
-        answer, problem, begin = None, "", perf_counter()
+        answer, problem, begin, compiling = None, "", perf_counter(), compile_seconds()
         try:
             frame = queued.read()
             begin = perf_counter()
             answer = system.track(frame)
         except EpipoleError as error:
             problem = f"frame {queued.number} is left out: {error}"
-        records.append(FrameRecord(queued.number, queued.name, perf_counter() - begin, answer, problem))
+        seconds = perf_counter() - begin - (compile_seconds() - compiling)
+        records.append(FrameRecord(queued.number, queued.name, seconds, answer, problem))
         if answer is not None:
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(feed.num_expected, len(records))))

@@ -15,6 +15,7 @@ from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
+from epipole.pipelines.slam.picture_watch import Look, PictureWatch
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
@@ -83,10 +84,10 @@ class Slam:
         self._turning: Turning | None = None
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
+        self._watch, self._look = PictureWatch(), Look()
         self._cam_from_world = Rigid3.identity()
         self._path = Path()
-        self._num_frames = self.first_number
-        self._num_lost = 0
+        self._num_frames, self._num_lost = self.first_number, 0
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -96,6 +97,7 @@ class Slam:
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
         self.camera.check(frame, self._before)
+        self._look = self._watch.look(frame)
         if not self.map.num_points:
             answer = self._begin(frame)
         elif self.state in (TrackingState.LOST, TrackingState.TURNING):
@@ -104,7 +106,7 @@ class Slam:
             answer = self._follow(frame)
         self._before = frame
         self._num_frames += 1
-        return answer
+        return self._look.told(answer)
 
     # The begin of a map.
 
@@ -123,7 +125,7 @@ class Slam:
 
     def _wait(self, frame: Frame) -> TrackedFrame:
         """One camera: a map where it has moved enough; until then its orientation, where it only turns."""
-        begun = self._start.add(frame, self._num_frames)
+        begun = self._start.add(frame, self._num_frames, self._look.problem)
         if not isinstance(begun, str):
             return self._begin_with_one_camera(frame, begun)
         turned = self._turn(frame)
@@ -186,7 +188,7 @@ class Slam:
     def _follow(self, frame: Frame) -> TrackedFrame:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
-        found = self.tracker.follow(self._before, frame, self._cam_from_world)
+        found = self._look.sure(self.tracker.follow(self._before, frame, self._cam_from_world), self.config)
         return self._find_place(frame) if found is None else self._placed(frame, *found)
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
@@ -194,7 +196,8 @@ class Slam:
         tracks = self.tracker.tracks
         if not self.is_map_fixed:
             self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
-        reason = self.tracker.why_keyframe(num_agreeing, self._num_frames - self._newest().number)
+        age = self._num_frames - self._newest().number
+        reason = self.tracker.why_keyframe(num_agreeing, age) if self._look.is_usable else ""
         if reason and self.is_map_fixed:
             self.tracker.look_again(frame, self._cam_from_world)
             reason = ""
@@ -225,7 +228,7 @@ class Slam:
         reason = f"{len(self.tracker.tracks)} points are followed, too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
-        for model in self.maps:
+        for model in self.maps if self._look.is_usable else ():
             found = self._recognized(frame, model)
             if found is not None:
                 return self._placed(frame, *found)
@@ -234,7 +237,7 @@ class Slam:
         if turned is not None:
             return self._turned(frame, turned, "the camera only turns: its place is the last known")
         self.state = TrackingState.LOST
-        if self._num_lost <= self.config.lost_patience or self.is_map_fixed:
+        if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._look.is_usable:
             return self._no_place(frame, reason)
         return self._begin_submap(frame, reason)
 
@@ -372,6 +375,7 @@ class Slam:
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
             is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
+            moving=self.tracker.moving,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Literal
 
 import cv2
@@ -16,7 +17,7 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import read_grey
+from epipole.io.photographs import mask_of, read_grey, read_mask
 from epipole.io.sequences import FrameFiles, ImageSequence
 from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
@@ -65,6 +66,8 @@ class Preparation:
     frame: Callable[..., Frame]
     """Of seconds, the grey picture, and the right grey picture or depth in metres."""
     notes: Callable[[], Sequence[str]] = tuple
+    flat: Callable[[np.ndarray], np.ndarray] = np.asarray
+    """Of a grey picture of the (left) camera, as the frame has it."""
 
 
 def of_one_camera(lens: Camera) -> Preparation:
@@ -88,7 +91,11 @@ def of_pair(rig: StereoRig) -> Preparation:
         CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
     )
     turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
-    return Preparation(SlamCamera(lens, rig.baseline), turned, partial(_rectified, rig, found))
+    prepared = partial(_rectified, rig, found)
+    return Preparation(
+        *(SlamCamera(lens, rig.baseline), turned, prepared),
+        flat=lambda picture: found.apply(picture, picture)[0],
+    )
 
 
 def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
@@ -104,18 +111,26 @@ def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | Non
     depth_camera = DepthCamera(sensor or lens, depth_from_color or Rigid3.identity())
     ranges = DepthRange()
 
+    def flat_picture(grey: np.ndarray) -> np.ndarray:
+        if table is None:
+            return grey
+        _require_size("picture", grey, lens)
+        return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+
     def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
-        if table is not None:
-            _require_size("picture", grey, lens)
-            grey = cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+        grey = flat_picture(grey)
         ranges.add(depth)
         return Frame(seconds, grey, None, depth)
 
-    return Preparation(SlamCamera(flat, None, depth_camera), Rigid3.identity(), frame, ranges.notes)
+    camera = SlamCamera(flat, None, depth_camera)
+    return Preparation(camera, Rigid3.identity(), frame, ranges.notes, flat_picture)
 
 
 def open_sequence(
-    sequence: ImageSequence, sensor: Literal["auto", "mono", "stereo", "rgbd"], camera: Camera | None
+    sequence: ImageSequence,
+    sensor: Literal["auto", "mono", "stereo", "rgbd"],
+    camera: Camera | None,
+    masks: Path | None = None,
 ) -> FrameSource:
     """The frames of a folder.
 
@@ -123,15 +138,18 @@ def open_sequence(
         sequence: the folder's files.
         sensor: what to use of them; auto takes depth, else the second camera, where there is one.
         camera: given intrinsics, instead of the folder's.
+        masks: folder of masks, MASKS/NAME.png, black where a picture is not to be used; None for none.
 
     Raises:
-        ConfigError: the intrinsics are not known, or the sensor asked for is not there.
+        ConfigError: the intrinsics are not known, the sensor asked for is not there, or no picture has a mask.
     """
     kind = _kind_of(sequence, sensor)
+    if masks is not None and not any(mask_of(masks, files.picture.name) for files in sequence.frames):
+        raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
     lens = sequence.camera if camera is None else camera
     if lens is None:
         raise ConfigError(
-            f"nothing tells the camera of these {sequence.kind.value}: give camera_params, or a calibration"
+            f"nothing tells the camera of these {sequence.kind.value}: give camera_params (fx,fy,cx,cy), or a calibration"
         )
     if kind == "stereo":
         if camera is not None:
@@ -147,7 +165,9 @@ def open_sequence(
 
     def frames() -> Generator[QueuedFrame, None, None]:
         for number, files in enumerate(sequence.frames):
-            yield QueuedFrame(number, files.timestamp_s, files.picture.name, partial(read, made, files))
+            plain = partial(read, made, files)
+            masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
+            yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
 
     return FrameSource(
         made.camera,
@@ -156,6 +176,17 @@ def open_sequence(
         made.body_from_camera,
         lambda: [*sequence.warnings, *made.notes()],
     )
+
+
+def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, picture: Path) -> Frame:
+    frame = plain()
+    used_mask = read_mask(masks, picture.name)
+    if used_mask is None:
+        return frame
+    ignored_mask = made.flat(np.where(used_mask, 0, 255).astype(np.uint8)) > 0
+    if ignored_mask.shape != frame.grey.shape:
+        raise ShapeError(f"the mask of {picture.name} is not of its size")
+    return replace(frame, ignored_mask=ignored_mask)
 
 
 def _kind_of(sequence: ImageSequence, sensor: str) -> str:

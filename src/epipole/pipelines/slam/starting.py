@@ -137,24 +137,26 @@ class OneCameraStart:
         self._waiting: list[WaitingFrame] = []
         self._num_at_start = 0
 
-    def add(self, frame: Frame, number: int) -> Begun | str:
-        """The map, if it begins with this frame; else what it waits for."""
+    def add(self, frame: Frame, number: int, problem: str = "") -> Begun | str:
+        """The map, if it begins with this frame; else what it waits for: a picture with a problem begins none."""
         if not self._waiting:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
         tracks = self.tracks
         tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        tracks.keep(frame.is_used(tracks.pixels))
         started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
-        if not started.reason:
+        reason = started.reason or problem
+        if not reason:
             return self._begin(started)
         self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
         is_thin = len(tracks.pixels) < max(MIN_POINTS, LEAST_KEPT * self._num_at_start)
         if is_thin or len(self._waiting) > MOST_WAITING:
-            return self._wait_from(frame, number, started.reason)
-        return started.reason
+            return self._wait_from(frame, number, reason)
+        return reason
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
         """Begin to wait for a second place, apart from this frame's."""
-        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config)
+        corners = new_corners(frame.grey, np.zeros((0, 2)), self.config, frame.ignored_mask)
         self.tracks = Tracks(corners, np.arange(len(corners)), corners)
         self._num_at_start = len(corners)
         self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]

@@ -11,6 +11,7 @@ import numpy as np
 
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3, Similarity3
+from epipole.io.calibration_files import read_body_from_camera
 from epipole.io.sequences import SequenceKind, read_sequence
 from epipole.io.trajectories import read_pose_matrix, read_trajectory, trajectory_format
 from epipole.metrics import absolute_error, associate, score_trajectory
@@ -21,6 +22,7 @@ MAX_DIFFERENCE_S = 0.01
 """Frames and truth further apart in time are not compared."""
 FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
 """TUM RGB-D's, KITTI's."""
+FILES_OF_EUROC = tuple(f"{root}state_groundtruth_estimate0/data.csv" for root in ("mav0/", ""))
 _PICTURE, _POSE = ".color.", ".pose.txt"
 
 
@@ -36,20 +38,39 @@ class Truth:
 
 
 def true_path_at(path: Path) -> Truth:
-    """A known path from a file, or that which a folder of frames brings (7-Scenes, TUM RGB-D, KITTI).
+    """A known path from a file, or that which a folder of frames brings (7-Scenes, TUM RGB-D, KITTI, EuRoC).
+
+    EuRoC's is that of the IMU: where the truth lies in the set's folder, that of its left camera is made of it (T_BS).
 
     Raises:
         FileFormatError: the file is no trajectory, or the folder brings none.
     """
     if path.is_dir():
         return _of_folder(path)
-    return Truth(path, read_trajectory(path), trajectory_format(path) != "kitti")
+    trajectory, kind = read_trajectory(path), trajectory_format(path)
+    sensor = _camera_of_euroc(path)
+    if kind == "euroc" and sensor is not None:
+        places = trajectory.world_from_body @ read_body_from_camera(sensor)
+        trajectory = Trajectory(trajectory.timestamp_s, places)
+    return Truth(path, trajectory, kind != "kitti")
+
+
+def _camera_of_euroc(path: Path) -> Path | None:
+    """What tells the place of the left camera, where a file lies in a folder of EuRoC."""
+    folder = path.resolve().parent
+    for at in (folder.parent, folder, folder / "mav0"):
+        if (at / "cam0" / "sensor.yaml").is_file():
+            return at / "cam0" / "sensor.yaml"
+    return None
 
 
 def _of_folder(folder: Path) -> Truth:
     for name in FILES_OF_FOLDERS:
         if (folder / name).is_file():
             return true_path_at(folder / name)
+    for path in (*(folder / name for name in FILES_OF_EUROC), *sorted(folder.glob("*.csv"))):
+        if path.is_file() and _camera_of_euroc(path) is not None:
+            return true_path_at(path)
     sequence = read_sequence(folder)
     if sequence.kind is SequenceKind.SEVEN_SCENES:
         rows = [

@@ -70,6 +70,7 @@ class Turning:
         tracks, lens, place = self._tracks, self.camera, self._cam_from_sphere
         guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], place, place, lens)
         tracks.follow(self._before.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.keep(frame.is_used(tracks.pixels))
         self._before = frame
         if not self.is_rich:
             return None
@@ -105,7 +106,7 @@ class Turning:
         tracks, lens, sphere = self._tracks, self.camera, self._sphere
         place = self._cam_from_sphere
         tracks.add(*find_again(sphere, lens, frame.grey, place, tracks.point))
-        corners = new_corners(frame.grey, tracks.pixels, self.config)
+        corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
         directions = _unit(lens.unproject(corners)) @ place.rotation
         fresh = sphere.add_points(directions, corners, len(sphere.keyframes))
         pixels = np.concatenate([tracks.pixels, corners])
