@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from epipole.cameras import CameraModel
@@ -20,6 +22,7 @@ from epipole.robust import triangulate_points
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
+LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 GROWTH = 1.1
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
@@ -176,14 +179,20 @@ class LocalMapper:
         """Adjust every keyframe and every point."""
         self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
-    def adjust_for_good(self) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust all, again and again."""
+    def adjust_for_good(self) -> Iterator[None]:
+        """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
+
+        Stops after each of LAST_STEPS steps, which the caller may end at.
+        """
         if len(self.map.keyframes) < 2:
             return
         self.adjust_all()
+        yield
         for loss_scale_px in LAST_SCALES_PX:
             tie_together(self.map, self.camera, self.config)
+            yield
             self.adjust_all(loss_scale_px)
+            yield
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX

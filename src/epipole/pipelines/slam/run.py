@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, fields
 from pathlib import Path
 from time import perf_counter
@@ -28,6 +30,14 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.resuming import (
+    CHECKPOINT,
+    TakenUp,
+    key_of,
+    mark_checkpoint,
+    remove_checkpoint,
+    take_up,
+)
 from epipole.pipelines.slam.results import Given, SlamResult, write_results
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
@@ -78,17 +88,44 @@ def slam(
             "positions tell the scale of one camera; this source has its metres from its own depth"
         )
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
+    del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        feed = Feed(frames, wanted, is_stopped)
-        with run.stage("track"):
-            records = _track(feed, system, progress, live)
+        folder, sketch = run.root / CHECKPOINT, () if frames.is_live else run.folder.source.sketch
+        key = key_of(sketch, frames.camera, model, wanted, config)
+        stands = take_up(folder, key, system, frames, wanted)
+        with closing(stands.checkpoint):
+            feed = Feed(stands.source, stands.job, is_stopped)
+            feed.num_dropped = stands.num_dropped
+            with run.stage("track"):
+                records = _track(feed, system, progress, live, stands)
+                stands.checkpoint.keep(system)
         with run.stage("adjust"):
-            run.report("adjust", 0, 1)
-            system.finish()
+            is_whole = _finish(system, run, lambda: is_stopped() and not feed.is_interrupted)
+            feed.is_interrupted |= not is_whole
             fit = None if places is None else _anchored(system, places, wanted, run)
-            run.report("adjust", 1, 1)
-        return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+        result = write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+        if feed.is_interrupted:
+            mark_checkpoint(folder, key, is_written=True)
+        else:
+            remove_checkpoint(folder)
+        return result
+
+
+def _finish(system: Slam, run: Run, is_stopped: Callable[[], bool]) -> bool:
+    """The last adjustment, unless it is stopped; returns whether it was done."""
+    is_whole = True
+
+    def goes_on(done: int, total: int) -> bool:
+        nonlocal is_whole
+        run.report("adjust", done, total)
+        is_whole = done == total or not is_stopped()
+        return is_whole
+
+    run.report("adjust", 0, 1)
+    system.finish(goes_on)
+    run.report("adjust", 1, 1)
+    return is_whole
 
 
 def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> ScaleFit | None:
@@ -130,19 +167,23 @@ def _input(source: Path) -> Path:
     return source if index is None else Path(f"/dev/video{index}")
 
 
-def _track(feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView) -> list[FrameRecord]:
+def _track(
+    feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView, stands: TakenUp
+) -> list[FrameRecord]:
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
-    records: list[FrameRecord] = []
+    records, before = stands.records, len(stands.records)
     for queued in feed:
         answer, problem, begin = None, "", perf_counter()
+        number = stands.first_number + queued.number
         try:
             frame = queued.read()
             begin = perf_counter()
             answer = system.track(frame)
         except EpipoleError as error:
-            problem = f"frame {queued.number} is left out: {error}"
-        records.append(FrameRecord(queued.number, queued.name, perf_counter() - begin, answer, problem))
+            problem = f"frame {number} is left out: {error}"
+        records.append(FrameRecord(number, queued.name, perf_counter() - begin, answer, problem))
+        stands.checkpoint.add(system, records)
         if answer is not None:
             live.show(system, frame, answer)
-        progress(Progress("track", len(records), max(feed.num_expected, len(records))))
+        progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
     return records

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from epipole.errors import ConfigError
@@ -10,7 +12,7 @@ from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.forgetting import forget
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.local_mapping import LAST_STEPS, LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
 from epipole.pipelines.slam.map_tracking import MapTracker
@@ -84,7 +86,7 @@ class Slam:
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._cam_from_world = Rigid3.identity()
-        self._path = Path()
+        self._path = Path(self.first_number)
         self._num_frames = self.first_number
         self._num_lost = 0
 
@@ -105,6 +107,30 @@ class Slam:
         self._before = frame
         self._num_frames += 1
         return answer
+
+    @property
+    def last_frame(self) -> Frame | None:
+        """The frame that was followed last."""
+        return self._before
+
+    def go_on_after(self, missed: Sequence[TrackedFrame]) -> None:
+        """Frames were followed by a map that is gone: their places stand, and the camera is sought in this one.
+
+        Args:
+            missed: what was known of them.
+        """
+        keyframe = next((k for k in reversed(self.maps[0].keyframes) if len(k.point)), None)
+        for answer in missed:
+            place, covariance = answer.world_from_body, answer.covariance
+            if place is not None and covariance is not None and keyframe is not None:
+                self._path.add(
+                    self._num_frames, answer.timestamp_s, keyframe, place.inverse(), covariance
+                )
+            self._num_frames += 1
+        self._start, self._turning = OneCameraStart(self.camera.camera, self.config), None
+        self._closer.forget()
+        if self.map.num_points:
+            self.state, self._num_lost = TrackingState.LOST, 1
 
     # The begin of a map.
 
@@ -378,12 +404,20 @@ class Slam:
         count = len(self.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
-    def finish(self) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust the whole of every map."""
+    def finish(self, goes_on: Callable[[int, int], bool] = lambda done, total: True) -> None:
+        """After the last frame: tie keyframes together that see the same, and adjust the whole of every map.
+
+        Args:
+            goes_on: called with the number of steps done and of all; where it returns False the rest is left out.
+        """
         here = self.map
-        for model in [] if self.is_map_fixed else self.maps:
+        models = [] if self.is_map_fixed else self.maps
+        for number, model in enumerate(models):
             self._enter(model)
-            self.mapper.adjust_for_good()
+            for step, _ in enumerate(self.mapper.adjust_for_good(), 1):
+                if not goes_on(LAST_STEPS * number + step, LAST_STEPS * len(models)):
+                    self._enter(here)
+                    return
         self._enter(here)
 
     def trajectory(self, number: int = 0) -> Trajectory:
