@@ -43,12 +43,14 @@ KINDS: dict[str, type] = {
 """What may be stored."""
 CUT: dict[type, tuple[str, ...]] = {slam_map.SlamMap: ("_xyz", "_anchor", "_anchor_px", "_num_agreed")}
 """Arrays of which only the first `num_points` rows are in use."""
+PICTURES: dict[type, tuple[str, ...]] = {slam_map.Keyframe: ("grey",)}
+"""Arrays that are never written to, and stay."""
 LASTING: dict[type, tuple[str, ...]] = {
-    slam_map.Keyframe: ("grey", "pixels", "disparity_px", "point", "descriptors", "look"),
+    slam_map.Keyframe: ("pixels", "disparity_px", "point", "descriptors", "look"),
     frames.Frame: ("grey", "right_grey", "depth"),
     path.Path: ("_full",),
 }
-"""Arrays, and lists of them, that are replaced and never written to: what was stored of them once stays right."""
+"""Arrays, and lists of them, that are replaced, some of them soon, and never written to."""
 
 
 class Coded(NamedTuple):
@@ -56,8 +58,10 @@ class Coded(NamedTuple):
 
     structure: Json
     arrays: list[np.ndarray]
+    pictures: frozenset[int] = frozenset()
+    """Those that are never written to, and stay."""
     lasting: frozenset[int] = frozenset()
-    """Those that are never written to."""
+    """Others that are never written to."""
 
 
 class BadState(ValueError):
@@ -76,8 +80,10 @@ def encode(value: object, known: Mapping[str, object]) -> Coded:
     """
     coder = _Encoder({id(one): name for name, one in known.items()})
     structure = coder.code(value)
-    lasting = frozenset(n for n, array in enumerate(coder.arrays) if id(array) in coder.lasting)
-    return Coded(structure, coder.arrays, lasting)
+    ids = [id(array) for array in coder.arrays]
+    pictures = frozenset(n for n, one in enumerate(ids) if one in coder.pictures)
+    lasting = frozenset(n for n, one in enumerate(ids) if one in coder.lasting) - pictures
+    return Coded(structure, coder.arrays, pictures, lasting)
 
 
 def decode(coded: Coded, known: Mapping[str, object]) -> Any:
@@ -134,6 +140,7 @@ def bytes_of(array: np.ndarray) -> bytes:
 class _Encoder:
     def __init__(self, known: dict[int, str]) -> None:
         self.known, self.arrays = known, list[np.ndarray]()
+        self.pictures: set[int] = set()
         self.lasting: set[int] = set()
         self._array_of: dict[int, int] = {}
         self._number_of: dict[int, int] = {}
@@ -170,8 +177,9 @@ class _Encoder:
         for name in cut:
             held[name] = held[name][: value.num_points]
             self._held.append(held[name])
-        for name in LASTING.get(kind, ()):
-            self.lasting.update(map(id, held[name] if isinstance(held[name], list) else [held[name]]))
+        for found, names in ((self.pictures, PICTURES.get(kind, ())), (self.lasting, LASTING.get(kind, ()))):
+            for name in names:
+                found.update(map(id, held[name] if isinstance(held[name], list) else [held[name]]))
         return ["object", kind.__name__, {name: self.code(one) for name, one in held.items()}]
 
     def _place(self, array: np.ndarray) -> int:

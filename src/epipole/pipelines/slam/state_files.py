@@ -37,8 +37,8 @@ _INLINE = -1
 class StateFiles:
     """A state and its arrays in a folder.
 
-    Arrays that are never written to, and are still there at the second time that the state is written, are appended to a
-    file and not written again: a second of SLAM changes little of a large map.
+    Arrays that are never written to are appended to a file, once: pictures of keyframes at once, others where they are still
+    there at the second time that the state is written. A second of SLAM changes little of a large map.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -96,9 +96,9 @@ class StateFiles:
 
     def _placed(self, coded: Coded) -> tuple[list[Any], bytes]:
         """(a row for each array, bytes of those that are not in the file)."""
-        lasting = {n for n in coded.lasting if coded.arrays[n].nbytes >= LEAST_BYTES}
+        lasting = {n for n in coded.lasting | coded.pictures if coded.arrays[n].nbytes >= LEAST_BYTES}
         old = {n for n in lasting if id(coded.arrays[n]) in self._stored}
-        again = [n for n in sorted(lasting - old) if id(coded.arrays[n]) in self._seen]
+        again = [n for n in sorted(lasting - old) if n in coded.pictures or id(coded.arrays[n]) in self._seen]
         used = sum(coded.arrays[n].nbytes for n in old)
         self._stored = {id(coded.arrays[n]): self._stored[id(coded.arrays[n])] for n in old}
         if self._end - used > max(SPARE_BYTES, used):
