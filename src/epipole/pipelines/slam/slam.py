@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -127,6 +128,8 @@ class Slam:
                     self._num_frames, answer.timestamp_s, keyframe, place.inverse(), covariance
                 )
             self._num_frames += 1
+        if missed and self._before is not None:  # what comes next is later than all of them
+            self._before = replace(self._before, timestamp_s=missed[-1].timestamp_s)
         self._start, self._turning = OneCameraStart(self.camera.camera, self.config), None
         self._closer.forget()
         if self.map.num_points:
