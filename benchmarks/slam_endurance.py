@@ -142,7 +142,9 @@ def _table(report: dict[str, Any]) -> Table:
     for name in columns:
         table.add_column(name.replace("_", " "), justify="right")
     for row in report["rows"]:
-        table.add_row(*("" if row[name] is None else format(row[name], form) for name, form in columns.items()))
+        table.add_row(
+            *("" if row[name] is None else format(row[name], form) for name, form in columns.items())
+        )
     return table
 
 

@@ -136,7 +136,7 @@ def test_what_does_not_fit_is_refused(source, monkeypatch):
     out, held = place / "out", place / "out" / "checkpoint"
     with pytest.raises(CrashError):
         run_slam(place / "ride", out, progress=crash_at(6))
-    with pytest.raises(ConfigError, match="--num-features was 400, and is 300 now.*leave --resume out"):
+    with pytest.raises(ConfigError, match=r"--num-features was 400, and is 300 now.*leave --resume out"):
         run_slam(place / "ride", out, resume=True, num_features=300)
     source("rgbd")
     with pytest.raises(ConfigError, match="the camera is another now"):
@@ -165,7 +165,11 @@ def test_a_damaged_checkpoint_is_refused_and_a_cut_journal_is_not(source):
         run_slam(place / "ride", out, progress=crash_at(8))
     kept = {path: path.read_bytes() for path in held.iterdir()}
     (arrays,) = held.glob("arrays-*.bin")
-    for path, words in ((held / STATE, "damaged"), (arrays, "not what was written"), (held / "key.json", "damaged")):
+    for path, words in (
+        (held / STATE, "damaged"),
+        (arrays, "not what was written"),
+        (held / "key.json", "damaged"),
+    ):
         data = bytearray(kept[path])
         data[len(data) // 2] ^= 255
         path.write_bytes(data)

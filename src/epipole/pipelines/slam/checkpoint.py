@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
 
-from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.growing_path import GrowingPath
 from epipole.pipelines.slam.journal import Journal
 from epipole.pipelines.slam.record import FrameRecord
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.state_checks import problem_of_state
-from epipole.pipelines.slam.state_files import STATE, StateFiles
+from epipole.pipelines.slam.state_files import StateFiles
 
 SHARE, PAUSE_S, LONGEST_S = 0.03, 1.0, 30.0
 """The state is written every second; less often where that took a larger share of the time, but after so many seconds."""
@@ -95,30 +93,6 @@ class Checkpoint:
         tracked = [record.answer for record in records if record.answer is not None]
         self.path.clear()
         self.path.add(tracked[system.first_frame - system.first_number :])
-
-
-def restore(system: Slam, files: StateFiles) -> tuple[int, int]:
-    """Give SLAM the state that was written last, but for the ledger of loops.
-
-    Returns:
-        frames that it has seen, and the bytes of the journal that hold them.
-
-    Raises:
-        FileFormatError: what is there is damaged.
-    """
-    path = files.folder / STATE
-    held, facts = files.read(known_to(system))
-    if not isinstance(held, dict) or set(held) != set(vars(system)):
-        raise FileFormatError(path, "is of another version")
-    problem = problem_of_state(held, system.camera.camera)
-    if problem:
-        raise FileFormatError(path, f"is damaged: {problem}")
-    try:
-        told = int(facts["num_lines"]), int(facts["num_bytes"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(path, "is damaged: it does not tell its frames") from error
-    vars(system).update(held)
-    return told
 
 
 def known_to(system: Slam) -> dict[str, object]:

@@ -110,5 +110,3 @@ def _entry_of(line: bytes, end: int) -> Entry:
     if not all(isinstance(loop, LoopCandidate) for loop in loops):
         raise BadState("it holds no frame")
     return Entry(record, loops, end)
-
-

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -179,20 +179,30 @@ class LocalMapper:
         """Adjust every keyframe and every point."""
         self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
-    def adjust_for_good(self) -> Iterator[None]:
+    def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
         """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
 
-        Stops after each of LAST_STEPS steps, which the caller may end at.
+        Args:
+            number: of the map among all that are adjusted.
+            count: of them.
+            goes_on: called with the steps done and those of all maps; where it returns False the rest is left out.
+
+        Returns:
+            whether all was done.
         """
         if len(self.map.keyframes) < 2:
-            return
+            return True
         self.adjust_all()
-        yield
+        done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in LAST_SCALES_PX:
+            if not goes_on(done, total):
+                return False
             tie_together(self.map, self.camera, self.config)
-            yield
+            if not goes_on(done + 1, total):
+                return False
             self.adjust_all(loss_scale_px)
-            yield
+            done += 2
+        return goes_on(done, total)
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX

@@ -26,9 +26,7 @@ class Path:
     """
 
     def __init__(self, first: int = 0) -> None:
-        """Args:
-        first: number of the first frame.
-        """
+        """No frame yet; the first one has this number."""
         self.first = first
         self._keyframes: list[Keyframe | None] = []
         self._full: list[np.ndarray] = []
@@ -94,9 +92,7 @@ class Path:
         keys = [k for k in (self._keyframes[n] for n in used) if k is not None]
         which = np.searchsorted(used, rows[:, _KEYFRAME])
         grown = np.array([k.unit for k in keys])[which] / rows[:, _UNIT]
-        relative = Rigid3(
-            rows[:, _ROTATION].reshape(-1, 3, 3).copy(), rows[:, _TRANSLATION] * grown[:, None]
-        )
+        relative = Rigid3(rows[:, _ROTATION].reshape(-1, 3, 3).copy(), rows[:, _TRANSLATION] * grown[:, None])
         there = Rigid3(
             np.stack([k.cam_from_world.rotation for k in keys])[which],
             np.stack([k.cam_from_world.translation for k in keys])[which],

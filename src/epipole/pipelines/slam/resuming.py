@@ -15,12 +15,13 @@ from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, reporting
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
-from epipole.pipelines.slam.checkpoint import Checkpoint, restore
+from epipole.pipelines.slam.checkpoint import Checkpoint
 from epipole.pipelines.slam.config import JobOptions, SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.growing_path import GROWING
 from epipole.pipelines.slam.journal import JOURNAL, Entry, read_journal
 from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.restoring import Restored, go_on_after, read_state
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.source import FrameSource, QueuedFrame
@@ -103,18 +104,19 @@ def take_up(folder: Path, key: Key, system: Slam, source: FrameSource, job: JobO
         with reporting(folder):
             folder.mkdir(exist_ok=True)
         mark_checkpoint(folder, key, is_written=False)
-        entries, num_lines, files = [], 0, None
+        kept: Sequence[Entry] = ()
+        checkpoint = Checkpoint(folder)
     else:
-        entries, num_lines, files = found
-    missed = [entry.record.answer for entry in entries[num_lines:]]
-    kept = entries[:num_lines] if can_repeat else entries
+        kept = found.entries[: found.restored.num_lines] if can_repeat else found.entries
+        if not can_repeat:
+            missed = [entry.record.answer for entry in found.entries[found.restored.num_lines :]]
+            go_on_after(found.restored.state, [answer for answer in missed if answer is not None])
+        vars(system).update(found.restored.state)
+        checkpoint = Checkpoint(folder, found.files)
     for entry in kept:
         system.loops.extend(entry.loops)
-    if not can_repeat and entries:
-        system.go_on_after([answer for answer in missed if answer is not None])
     records = [entry.record for entry in kept]
     left, num_before = _left(source, records, system, can_repeat=can_repeat)
-    checkpoint = Checkpoint(folder, files)
     checkpoint.begin(system, records, kept[-1].end if kept else 0, source.body_from_camera)
     if job.max_frames is not None:
         wanted = job.max_frames - len(records)
@@ -192,8 +194,16 @@ def _difference(name: str, then: str | None, now: str | None) -> str:
     return f"{name} was {then or 'not given'}, and is {now or 'not given'} now"
 
 
-def _read(folder: Path, system: Slam) -> tuple[list[Entry], int, StateFiles] | None:
-    """The journal, the number of its frames that the state has seen, and the files; None before the first state.
+class _Found(NamedTuple):
+    """What a stopped run has left."""
+
+    entries: list[Entry]
+    restored: Restored
+    files: StateFiles
+
+
+def _read(folder: Path, system: Slam) -> _Found | None:
+    """What is there; None before the first state.
 
     Raises:
         FileFormatError: something is damaged.
@@ -201,10 +211,11 @@ def _read(folder: Path, system: Slam) -> tuple[list[Entry], int, StateFiles] | N
     if not (folder / STATE).is_file():
         return None
     files, entries = StateFiles(folder), read_journal(folder / JOURNAL)
-    num_lines, num_bytes = restore(system, files)
-    if not 0 <= num_lines <= len(entries) or (num_lines and entries[num_lines - 1].end != num_bytes):
-        raise FileFormatError(folder / JOURNAL, f"lacks frames of the {num_lines} that were followed")
-    return entries, num_lines, files
+    restored = read_state(system, files)
+    count = restored.num_lines
+    if not 0 <= count <= len(entries) or (count and entries[count - 1].end != restored.num_bytes):
+        raise FileFormatError(folder / JOURNAL, f"lacks frames of the {count} that were followed")
+    return _Found(entries, restored, files)
 
 
 def _left(
@@ -238,7 +249,7 @@ def _left(
 
 def _is_same(frame: Frame, system: Slam) -> bool:
     """Whether it is the last frame that SLAM has seen."""
-    before = system.last_frame
+    before: Frame | None = vars(system)["_before"]
     if before is None or frame.timestamp_s != before.timestamp_s:
         return False
     pairs = (
@@ -247,7 +258,8 @@ def _is_same(frame: Frame, system: Slam) -> bool:
         (frame.depth, before.depth),
     )
     return all(
-        (a is None) == (b is None) and (a is None or b is None or np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+        (a is None) == (b is None)
+        and (a is None or b is None or np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
         for a, b in pairs
     )
 

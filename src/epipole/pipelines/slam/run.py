@@ -30,6 +30,7 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.results import Given, SlamResult, write_results
 from epipole.pipelines.slam.resuming import (
     CHECKPOINT,
     TakenUp,
@@ -38,7 +39,6 @@ from epipole.pipelines.slam.resuming import (
     remove_checkpoint,
     take_up,
 )
-from epipole.pipelines.slam.results import Given, SlamResult, write_results
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at

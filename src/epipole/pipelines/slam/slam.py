@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.forgetting import forget
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.local_mapping import LAST_STEPS, LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
 from epipole.pipelines.slam.map_tracking import MapTracker
@@ -108,32 +107,6 @@ class Slam:
         self._before = frame
         self._num_frames += 1
         return answer
-
-    @property
-    def last_frame(self) -> Frame | None:
-        """The frame that was followed last."""
-        return self._before
-
-    def go_on_after(self, missed: Sequence[TrackedFrame]) -> None:
-        """Frames were followed by a map that is gone: their places stand, and the camera is sought in this one.
-
-        Args:
-            missed: what was known of them.
-        """
-        keyframe = next((k for k in reversed(self.maps[0].keyframes) if len(k.point)), None)
-        for answer in missed:
-            place, covariance = answer.world_from_body, answer.covariance
-            if place is not None and covariance is not None and keyframe is not None:
-                self._path.add(
-                    self._num_frames, answer.timestamp_s, keyframe, place.inverse(), covariance
-                )
-            self._num_frames += 1
-        if missed and self._before is not None:  # what comes next is later than all of them
-            self._before = replace(self._before, timestamp_s=missed[-1].timestamp_s)
-        self._start, self._turning = OneCameraStart(self.camera.camera, self.config), None
-        self._closer.forget()
-        if self.map.num_points:
-            self.state, self._num_lost = TrackingState.LOST, 1
 
     # The begin of a map.
 
@@ -407,20 +380,16 @@ class Slam:
         count = len(self.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
-    def finish(self, goes_on: Callable[[int, int], bool] = lambda done, total: True) -> None:
+    def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
         """After the last frame: tie keyframes together that see the same, and adjust the whole of every map.
 
-        Args:
-            goes_on: called with the number of steps done and of all; where it returns False the rest is left out.
+        `goes_on` is called with the steps done and those of all; where it returns False the rest is left out.
         """
         here = self.map
-        models = [] if self.is_map_fixed else self.maps
-        for number, model in enumerate(models):
+        for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
-            for step, _ in enumerate(self.mapper.adjust_for_good(), 1):
-                if not goes_on(LAST_STEPS * number + step, LAST_STEPS * len(models)):
-                    self._enter(here)
-                    return
+            if not self.mapper.adjust_for_good(number, len(self.maps), goes_on):
+                break
         self._enter(here)
 
     def trajectory(self, number: int = 0) -> Trajectory:

@@ -215,15 +215,15 @@ class _Decoder:
     def _object(self, rest: list[Any]) -> object:
         kind = _of_kind(rest[0], object)
         if issubclass(kind, (Enum, tuple)):
-            raise TypeError(f"{kind.__name__} is no such object")
+            raise TypeError(f"{rest[0]} is no such object")
         made = object.__new__(kind)
         self._made.append(made)
         held = {name: self.value(one) for name, one in rest[1].items()}
         if is_dataclass(kind) and {field.name for field in fields(kind)} != set(held):
-            raise TypeError(f"{kind.__name__} has other fields")
+            raise TypeError(f"{rest[0]} has other fields")
         for name, one in held.items():
             if not is_dataclass(kind) and (not name.isidentifier() or hasattr(kind, name)):
-                raise TypeError(f"{kind.__name__} has no {name}")
+                raise TypeError(f"{rest[0]} has no {name}")
             object.__setattr__(made, name, one)
         return made
 

@@ -105,9 +105,7 @@ class StateFiles:
             self._begin_anew()
         for n in again:
             self._append(coded.arrays[n])
-        self._seen = {
-            id(a): a for n in lasting if id(a := coded.arrays[n]) not in self._stored
-        }
+        self._seen = {id(a): a for n in lasting if id(a := coded.arrays[n]) not in self._stored}
         rows, inline, at = [], [], 0
         for row, array in zip(table_of(coded.arrays), coded.arrays):
             if id(array) in self._stored:
