@@ -14,7 +14,7 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.state_files import StateFiles
 
 SHARE, PAUSE_S, LONGEST_S = 0.03, 1.0, 30.0
-"""The state is written every second; less often where that took a larger share of the time, but after so many seconds."""
+"""The state is written every second; less often where that took a larger share of the time, but at least every half minute."""
 
 
 class Checkpoint:
@@ -26,8 +26,7 @@ class Checkpoint:
         self.seconds = 0.0
         """Spent here so far."""
         self.num_states = 0
-        self._cost_s, self._begin_s = 0.0, perf_counter()
-        self._last_s = self._begin_s
+        self._cost_s, self._last_s = 0.0, perf_counter()
         self._is_urgent = files is None
 
     def begin(
@@ -62,8 +61,8 @@ class Checkpoint:
         is_bent = any(loop.verdict == "accepted" for loop in loops)
         now = perf_counter()
         self.seconds += now - begin
-        is_cheap = self.seconds + self._cost_s <= SHARE * (now - self._begin_s)
-        is_time = now - self._last_s >= (PAUSE_S if is_cheap else LONGEST_S)
+        # By what the last one took: more changes in a longer time, but then the next one comes sooner.
+        is_time = now - self._last_s >= min(max(self._cost_s / SHARE, PAUSE_S), LONGEST_S)
         if is_time or is_placed or is_bent:
             self.keep(system)
 

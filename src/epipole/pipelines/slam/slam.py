@@ -381,10 +381,7 @@ class Slam:
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust the whole of every map.
-
-        `goes_on` is called with the steps done and those of all; where it returns False the rest is left out.
-        """
+        """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it."""
         here = self.map
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
