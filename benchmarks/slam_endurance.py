@@ -69,7 +69,7 @@ def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict
     truth = truth[0].inverse() @ truth
     system, records, ms, off = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
     checkpoint, spent = Checkpoint(place), 0.0
-    checkpoint.begin(system, records, 0, Rigid3.identity())
+    checkpoint.begin(system, records, Rigid3.identity())
     begin, num_states = time.process_time(), 0
     for number, frame in enumerate(_laps(frames, sensor, count)):
         start = time.perf_counter()

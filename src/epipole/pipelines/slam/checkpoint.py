@@ -8,7 +8,7 @@ from time import perf_counter
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.growing_path import GrowingPath
-from epipole.pipelines.slam.journal import Journal
+from epipole.pipelines.slam.journal import Entry, Journal
 from epipole.pipelines.slam.record import FrameRecord
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.state_files import StateFiles
@@ -30,14 +30,18 @@ class Checkpoint:
         self._is_urgent = files is None
 
     def begin(
-        self, system: Slam, records: Sequence[FrameRecord], num_bytes: int, body_from_camera: Rigid3
+        self,
+        system: Slam,
+        records: Sequence[FrameRecord],
+        body_from_camera: Rigid3,
+        last: Entry | None = None,
     ) -> None:
-        """Go on after so many bytes of the journal, which hold these frames.
+        """Go on after these frames, whose last one is this line of the journal.
 
         Raises:
             WorkspaceError: the files cannot be written.
         """
-        self.journal = Journal(self.folder, num_bytes)
+        self.journal = Journal(self.folder, last)
         self.path = GrowingPath(self.folder, body_from_camera)
         self._num_lines, self._num_loops = len(records), len(system.loops)
         self._tell_all(system, records)

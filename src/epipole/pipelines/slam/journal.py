@@ -36,13 +36,15 @@ class Entry:
     """What was added to the ledger of loops with this frame."""
     end: int
     """Bytes of the file up to this line's end."""
+    sum: int
+    """Of this line and all before it, so that none can be missing."""
 
 
 class Journal:
     """Writes the lines. A killed process loses none, for each goes to the system at once."""
 
-    def __init__(self, folder: Path, num_bytes: int = 0) -> None:
-        """Go on after so many bytes; what follows them is given up.
+    def __init__(self, folder: Path, last: Entry | None = None) -> None:
+        """Go on after a line, or begin anew; what follows it is given up.
 
         Raises:
             WorkspaceError: the file cannot be written.
@@ -50,8 +52,8 @@ class Journal:
         self.path = folder / JOURNAL
         with reporting(self.path):
             self._file: BinaryIO = self.path.open("ab", buffering=0)
-            self._file.truncate(num_bytes)
-        self.num_bytes = num_bytes
+            self._file.truncate(0 if last is None else last.end)
+        self.num_bytes, self._sum = (0, 0) if last is None else (last.end, last.sum)
 
     def add(self, record: FrameRecord, loops: Sequence[LoopCandidate]) -> None:
         """Add a frame, and what it added to the ledger of loops.
@@ -65,7 +67,8 @@ class Journal:
             for row, array in zip(table_of(coded.arrays), coded.arrays)
         ]
         text = json.dumps([coded.structure, rows], separators=(",", ":")).encode()
-        line = b"%08x %b\n" % (zlib.crc32(text), text)
+        self._sum = zlib.crc32(text, self._sum)
+        line = b"%08x %b\n" % (self._sum, text)
         with reporting(self.path):
             self._file.write(line)
         self.num_bytes += len(line)
@@ -81,20 +84,21 @@ def read_journal(path: Path) -> list[Entry]:
     Raises:
         FileFormatError: there is no such file.
     """
-    out, end = [], 0
+    out: list[Entry] = []
+    end = before = 0
     for line in file_bytes(path).splitlines(keepends=True):
         try:
-            entry = _entry_of(line, end + len(line))
+            entry = _entry_of(line, end + len(line), before)
         except (BadState, ValueError):
             break
         out.append(entry)
-        end = entry.end
+        end, before = entry.end, entry.sum
     return out
 
 
-def _entry_of(line: bytes, end: int) -> Entry:
+def _entry_of(line: bytes, end: int, before: int) -> Entry:
     told, _, text = line.rstrip(b"\n").partition(b" ")
-    if not line.endswith(b"\n") or int(told, 16) != zlib.crc32(text):
+    if not line.endswith(b"\n") or int(told, 16) != zlib.crc32(text, before):
         raise BadState("it is cut off")
     try:
         structure, rows = json.loads(text)
@@ -109,4 +113,4 @@ def _entry_of(line: bytes, end: int) -> Entry:
         raise BadState("it holds no frame")
     if not all(isinstance(loop, LoopCandidate) for loop in loops):
         raise BadState("it holds no frame")
-    return Entry(record, loops, end)
+    return Entry(record, loops, end, int(told, 16))

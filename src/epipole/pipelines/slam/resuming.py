@@ -117,7 +117,7 @@ def take_up(folder: Path, key: Key, system: Slam, source: FrameSource, job: JobO
         system.loops.extend(entry.loops)
     records = [entry.record for entry in kept]
     left, num_before = _left(source, records, system, can_repeat=can_repeat)
-    checkpoint.begin(system, records, kept[-1].end if kept else 0, source.body_from_camera)
+    checkpoint.begin(system, records, source.body_from_camera, kept[-1] if kept else None)
     if job.max_frames is not None:
         wanted = job.max_frames - len(records)
         left = left if wanted > 0 else replace(left, num_frames=0, frames=_nothing)
