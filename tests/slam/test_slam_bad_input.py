@@ -158,7 +158,9 @@ def test_a_pair_whose_second_camera_ends_first(tmp_path):
     assert [w.split(":")[0] for w in result.warnings] == ["frame 8 is left out", "frame 9 is left out"]
 
 
-@pytest.mark.parametrize("odd", [Frame(0.25, ride().left[4]), Frame(0.4, ride().left[4][::2, ::2].copy()), None])
+@pytest.mark.parametrize(
+    "odd", [Frame(0.25, ride().left[4]), Frame(0.4, ride().left[4][::2, ::2].copy()), None]
+)
 def test_a_camera_that_stumbles(odd, tmp_path, monkeypatch):
     """A clock that was set back, a picture of another size, and one that cannot be had: left out, and told."""
 

@@ -105,7 +105,8 @@ def test_a_killed_process_is_gone_on_with(tmp_path):
     process.kill()
     assert process.wait() == -signal.SIGKILL
     count = len(read_journal(journal))
-    assert 6 <= count < 30 and len(read_trajectory(path)) >= 6 and not (out / "trajectory.txt").exists()
+    assert 6 <= count < 30 and not (out / "trajectory.txt").exists()
+    assert len(read_trajectory(path)) >= count - 1  # killed between the two lines it lacks one
     run_slam(folder, out, resume=True)
     run_slam(folder, tmp_path / "whole")
     assert written(out) == written(tmp_path / "whole")
@@ -234,7 +235,7 @@ def test_ctrl_c_in_the_last_adjustment(source):
     finally:
         signal.signal(signal.SIGINT, before)
     assert result.summary["interrupted"] and result.summary["num_placed"] == 30
-    assert reports[:3] == [(0, 1), (1, 7), (2, 7)] and (3, 7) not in reports
+    assert reports[:3] == [(0, 7), (1, 7), (2, 7)] and (3, 7) not in reports
     again = run_slam(place / "ride", place / "out", resume=True)
     run_slam(place / "ride", place / "whole")
     assert not again.summary["interrupted"] and written(place / "out") == written(place / "whole")

@@ -59,7 +59,7 @@ class Checkpoint:
         if system.first_frame != self._first_frame:
             self._tell_all(system, records)
         elif answer is not None:
-            self.path.add([answer])
+            self.path.add(answer)
         # Without the first place, and after the world was bent, what the journal holds fits no state.
         is_placed = self._is_urgent and answer is not None and answer.world_from_body is not None
         is_bent = any(loop.verdict == "accepted" for loop in loops)
@@ -94,8 +94,7 @@ class Checkpoint:
         """The path anew: frames before the world's first one are not in it."""
         self._first_frame = system.first_frame
         tracked = [record.answer for record in records if record.answer is not None]
-        self.path.clear()
-        self.path.add(tracked[system.first_frame - system.first_number :])
+        self.path.begin(tracked[system.first_frame - system.first_number :])
 
 
 def known_to(system: Slam) -> dict[str, object]:

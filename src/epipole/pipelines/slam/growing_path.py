@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io.atomic import reporting
+from epipole.io.atomic import atomic_write, reporting
 from epipole.pipelines.slam.frames import TrackedFrame
 
 GROWING = "trajectory_causal.txt"
@@ -18,37 +18,42 @@ class GrowingPath:
     """TUM's form, a line for each frame that has a place when it comes."""
 
     def __init__(self, folder: Path, body_from_camera: Rigid3) -> None:
-        """Begin the file anew.
+        self.path = folder / GROWING
+        self._camera_from_body = body_from_camera.inverse()
+        self._file: BinaryIO | None = None
+
+    def begin(self, answers: Sequence[TrackedFrame]) -> None:
+        """Write the file anew, in one step.
 
         Raises:
             WorkspaceError: it cannot be written.
         """
-        self.path = folder / GROWING
-        self._camera_from_body = body_from_camera.inverse()
+        self.close()
+        with atomic_write(self.path) as aside:
+            aside.write_bytes(_HEADER + self._lines(answers))
         with reporting(self.path):
-            self._file: BinaryIO = self.path.open("wb", buffering=0)
-            self._file.write(_HEADER)
+            self._file = self.path.open("ab", buffering=0)
 
-    def add(self, answers: Sequence[TrackedFrame]) -> None:
-        """Add frames.
+    def add(self, answer: TrackedFrame) -> None:
+        """Add a frame.
 
         Raises:
             WorkspaceError: the disk is full.
         """
-        lines = [self._line(answer) for answer in answers if answer.world_from_body is not None]
-        if lines:
+        assert self._file is not None
+        line = self._lines([answer])
+        if line:
             with reporting(self.path):
-                self._file.write(b"".join(lines))
-
-    def clear(self) -> None:
-        """Take all out: the world has begun anew."""
-        with reporting(self.path):
-            self._file.truncate(len(_HEADER))
-            self._file.seek(len(_HEADER))
+                self._file.write(line)
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _lines(self, answers: Sequence[TrackedFrame]) -> bytes:
+        return b"".join(self._line(answer) for answer in answers if answer.world_from_body is not None)
 
     def _line(self, answer: TrackedFrame) -> bytes:
         assert answer.world_from_body is not None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from epipole._version import __version__
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.io.atomic import atomic_write, reporting
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.pipelines.slam.checkpoint import Checkpoint
 from epipole.pipelines.slam.config import JobOptions, SlamConfig
-from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.growing_path import GROWING
 from epipole.pipelines.slam.journal import JOURNAL, Entry, read_journal
 from epipole.pipelines.slam.record import FrameRecord
@@ -54,9 +54,18 @@ class TakenUp(NamedTuple):
 
 
 def key_of(
-    sketch: Sequence[str], camera: SlamCamera, known: SlamMap | None, job: JobOptions, config: SlamConfig
+    sketch: Sequence[str], source: FrameSource, known: SlamMap | None, job: JobOptions, config: SlamConfig
 ) -> Key:
-    """What a run is known by: another source, camera, map, version or option gives other answers."""
+    """What a run is known by: another source, camera, map, version or option gives other answers.
+
+    Args:
+        sketch: of the source's files; not used for a camera, which has none.
+        source: the frames.
+        known: the map that is gone on in.
+        job: options that answers depend on, and others.
+        config: options.
+    """
+    camera = source.camera
     lens, depth = camera.camera, camera.depth
     seen: list[Any] = [int(lens.model), lens.width, lens.height, lens.params, camera.baseline]
     if depth is not None:
@@ -66,7 +75,7 @@ def key_of(
     own = {name: value for name, value in asdict(job).items() if name not in _OUTSIDE}
     return {
         "the version of epipole": __version__,
-        "the source's files": digest(*sketch),
+        "the source's files": "" if source.is_live else digest(*sketch),
         "the camera": digest(*seen),
         "the known map": "" if known is None else digest(known.xyz, [k.number for k in known.keyframes]),
         **{f"--{name.replace('_', '-')}": str(value) for name, value in _flat({**own, **asdict(config)})},
@@ -124,6 +133,26 @@ def take_up(folder: Path, key: Key, system: Slam, source: FrameSource, job: JobO
         job = replace(job, max_frames=max(wanted, 1))
     first = num_before if source.is_live else 0
     return TakenUp(checkpoint, records, left, job, first, num_before - len(records))
+
+
+@contextmanager
+def settled(folder: Path, key: Key, *, is_complete: bool) -> Iterator[None]:
+    """Write the results in the block: afterwards a run that has come to its source's end is not gone on with.
+
+    Raises:
+        WorkspaceError: the folder is not writable.
+    """
+    no_model = None
+    try:
+        yield
+    except NoModelError as error:  # there is nothing to write
+        no_model = error
+    if is_complete:
+        remove_checkpoint(folder)
+    else:
+        mark_checkpoint(folder, key, is_written=True)
+    if no_model is not None:
+        raise no_model
 
 
 def mark_checkpoint(folder: Path, key: Key, *, is_written: bool) -> None:

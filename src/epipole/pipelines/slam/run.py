@@ -22,6 +22,7 @@ from epipole.pipelines.slam.anchors import anchor_to_positions
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
+from epipole.pipelines.slam.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map_files import read_slam_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
@@ -35,8 +36,7 @@ from epipole.pipelines.slam.resuming import (
     CHECKPOINT,
     TakenUp,
     key_of,
-    mark_checkpoint,
-    remove_checkpoint,
+    settled,
     take_up,
 )
 from epipole.pipelines.slam.slam import Slam
@@ -91,41 +91,31 @@ def slam(
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        folder, sketch = run.root / CHECKPOINT, () if frames.is_live else run.folder.source.sketch
-        key = key_of(sketch, frames.camera, model, wanted, config)
-        stands = take_up(folder, key, system, frames, wanted)
-        with closing(stands.checkpoint):
-            feed = Feed(stands.source, stands.job, is_stopped)
-            feed.num_dropped = stands.num_dropped
-            with run.stage("track"):
-                records = _track(feed, system, progress, live, stands)
-                stands.checkpoint.keep(system)
+        key = key_of(run.folder.source.sketch, frames, model, wanted, config)
+        stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
+        feed = Feed(stands.source, stands.job, is_stopped)
+        feed.num_dropped = stands.num_dropped
+        with run.stage("track"), closing(stands.checkpoint):
+            records = _track(feed, system, progress, live, stands)
         with run.stage("adjust"):
-            is_whole = _finish(system, run, lambda: is_stopped() and not feed.is_interrupted)
-            feed.is_interrupted |= not is_whole
+            _finish(feed, system, run, is_stopped)
             fit = None if places is None else _anchored(system, places, wanted, run)
-        result = write_results(feed, system, records, Given(truth, known, fit), wanted, run)
-        if feed.is_interrupted:
-            mark_checkpoint(folder, key, is_written=True)
-        else:
-            remove_checkpoint(folder)
-        return result
+        with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
+            return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
 
 
-def _finish(system: Slam, run: Run, is_stopped: Callable[[], bool]) -> bool:
-    """The last adjustment, unless it is stopped; returns whether it was done."""
-    is_whole = True
+def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
+    """The last adjustment; Ctrl-C ends it, unless it has ended the frames."""
+    total, was_stopped = LAST_STEPS * len(system.maps), feed.is_interrupted
 
-    def goes_on(done: int, total: int) -> bool:
-        nonlocal is_whole
-        run.report("adjust", done, total)
-        is_whole = done == total or not is_stopped()
-        return is_whole
+    def goes_on(done: int, of: int) -> bool:
+        run.report("adjust", done, of)
+        feed.is_interrupted |= done < of and is_stopped()
+        return was_stopped or not feed.is_interrupted
 
-    run.report("adjust", 0, 1)
+    run.report("adjust", 0, total)
     system.finish(goes_on)
-    run.report("adjust", 1, 1)
-    return is_whole
+    run.report("adjust", total, total)
 
 
 def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> ScaleFit | None:
@@ -186,4 +176,5 @@ def _track(
         if answer is not None:
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
+    stands.checkpoint.keep(system)
     return records

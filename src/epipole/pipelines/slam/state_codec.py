@@ -222,7 +222,8 @@ class _Decoder:
         if is_dataclass(kind) and {field.name for field in fields(kind)} != set(held):
             raise TypeError(f"{rest[0]} has other fields")
         for name, one in held.items():
-            if not is_dataclass(kind) and (not name.isidentifier() or hasattr(kind, name)):
+            of_kind = getattr(kind, name, None)
+            if not is_dataclass(kind) and (callable(of_kind) or isinstance(of_kind, property)):
                 raise TypeError(f"{rest[0]} has no {name}")
             object.__setattr__(made, name, one)
         return made
