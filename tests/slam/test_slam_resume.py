@@ -196,10 +196,14 @@ def test_a_folder_of_someone_elses_is_left_alone(source):
         run_slam(place / "ride", place / "fresh")
 
 
-def test_objects_of_other_kinds_are_neither_stored_nor_made():
+def test_objects_are_stored_and_those_of_other_kinds_are_neither_stored_nor_made():
     class Popen:
         """Not one of SLAM's."""
 
+    held = {"a": {3, 1}, "b": (None, True, 1.5, [np.float32(2.0)]), 7: np.eye(3)[:, ::-1].T}
+    again = decode(Coded(*encode(held, {})[:2]), {})
+    assert again.keys() == held.keys() and again["a"] == held["a"] and again["b"] == held["b"]
+    np.testing.assert_array_equal(again[7], held[7])
     with pytest.raises(TypeError, match="Popen has no place in a checkpoint"):
         encode([Popen()], {})
     for structure in (

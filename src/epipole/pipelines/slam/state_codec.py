@@ -156,6 +156,8 @@ class _Encoder:
             return ["array", self._place(value)]
         if kind in (list, tuple):
             return [kind.__name__, *map(self.code, value)]
+        if kind is set:
+            return ["set", *map(self.code, sorted(value))]
         if kind is dict:
             return ["dict", *([self.code(k), self.code(v)] for k, v in value.items())]
         if isinstance(value, np.generic):
@@ -205,6 +207,7 @@ class _Decoder:
             "array": lambda rest: self.arrays[_natural(rest[0])],
             "list": lambda rest: [self.value(one) for one in rest],
             "tuple": lambda rest: tuple(self.value(one) for one in rest),
+            "set": lambda rest: {self.value(one) for one in rest},
             "dict": lambda rest: {self.value(key): self.value(one) for key, one in rest},
             "enum": lambda rest: _of_kind(rest[0], Enum)(rest[1]),
             "named": lambda rest: _of_kind(rest[0], tuple)(*(self.value(one) for one in rest[1:])),
