@@ -14,7 +14,8 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.state_files import StateFiles
 
 SHARE, PAUSE_S, LONGEST_S = 0.03, 1.0, 30.0
-"""The state is written every second; less often where that took a larger share of the time, but at least every half minute."""
+"""The state is written every second; less often where the last one, or all, took a larger share of the time; but at least
+every half minute."""
 
 
 class Checkpoint:
@@ -26,7 +27,8 @@ class Checkpoint:
         self.seconds = 0.0
         """Spent here so far."""
         self.num_states = 0
-        self._cost_s, self._last_s = 0.0, perf_counter()
+        self._begin_s = self._last_s = perf_counter()
+        self._cost_s = 0.0
         self._is_urgent = files is None
 
     def begin(
@@ -65,8 +67,10 @@ class Checkpoint:
         is_bent = any(loop.verdict == "accepted" for loop in loops)
         now = perf_counter()
         self.seconds += now - begin
-        # By what the last one took: more changes in a longer time, but then the next one comes sooner.
-        is_time = now - self._last_s >= min(max(self._cost_s / SHARE, PAUSE_S), LONGEST_S)
+        pause_s = max(self._cost_s / SHARE, PAUSE_S)
+        if self.seconds > SHARE * (now - self._begin_s):
+            pause_s = LONGEST_S
+        is_time = now - self._last_s >= min(pause_s, LONGEST_S)
         if is_time or is_placed or is_bent:
             self.keep(system)
 
