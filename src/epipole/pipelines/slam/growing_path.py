@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write, reporting
@@ -14,13 +14,24 @@ GROWING = "trajectory_causal.txt"
 _HEADER = b"# timestamp tx ty tz qx qy qz qw\n"
 
 
+def write_all(file: FileIO, data: bytes) -> None:
+    """Write to a file without a buffer: a disk that is nearly full takes a part, and says so at the next.
+
+    Raises:
+        OSError: the disk is full.
+    """
+    left = memoryview(data)
+    while left:
+        left = left[file.write(left) :]
+
+
 class GrowingPath:
     """TUM's form, a line for each frame that has a place when it comes."""
 
     def __init__(self, folder: Path, body_from_camera: Rigid3) -> None:
         self.path = folder / GROWING
         self._camera_from_body = body_from_camera.inverse()
-        self._file: BinaryIO | None = None
+        self._file: FileIO | None = None
 
     def begin(self, answers: Sequence[TrackedFrame]) -> None:
         """Write the file anew, in one step.
@@ -32,7 +43,7 @@ class GrowingPath:
         with atomic_write(self.path) as aside:
             aside.write_bytes(_HEADER + self._lines(answers))
         with reporting(self.path):
-            self._file = self.path.open("ab", buffering=0)
+            self._file = FileIO(self.path, "ab")
 
     def add(self, answer: TrackedFrame) -> None:
         """Add a frame.
@@ -44,7 +55,7 @@ class GrowingPath:
         line = self._lines([answer])
         if line:
             with reporting(self.path):
-                self._file.write(line)
+                write_all(self._file, line)
 
     def close(self) -> None:
         """Close the file."""

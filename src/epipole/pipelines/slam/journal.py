@@ -7,11 +7,12 @@ import json
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 from epipole.io.atomic import reporting
 from epipole.io.files import file_bytes
+from epipole.pipelines.slam.growing_path import write_all
 from epipole.pipelines.slam.loop_closing import LoopCandidate
 from epipole.pipelines.slam.record import FrameRecord
 from epipole.pipelines.slam.state_codec import (
@@ -51,7 +52,7 @@ class Journal:
         """
         self.path = folder / JOURNAL
         with reporting(self.path):
-            self._file: BinaryIO = self.path.open("ab", buffering=0)
+            self._file = FileIO(self.path, "ab")
             self._file.truncate(0 if last is None else last.end)
         self.num_bytes, self._sum = (0, 0) if last is None else (last.end, last.sum)
 
@@ -70,7 +71,7 @@ class Journal:
         self._sum = zlib.crc32(text, self._sum)
         line = b"%08x %b\n" % (self._sum, text)
         with reporting(self.path):
-            self._file.write(line)
+            write_all(self._file, line)
         self.num_bytes += len(line)
 
     def close(self) -> None:

@@ -6,13 +6,15 @@ import json
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
+from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import reporting
+from epipole.pipelines.slam.growing_path import write_all
 from epipole.pipelines.slam.state_codec import (
     BadState,
     Coded,
@@ -43,7 +45,7 @@ class StateFiles:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._file: BinaryIO | None = None
+        self._file: FileIO | None = None
         self._number, self._end = 0, 0
         self._stored: dict[int, tuple[np.ndarray, int, int]] = {}
         """By identity: the array, its place in the file, and its sum."""
@@ -59,8 +61,6 @@ class StateFiles:
         coded = encode(value, known)
         with reporting(self.folder):
             rows, inline = self._placed(coded)
-            if self._file is not None:
-                self._file.flush()
             content = {
                 **{"facts": dict(facts), "structure": coded.structure, "arrays": rows},
                 **{"file": self._number, "end": self._end},
@@ -118,10 +118,10 @@ class StateFiles:
 
     def _append(self, array: np.ndarray) -> None:
         if self._file is None:
-            self._file = (self.folder / ARRAYS.format(self._number)).open("ab")
+            self._file = FileIO(self.folder / ARRAYS.format(self._number), "ab")
             self._file.truncate(self._end)
         data = bytes_of(array)
-        self._file.write(data)
+        write_all(self._file, data)
         self._stored[id(array)] = array, self._end, zlib.crc32(data)
         self._end += len(data)
 
