@@ -40,15 +40,15 @@ def main() -> None:
     from epipole.pipelines.slam.slam import Slam
 
     frames = load_frames(folder)
-    camera = _camera(frames, sensor)
+    camera = camera_of(frames, sensor)
     for few in (Slam(camera),):  # kernels are compiled, or read from disk
-        for frame in _frames(frames, sensor, WARM_UP_FRAMES):
+        for frame in frames_of(frames, sensor, WARM_UP_FRAMES):
             few.track(frame)
         few.finish()
     slam, ms, causal = Slam(camera), [], []
     states: Counter[str] = Counter()
     reasons: Counter[str] = Counter()
-    for frame in _frames(frames, sensor, len(frames)):
+    for frame in frames_of(frames, sensor, len(frames)):
         begin = time.perf_counter()
         found = slam.track(frame)
         ms.append(1e3 * (time.perf_counter() - begin))
@@ -71,7 +71,8 @@ def main() -> None:
     save_answers(out, ms, causal, **more)
 
 
-def _camera(frames: SlamFrames, sensor: str):
+def camera_of(frames: SlamFrames, sensor: str):
+    """The camera of a sequence, for `Slam`."""
     from epipole.cameras import Camera, CameraModel
     from epipole.geometry import Rigid3
     from epipole.pipelines.slam.frames import DepthCamera, SlamCamera
@@ -92,7 +93,8 @@ def _camera(frames: SlamFrames, sensor: str):
     )
 
 
-def _frames(frames: SlamFrames, sensor: str, count: int) -> Iterator:
+def frames_of(frames: SlamFrames, sensor: str, count: int) -> Iterator:
+    """The first frames, for `Slam`."""
     from epipole.pipelines.slam.frames import Frame
 
     factor = frames.about.get("depth_sensor", {}).get("factor", frames.about.get("depth_factor"))

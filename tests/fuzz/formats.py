@@ -58,9 +58,16 @@ from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
 from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.sfm.pairing import read_pairs
-from epipole.pipelines.slam.frames import SlamCamera
+from epipole.pipelines.slam.checkpoint import known_to
+from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
+from epipole.pipelines.slam.journal import JOURNAL, Journal, read_journal
+from epipole.pipelines.slam.loop_closing import LoopCandidate
 from epipole.pipelines.slam.map_files import read_slam_map, write_slam_map
+from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.restoring import read_state
+from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.state_files import ARRAYS, STATE, StateFiles
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
@@ -226,6 +233,41 @@ def _slam_map(folder: Path) -> None:
     except ConfigError:  # the map of another camera
         return
     assert len(known.names) == len(known.model.keyframes)
+
+
+def _put_slam_state(folder: Path) -> None:
+    system, files = _slam(), StateFiles(folder)
+    model, grey = system.map, np.full((24, 32), 100, np.uint8)
+    model.add_points(np.ones((70, 3)), np.full((70, 2), 9.0), 0)
+    seen = Observations(np.full((70, 2), 9.0), np.full(70, np.nan), np.arange(70))
+    model.keyframes.append(Keyframe(0, 0.0, grey, Rigid3.identity(), seen))
+    for _ in range(2):  # at the second time what lasts is put into a file of its own
+        files.write(vars(system), known_to(system), {"num_lines": 1, "num_bytes": 9})
+    files.close()
+
+
+def _slam_state(folder: Path) -> None:
+    found = read_state(_slam(), StateFiles(folder))
+    assert found.state["map"].num_points == 70 and found.num_bytes == 9
+
+
+def _slam() -> Slam:
+    return Slam(SLAM_CAMERA)
+
+
+def _put_journal(folder: Path) -> None:
+    journal = Journal(folder)
+    told = Rigid3.identity(), np.eye(6), 30
+    for n in range(3):
+        answer = TrackedFrame(0.1 * n, TrackingState.TRACKING, "", *told, is_keyframe=n == 0)
+        journal.add(FrameRecord(n, f"{n}.png", 0.01, answer), [LoopCandidate(n, 0, "waiting", "", 20, 15)])
+    journal.close()
+
+
+def _journal(folder: Path) -> None:
+    found = read_journal(folder / JOURNAL)
+    assert [entry.record.number for entry in found] == list(range(len(found)))
+    assert all(entry.record.answer.covariance.shape == (6, 6) for entry in found)
 
 
 def _pose_matrix(folder: Path) -> None:
@@ -499,6 +541,11 @@ FORMATS: dict[str, Format] = {
         *("a.txt", "text", _positions, ("read_positions",)),
     ),
     "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
+    "slam-state": Format(_put_slam_state, STATE, "binary", _slam_state, ("read_state",)),
+    "slam-arrays": Format(
+        _put_slam_state, ARRAYS.format(0), "binary", _slam_state, ("read_state",), weight=0.5
+    ),
+    "slam-journal": Format(_put_journal, JOURNAL, "text", _journal, ("read_journal",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),

@@ -26,20 +26,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from tests.board_pictures import board_pictures
 
 from epipole import api
 from epipole.errors import EpipoleError
 from epipole.io.photographs import write_jpeg_with_exif
+from epipole.pipelines.slam import checkpoint
 from epipole.pipelines.stereo.config import StereoConfig
+from epipole.runs import thread_scope
 from epipole.scene import RectifiedRig
 from epipole.synthetic import courtyard, courtyard_views, render
 from epipole.synthetic.stereo_rooms import stereo_room
 
 CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.truncate", "sqlite3.connect")
 """Audit events of the interpreter that change files, beside `open` for writing."""
-WITH_TIMES = ("epipole.json", "summary.json", "report.html")
+WITH_TIMES = ("epipole.json", "summary.json", "report.html", "frames.csv")
 """Files that hold times, which differ from run to run."""
 ALL_WELL, SAID_WHY, CRASHED = 0, 3, 4
 THREADS: dict[str, Any] = {"threads": 1, "executor": "inline"}
@@ -95,7 +98,33 @@ def _calibrate(folder: Path) -> object:
     return api.calibrate(folder / "IMAGES", folder / "out", columns=9, rows=6, square=0.025)
 
 
+def _ride(folder: Path) -> None:
+    from epipole.cameras import Camera, CameraModel
+    from epipole.geometry import Rigid3
+
+    camera = Camera(CameraModel.PINHOLE, 240, 180, np.array([200.0, 200.0, 119.5, 89.5]))
+    step = Rigid3(np.eye(3), np.array([-0.12, 0.0, 0.0]))
+    for side in ("image_0", "image_1"):
+        (folder / "ride" / side).mkdir(parents=True)
+    place = courtyard_views(24)[6]
+    for n in range(4):
+        for side in ("image_0", "image_1"):  # the second camera stands where the first will be next
+            seen = place if side == "image_0" else step @ place
+            cv2.imwrite(str(folder / "ride" / side / f"{n}.png"), render(courtyard(), camera, seen).rgb)
+        place = step @ place
+    rows = [[200, 0, 119.5, x, 0, 200, 89.5, 0, 0, 0, 1, 0] for x in (0, -24)]
+    text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    (folder / "ride" / "calib.txt").write_text(text)
+
+
+def _slam(folder: Path) -> object:
+    checkpoint.PAUSE_S, checkpoint.SHARE = 0.0, 1e9  # the state is written with every frame
+    with thread_scope(THREADS["threads"], opencv_alone=True):
+        return api.slam(folder / "ride", folder / "out", resume=True)
+
+
 JOBS = {
+    "slam": Job(_ride, _slam, "out"),
     "reconstruct": Job(_photographs, _reconstruct, "out"),
     "undistort": Job(_model, lambda folder: api.undistort(folder / "out"), "out"),
     "transforms": Job(

@@ -14,6 +14,7 @@ import pytest
     [
         ("1", ("ply",)),
         ("23", ("calibrate",)),
+        ("29", ("slam",)),
         ("53", ("reconstruct", "undistort", "transforms", "stereo")),
     ],
 )

@@ -1,15 +1,21 @@
 """Lists, depth and pictures that are wrong: said in clear words, and the path that can be known is kept."""
 
+from functools import partial
+
 import cv2
 import numpy as np
 import pytest
-from slam_rides import CAMERA, ride
+from slam_rides import CAMERA, MONO, ride, write_pairs
 
-from epipole.errors import NoModelError
+from epipole.errors import FileFormatError, NoModelError
+from epipole.geometry import Rigid3
 from epipole.io import read_sequence
+from epipole.pipelines.slam import run
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.depth_range import DepthRange
+from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
+from epipole.pipelines.slam.source import FrameSource, QueuedFrame
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 KNOWN = CameraOptions(camera_params=PARAMS)
@@ -131,3 +137,51 @@ def test_a_pair_whose_pictures_change_size_before_they_are_rectified(tmp_path):
     result = run_slam(tmp_path / "ride", tmp_path / "out")
     assert result.summary["num_placed"] == COUNT - 1
     assert [w.split(":")[0] for w in result.warnings] == ["frame 4 is left out"]
+
+
+def test_a_folder_whose_pictures_end_before_its_list(tmp_path):
+    """A copy that was not finished: the last pictures are not there, the one before is cut off."""
+    folder = tum_folder(tmp_path / "room")
+    for n in (7, 8, 9):
+        (folder / "rgb" / f"{n}.png").unlink()
+    (folder / "rgb" / "6.png").write_bytes((folder / "rgb" / "6.png").read_bytes()[:900])
+    result = run_slam(folder, tmp_path / "out", camera=KNOWN)
+    assert result.summary["num_placed"] == 6
+    assert [w.split(":")[0] for w in result.warnings] == [f"frame {n} is left out" for n in range(6, 10)]
+    (folder / "rgb" / "0.png").unlink()
+    with pytest.raises(FileFormatError, match=r"0\.png"):
+        run_slam(folder, tmp_path / "none", camera=KNOWN)
+
+
+def test_a_pair_whose_second_camera_ends_first(tmp_path):
+    folder = write_pairs(tmp_path / "ride", COUNT)
+    for n in (8, 9):
+        (folder / "image_1" / f"{n:06d}.png").unlink()
+    result = run_slam(folder, tmp_path / "out")
+    assert result.summary["num_placed"] == 8
+    assert [w.split(":")[0] for w in result.warnings] == ["frame 8 is left out", "frame 9 is left out"]
+
+
+@pytest.mark.parametrize(
+    "odd", [Frame(0.25, ride().left[4]), Frame(0.4, ride().left[4][::2, ::2].copy()), None]
+)
+def test_a_camera_that_stumbles(odd, tmp_path, monkeypatch):
+    """A clock that was set back, a picture of another size, and one that cannot be had: left out, and told."""
+
+    def read(n, frame):
+        if n == 4 and odd is None:
+            raise FileFormatError("4.png", "is damaged")
+        return odd if n == 4 else frame
+
+    def frames():
+        for n, frame in enumerate(ride().frames("mono")[:COUNT]):
+            yield QueuedFrame(n, frame.timestamp_s, f"{n}.png", partial(read, n, frame))
+
+    source = FrameSource(MONO, COUNT, frames, Rigid3.identity(), is_live=True)
+    monkeypatch.setattr(run, "_open", lambda *_: source)
+    (tmp_path / "camera").mkdir()
+    result = run_slam(tmp_path / "camera", tmp_path / "out")
+    assert result.summary["num_placed"] == COUNT - 1
+    (warning,) = result.warnings
+    words = {None: "is damaged", 0.25: "comes after", 0.4: "160 x 120"}[odd and odd.timestamp_s]
+    assert warning.startswith("frame 4 is left out: ") and words in warning

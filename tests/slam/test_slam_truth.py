@@ -147,6 +147,12 @@ def test_records_become_a_table_and_stretches(tmp_path):
     parts = stretches(records)
     assert [(p.first, p.last, p.state) for p in parts] == [(0, 1, "lost"), (2, 2, "left out"), (3, 3, "lost")]
     assert without_numbers("12.5 px of 3") == without_numbers("7 px of 41.0")
-    (tmp_path / "frames.csv").write_text("frame,timestamp_s,picture\n1,0.0,a.png\n")
-    with pytest.raises(FileFormatError, match="frame 0"):
-        read_frame_table(tmp_path / "frames.csv")
+    # Frames that were dropped to keep up are not in the table, and count all the same.
+    (tmp_path / "frames.csv").write_text("frame,timestamp_s,picture\n1,0.0,a.png\n3,0.2,b.png\n")
+    table = read_frame_table(tmp_path / "frames.csv")
+    assert table.picture == ("", "a.png", "", "b.png")
+    np.testing.assert_array_equal(table.timestamp_s, [np.nan, 0.0, np.nan, 0.2])
+    for row in ("1,0.0,a.png\n1,0.1,b.png", "1,0.0,a.png\n0,0.1,b.png", "99999999,0,a", "-1,0,a", "x,0,a"):
+        (tmp_path / "frames.csv").write_text(f"frame,timestamp_s,picture\n{row}\n")
+        with pytest.raises(FileFormatError, match="its number, timestamp_s and picture expected"):
+            read_frame_table(tmp_path / "frames.csv")

@@ -16,6 +16,8 @@ from epipole.io.files import file_text
 
 FRAME_TABLE = "frames.csv"
 """Its name in an output folder."""
+_DIGITS = 7
+"""Of a frame's number: four days at 30 Hz."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,8 +25,9 @@ class FrameTable:
     """Pictures and times, in the order of the source."""
 
     picture: tuple[str, ...]
+    """Empty for a frame that was dropped to keep up."""
     timestamp_s: Float64[np.ndarray, " n"]
-    """NaN for a frame that was left out."""
+    """NaN for a frame that was dropped or left out."""
 
     def __post_init__(self) -> None:
         """Check the columns."""
@@ -35,21 +38,26 @@ def read_frame_table(path: str | Path) -> FrameTable:
     """Read the pictures and times of all frames.
 
     Raises:
-        FileFormatError: no such file, a column is missing, or frames are not numbered from 0.
+        FileFormatError: no such file, a column is missing, or the frames' numbers do not rise.
     """
     path = Path(path)
     try:
         rows = list(csv.DictReader(io.StringIO(file_text(path))))
     except csv.Error as error:
         raise FileFormatError(path, f"is no table: {error}") from error
-    pictures, times = [], []
-    for number, row in enumerate(rows):
-        name, time = row.get("picture"), row.get("timestamp_s")
-        if row.get("frame") != str(number) or name is None or time is None:
-            raise FileFormatError(path, f"frame {number}: its number, timestamp_s and picture expected")
+    pictures: list[str] = []
+    times: list[float] = []
+    for row in rows:
+        name, time, told = row.get("picture"), row.get("timestamp_s"), row.get("frame") or ""
+        number = int(told) if told.isascii() and told.isdecimal() and len(told) <= _DIGITS else -1
+        if number < len(pictures) or name is None or time is None:
+            place = f"frame {len(pictures)}"
+            raise FileFormatError(path, f"{place}: its number, timestamp_s and picture expected")
         try:
-            times.append(float(time) if time else np.nan)
+            seconds = float(time) if time else np.nan
         except ValueError as error:
             raise FileFormatError(path, f"frame {number}: {error}") from error
-        pictures.append(name)
+        num_dropped = number - len(pictures)
+        pictures += [*num_dropped * [""], name]
+        times += [*num_dropped * [np.nan], seconds]
     return FrameTable(tuple(pictures), np.array(times, np.float64).reshape(-1))

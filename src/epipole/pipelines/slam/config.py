@@ -166,6 +166,8 @@ class JobOptions:
     truth: Path | None = None
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
+    resume: bool = False
+    """Go on with the run that was stopped in the output folder, wherever it was killed; refused where that was another."""
     view: bool = False
     """Show path, map and picture in the browser while it runs."""
     port: int | None = None

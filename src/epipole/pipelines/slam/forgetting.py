@@ -10,6 +10,8 @@ from epipole.pipelines.slam.tracking import Tracks
 
 MOST_IN_SIGHT = 40
 """Keyframes that share points with the newest; of more the one that tells least is forgotten."""
+MOST_TAKEN = 2
+"""At a time: with one for each new keyframe their number would never fall where it has grown."""
 SHARED_POINTS = 15
 LATEST = 8
 """Keyframes that are still in use."""
@@ -22,8 +24,10 @@ SPARE_ROWS = 2.0
 
 def forget(model: SlamMap, path: Path, tracks: Tracks) -> None:
     """Let go of what tells nothing new; frames and followed points are told from what stays."""
-    taken = forget_redundant(model)
-    if taken is not None:
+    for _ in range(MOST_TAKEN):
+        taken = forget_redundant(model)
+        if taken is None:
+            break
         path.retell(*taken)
     into = put_together(model, tracks.point)
     if into is not None:

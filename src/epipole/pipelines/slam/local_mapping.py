@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from epipole.cameras import CameraModel
@@ -21,6 +23,7 @@ LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 GROWTH = 1.25
+LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
 SHIFT_SIGMA_PX = 0.3
@@ -177,14 +180,30 @@ class LocalMapper:
         """Adjust every keyframe and every point."""
         self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
-    def adjust_for_good(self) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust all, again and again."""
+    def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
+        """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
+
+        Args:
+            number: of the map among all that are adjusted.
+            count: of them.
+            goes_on: called with the steps done and those of all maps; where it returns False the rest is left out.
+
+        Returns:
+            whether all was done.
+        """
         if len(self.map.keyframes) < 2:
-            return
+            return True
         self.adjust_all()
+        done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in LAST_SCALES_PX:
+            if not goes_on(done, total):
+                return False
             tie_together(self.map, self.camera)
+            if not goes_on(done + 1, total):
+                return False
             self.adjust_all(loss_scale_px)
+            done += 2
+        return goes_on(done, total)
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX

@@ -130,7 +130,8 @@ def _curves(page: SlamPage, errors: tuple[PathErrors | None, PathErrors | None])
         known = path_curve(TRUTH, page.truth[rows], TRUTH_RGB, TRUTH_GAP).transformed(
             errors[0].estimate_from_truth
         )
-    frames = [record.number for record in page.records if record.name in set(page.model.images.name)]
+    names = set(page.model.images.name)
+    frames = [record.number for record in page.records if record.name in names]
     return [*out, known, loop_curve(page.summary.get("loops") or [], page.model, frames)]
 
 

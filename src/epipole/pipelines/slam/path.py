@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,69 +10,119 @@ from epipole.geometry import Rigid3
 from epipole.pipelines.slam.slam_map import Keyframe
 from epipole.scene import Trajectory
 
-
-@dataclass(slots=True, eq=False)
-class _Step:
-    timestamp_s: float
-    keyframe: Keyframe
-    cam_from_keyframe: Rigid3
-    unit: float
-    """The keyframe's, then."""
-    covariance: np.ndarray
+BLOCK = 512
+"""Frames in one array: those of full arrays are replaced, not written to."""
+_TIME, _KEYFRAME, _UNIT = 0, 1, 2
+_ROTATION, _TRANSLATION, _COVARIANCE = slice(3, 12), slice(12, 15), slice(15, 51)
+_COLUMNS = 51
+_NONE = -1.0
 
 
 class Path:
-    """Places of frames."""
+    """Places of frames, 408 bytes for each.
 
-    def __init__(self) -> None:
-        self._steps: dict[int, _Step] = {}
-        self._of_keyframe: dict[int, list[_Step]] = {}
+    A row holds a frame's time, the number of its keyframe in a list, that keyframe's unit then, cam_from_keyframe and the
+    covariance.
+    """
+
+    def __init__(self, first: int = 0) -> None:
+        """No frame yet; the first one has this number."""
+        self.first = first
+        self._keyframes: list[Keyframe | None] = []
+        self._full: list[np.ndarray] = []
+        self._open = _empty()
 
     def add(
         self, number: int, timestamp_s: float, keyframe: Keyframe, place: Rigid3, covariance: np.ndarray
     ) -> None:
         """A frame's cam_from_world, told from a keyframe."""
         relative = place @ keyframe.cam_from_world.inverse()
-        step = _Step(timestamp_s, keyframe, relative, keyframe.unit, covariance)
-        self._steps[number] = step
-        self._of_keyframe.setdefault(id(keyframe), []).append(step)
+        row = np.empty(_COLUMNS)
+        row[_TIME], row[_KEYFRAME], row[_UNIT] = timestamp_s, self._number_of(keyframe), keyframe.unit
+        row[_ROTATION], row[_TRANSLATION] = relative.rotation.ravel(), relative.translation
+        row[_COVARIANCE] = covariance.ravel()
+        block, place_in_block = divmod(number - self.first, BLOCK)
+        while block > len(self._full):
+            self._full.append(self._open)
+            self._open = _empty()
+        if block < len(self._full):
+            self._full[block] = self._full[block].copy()
+            self._full[block][place_in_block] = row
+        else:
+            self._open[place_in_block] = row
 
     def retell(self, gone: Keyframe, heir: Keyframe) -> None:
         """Frames that were told from a keyframe are told from another one from here on."""
+        old = next((k for k, one in enumerate(self._keyframes) if one is gone), None)
+        if old is None:
+            return
+        new = self._number_of(heir)
         between = gone.cam_from_world @ heir.cam_from_world.inverse()
-        for step in self._of_keyframe.pop(id(gone), []):
-            if step.keyframe is gone:
-                grown = gone.unit / step.unit
-                relative = step.cam_from_keyframe
-                step.cam_from_keyframe = Rigid3(relative.rotation, relative.translation * grown) @ between
-                step.covariance = _scaled(step.covariance[None], np.array([grown]))[0]
-                step.keyframe, step.unit = heir, heir.unit
-                self._of_keyframe.setdefault(id(heir), []).append(step)
+        for rows in self._blocks_of(old):
+            mask = rows[:, _KEYFRAME] == old
+            own = rows[mask]
+            grown = gone.unit / own[:, _UNIT]
+            relative = Rigid3(
+                own[:, _ROTATION].reshape(-1, 3, 3), own[:, _TRANSLATION] * grown[:, None]
+            ) @ Rigid3(between.rotation[None], between.translation[None])
+            covariance = _scaled(own[:, _COVARIANCE].reshape(-1, 6, 6), grown)
+            own[:, _KEYFRAME], own[:, _UNIT] = new, heir.unit
+            own[:, _ROTATION] = relative.rotation.reshape(-1, 9)
+            own[:, _TRANSLATION], own[:, _COVARIANCE] = relative.translation, covariance.reshape(-1, 36)
+            rows[mask] = own
+        self._keyframes[old] = None
 
     def forget(self, keyframes: Sequence[Keyframe]) -> None:
         """Frames that are told from these have no place any more."""
         gone = {id(k) for k in keyframes}
-        self._steps = {n: s for n, s in self._steps.items() if id(s.keyframe) not in gone}
-        self._of_keyframe = {k: steps for k, steps in self._of_keyframe.items() if k not in gone}
+        for number, one in enumerate(self._keyframes):
+            if one is not None and id(one) in gone:
+                for rows in self._blocks_of(number):
+                    rows[rows[:, _KEYFRAME] == number, _KEYFRAME] = _NONE
+                self._keyframes[number] = None
 
     def trajectory(self, keyframes: Sequence[Keyframe]) -> Trajectory:
         """The frames that are told from these keyframes, as they are now."""
         known = {id(k) for k in keyframes}
-        steps = [self._steps[n] for n in sorted(self._steps) if id(self._steps[n].keyframe) in known]
-        if not steps:
+        used = [n for n, k in enumerate(self._keyframes) if k is not None and id(k) in known]
+        rows = np.concatenate([*self._full, self._open])
+        rows = rows[np.isin(rows[:, _KEYFRAME], used)]
+        if not len(rows):
             return Trajectory(np.zeros(0), Rigid3.identity(0), np.zeros((0, 6, 6)))
-        keys = [s.keyframe.cam_from_world for s in steps]
-        grown = np.array([s.keyframe.unit / s.unit for s in steps])
-        relative = Rigid3(
-            np.stack([s.cam_from_keyframe.rotation for s in steps]),
-            np.stack([s.cam_from_keyframe.translation for s in steps]) * grown[:, None],
+        keys = [k for k in (self._keyframes[n] for n in used) if k is not None]
+        which = np.searchsorted(used, rows[:, _KEYFRAME])
+        grown = np.array([k.unit for k in keys])[which] / rows[:, _UNIT]
+        relative = Rigid3(rows[:, _ROTATION].reshape(-1, 3, 3).copy(), rows[:, _TRANSLATION] * grown[:, None])
+        there = Rigid3(
+            np.stack([k.cam_from_world.rotation for k in keys])[which],
+            np.stack([k.cam_from_world.translation for k in keys])[which],
         )
-        there = Rigid3(np.stack([k.rotation for k in keys]), np.stack([k.translation for k in keys]))
         return Trajectory(
-            np.array([s.timestamp_s for s in steps]),
+            rows[:, _TIME].copy(),
             (relative @ there).inverse(),
-            _scaled(np.stack([s.covariance for s in steps]), grown),
+            _scaled(rows[:, _COVARIANCE].reshape(-1, 6, 6), grown),
         )
+
+    def _number_of(self, keyframe: Keyframe) -> int:
+        """In the list, where it is put if it is not there; the newest are asked for most."""
+        for number in range(len(self._keyframes) - 1, -1, -1):
+            if self._keyframes[number] is keyframe:
+                return number
+        self._keyframes.append(keyframe)
+        return len(self._keyframes) - 1
+
+    def _blocks_of(self, keyframe: int) -> list[np.ndarray]:
+        """The blocks with frames that are told from a keyframe, to be written to."""
+        out = []
+        for n, rows in enumerate(self._full):
+            if (rows[:, _KEYFRAME] == keyframe).any():
+                self._full[n] = rows.copy()
+                out.append(self._full[n])
+        return [*out, self._open]
+
+
+def _empty() -> np.ndarray:
+    return np.full((BLOCK, _COLUMNS), _NONE)
 
 
 def _scaled(covariance: np.ndarray, grown: np.ndarray) -> np.ndarray:

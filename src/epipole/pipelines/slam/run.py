@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, fields
 from pathlib import Path
 from time import perf_counter
@@ -21,6 +23,7 @@ from epipole.pipelines.slam.anchors import anchor_to_positions
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
+from epipole.pipelines.slam.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map_files import read_slam_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
@@ -30,6 +33,13 @@ from epipole.pipelines.slam.moving_sources import (
 )
 from epipole.pipelines.slam.record import FrameRecord
 from epipole.pipelines.slam.results import Given, SlamResult, write_results
+from epipole.pipelines.slam.resuming import (
+    CHECKPOINT,
+    TakenUp,
+    key_of,
+    settled,
+    take_up,
+)
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
@@ -79,17 +89,34 @@ def slam(
             "positions tell the scale of one camera; this source has its metres from its own depth"
         )
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
+    del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        feed = Feed(frames, wanted, is_stopped)
-        with run.stage("track"):
-            records = _track(feed, system, progress, live)
+        key = key_of(run.folder.source.sketch, frames, model, wanted, config)
+        stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
+        feed = Feed(stands.source, stands.job, is_stopped)
+        feed.num_dropped = stands.num_dropped
+        with run.stage("track"), closing(stands.checkpoint):
+            records = _track(feed, system, progress, live, stands)
         with run.stage("adjust"):
-            run.report("adjust", 0, 1)
-            system.finish()
+            _finish(feed, system, run, is_stopped)
             fit = None if places is None else _anchored(system, places, wanted, run)
-            run.report("adjust", 1, 1)
-        return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+        with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
+            return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+
+
+def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
+    """The last adjustment; Ctrl-C ends it, unless it has ended the frames."""
+    total, was_stopped = LAST_STEPS * len(system.maps), feed.is_interrupted
+
+    def goes_on(done: int, of: int) -> bool:
+        run.report("adjust", done, of)
+        feed.is_interrupted |= done < of and is_stopped()
+        return was_stopped or not feed.is_interrupted
+
+    run.report("adjust", 0, total)
+    system.finish(goes_on)
+    run.report("adjust", total, total)
 
 
 def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> ScaleFit | None:
@@ -135,20 +162,25 @@ def _input(source: Path) -> Path:
     return source if index is None else Path(f"/dev/video{index}")
 
 
-def _track(feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView) -> list[FrameRecord]:
+def _track(
+    feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView, stands: TakenUp
+) -> list[FrameRecord]:
     """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
-    records: list[FrameRecord] = []
+    records, before = stands.records, len(stands.records)
     for queued in feed:
         answer, problem, begin, compiling = None, "", perf_counter(), compile_seconds()
+        number = stands.first_number + queued.number
         try:
             frame = queued.read()
             begin = perf_counter()
             answer = system.track(frame)
         except EpipoleError as error:
-            problem = f"frame {queued.number} is left out: {error}"
+            problem = f"frame {number} is left out: {error}"
         seconds = perf_counter() - begin - (compile_seconds() - compiling)
-        records.append(FrameRecord(queued.number, queued.name, seconds, answer, problem))
+        records.append(FrameRecord(number, queued.name, seconds, answer, problem))
+        stands.checkpoint.add(system, records)
         if answer is not None:
             live.show(system, frame, answer)
-        progress(Progress("track", len(records), max(feed.num_expected, len(records))))
+        progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
+    stands.checkpoint.keep(system)
     return records

@@ -92,7 +92,9 @@ def _loops(path: Path) -> list[dict[str, Any]]:
 
 
 def _frame_numbers(path: Path) -> dict[str, int]:
-    """Numbers of the frames by their pictures' names."""
+    """Numbers of the frames by their pictures' names; those that were dropped or left out are not counted."""
     if not (path / FRAME_TABLE).is_file():
         return {}
-    return {name: number for number, name in enumerate(read_frame_table(path / FRAME_TABLE).picture)}
+    table = read_frame_table(path / FRAME_TABLE)
+    followed = np.flatnonzero(np.isfinite(table.timestamp_s))
+    return {table.picture[row]: number for number, row in enumerate(followed)}

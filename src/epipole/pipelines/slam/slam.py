@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from epipole.errors import ConfigError
@@ -86,7 +88,7 @@ class Slam:
         self._before: Frame | None = None
         self._watch, self._look = PictureWatch(), Look()
         self._cam_from_world = Rigid3.identity()
-        self._path = Path()
+        self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
 
     def track(self, frame: Frame) -> TrackedFrame:
@@ -382,12 +384,13 @@ class Slam:
         count = len(self.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
-    def finish(self) -> None:
-        """After the last frame: tie keyframes together that see the same, and adjust the whole of every map."""
+    def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
+        """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it."""
         here = self.map
-        for model in [] if self.is_map_fixed else self.maps:
+        for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
-            self.mapper.adjust_for_good()
+            if not self.mapper.adjust_for_good(number, len(self.maps), goes_on):
+                break
         self._enter(here)
 
     def trajectory(self, number: int = 0) -> Trajectory:

@@ -1,0 +1,163 @@
+"""Hours of SLAM: time and memory of twenty thousand frames, with the checkpoint. `python -m benchmarks.slam_endurance`.
+
+The rendered room is walked round and round; each thousand frames are a row. Memory is the process's own (Linux: RssAnon, without the
+frames, which are read from a mapped file).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.peers.epipole_slam import camera_of, frames_of
+from benchmarks.peers.slam_frames import SlamFrames, load_frames
+from benchmarks.tasks.slam import prepare
+from epipole.geometry import Rigid3
+from epipole.io.trajectories import read_trajectory
+from epipole.pipelines.slam.checkpoint import Checkpoint
+from epipole.pipelines.slam.frames import Frame
+from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.slam import Slam
+from epipole.runs import thread_scope
+
+ROW = 1000
+_UNIT = 1 if sys.platform == "darwin" else 1024
+
+
+def main() -> None:
+    """Follow the frames, write a row for each thousand, and print the table."""
+    arguments = _arguments()
+    arguments.cache.mkdir(parents=True, exist_ok=True)
+    folder = prepare("loop_room", Path(), arguments.cache.resolve())
+    report: dict[str, Any] = {"machine": describe_machine(0), "sensor": arguments.sensor, "rows": []}
+    report["begin"] = datetime.now(UTC).isoformat(timespec="seconds")
+    checkpoint = Path(tempfile.mkdtemp(prefix="epipole-endurance-"))
+    try:
+        with thread_scope():
+            for row in _follow(folder, arguments.sensor, arguments.frames, checkpoint):
+                report["rows"].append(row)
+                report["end"] = datetime.now(UTC).isoformat(timespec="seconds")
+                report["bytes_per_frame"] = _growth(report["rows"])
+                Console(stderr=True).print(row)
+                arguments.results.mkdir(parents=True, exist_ok=True)
+                file = arguments.results / f"slam_endurance_{arguments.sensor}.json"
+                file.write_text(json.dumps(report, indent=1) + "\n")
+    finally:
+        shutil.rmtree(checkpoint, ignore_errors=True)
+    Console(width=120).print(_table(report))
+
+
+def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict[str, Any]]:
+    """Facts of every thousand frames."""
+    frames = load_frames(folder)
+    truth = read_trajectory(folder / "truth_exact.txt").world_from_body
+    truth = truth[0].inverse() @ truth
+    system, records, ms, off = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
+    checkpoint, spent = Checkpoint(place), 0.0
+    checkpoint.begin(system, records, Rigid3.identity())
+    begin, num_states = time.process_time(), 0
+    for number, frame in enumerate(_laps(frames, sensor, count)):
+        start = time.perf_counter()
+        answer = system.track(frame)
+        seconds = time.perf_counter() - start
+        records.append(FrameRecord(number, f"frame_{number:06d}.jpg", seconds, answer))
+        checkpoint.add(system, records)
+        ms.append(1e3 * seconds)
+        if answer.world_from_body is not None:
+            there = truth[number % len(frames)].translation
+            off.append(float(np.linalg.norm(answer.world_from_body.translation - there)))
+        if len(records) % ROW == 0 or len(records) == count:
+            cpu = time.process_time()
+            yield {
+                "frames": len(records),
+                "ms_mean": float(np.mean(ms)),
+                "ms_median": float(np.median(ms)),
+                "ms_p95": float(np.percentile(ms, 95)),
+                "cpu_ms_mean": 1e3 * (cpu - begin) / len(ms),
+                "checkpoint_ms_mean": 1e3 * (checkpoint.seconds - spent) / len(ms),
+                "num_states": checkpoint.num_states - num_states,
+                "memory_mb": _memory_bytes() / 1e6,
+                "checkpoint_mb": sum(p.stat().st_size for p in place.iterdir()) / 1e6,
+                "keyframes": len(system.map.keyframes),
+                "points": system.map.num_points,
+                "places_compared": len(system.loops),
+                "placed": len(off),
+                "largest_error_m": max(off, default=None),
+            }
+            ms, off, spent, num_states = [], [], checkpoint.seconds, checkpoint.num_states
+            begin = time.process_time()
+    checkpoint.close()
+
+
+def _laps(frames: SlamFrames, sensor: str, count: int) -> Iterator[Frame]:
+    """Round and round, at the ride's rate."""
+    step, number = float(frames.timestamp_s[1] - frames.timestamp_s[0]), 0
+    while number < count:
+        for frame in frames_of(frames, sensor, min(len(frames), count - number)):
+            yield replace(frame, timestamp_s=step * number)
+            number += 1
+
+
+def _memory_bytes() -> int:
+    status = Path("/proc/self/status")
+    if status.is_file():
+        for line in status.read_text().splitlines():
+            if line.startswith("RssAnon"):
+                return 1024 * int(line.split()[1])
+    return _UNIT * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def _growth(rows: list[dict[str, Any]]) -> float | None:
+    """Bytes of memory for each frame, by a line through the second half."""
+    later = rows[len(rows) // 2 :]
+    if len(later) < 3:
+        return None
+    return float(1e6 * np.polyfit([r["frames"] for r in later], [r["memory_mb"] for r in later], 1)[0])
+
+
+def _table(report: dict[str, Any]) -> Table:
+    growth = report["bytes_per_frame"]
+    words = "" if growth is None else f", {growth:.0f} bytes a frame in the second half"
+    table = Table(title=f"the room, round and round, {report['sensor']}{words}")
+    columns = {
+        **{"frames": ",", "ms_mean": ".1f", "ms_median": ".1f", "ms_p95": ".0f", "cpu_ms_mean": ".1f"},
+        **{"checkpoint_ms_mean": ".2f", "memory_mb": ".0f", "checkpoint_mb": ".0f", "keyframes": "d"},
+        **{"points": ",", "placed": "d", "largest_error_m": ".4f"},
+    }
+    for name in columns:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in report["rows"]:
+        table.add_row(
+            *("" if row[name] is None else format(row[name], form) for name, form in columns.items())
+        )
+    return table
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Time and memory of SLAM over many frames.")
+    parser.add_argument("--frames", type=int, default=20_000)
+    parser.add_argument("--sensor", choices=("stereo", "rgbd", "mono"), default="stereo")
+    parser.add_argument(
+        "--cache", type=Path, default=Path(tempfile.gettempdir()) / "epipole-slam-frames", help="drawn frames"
+    )
+    parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
