@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from epipole._declared import check_fields
-from epipole.config import FlowConfig
+from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -148,11 +150,8 @@ class JobOptions:
     """Go on in the map of an earlier run (its output folder): the camera is found in it, and the map grows."""
     localize: bool = False
     """Only find the camera in that map, which stays as it is."""
-    positions: Path | None = None
-    """One camera: measured places by the frames' clock (`seconds x y z` a line; GPS in local metres, or any log), which fix
-    the scale and the world."""
-    positions_sigma_m: float = 1.0
-    """Standard deviation of a coordinate of these."""
+    anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
+    """One camera: what fixes its scale."""
     truth: Path | None = None
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
@@ -172,8 +171,6 @@ class JobOptions:
         check_fields(self)
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
-        if not 0 < self.positions_sigma_m < math.inf:
-            raise ConfigError(f"positions_sigma_m must be positive and finite, got {self.positions_sigma_m}")
         if self.localize and self.map is None:
             raise ConfigError("localize finds the camera in a map: give it, too (map)")
         if self.port is not None and not self.view:
