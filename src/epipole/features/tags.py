@@ -12,12 +12,14 @@ from jaxtyping import Float64, Int64, UInt8
 from epipole.config import check_dictionary
 
 _opencv: Any = cv2  # its stubs lack parts of aruco
-_LEAST_SIDE_PX = 12.0
-"""Of a smaller marker the refined corners are drawn towards each other."""
+_LEAST_SIDE_PX = 14.0
+"""Of a smaller marker the edges cannot be told from each other."""
 _LEAST_PICTURE = 32
-_WINDOW_SHARE, _LARGEST_WINDOW = 0.1, 5
-"""Half the window in which a corner is refined, over the marker's side, and at most: no further than its own black border."""
-_REFINE = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+_ROUNDS, _STEP_PX, _MARGIN = 3, 0.25, 0.15
+"""Edges are placed so many times, sampled so finely across, and not nearer to a corner than this share of their length."""
+_CELL_SHARE, _HALF_PX = 0.8, (1.5, 4.0)
+"""Half the width over which an edge is looked for, in cells of the marker, and its limits."""
+_FURTHEST_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +59,7 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     if ids is None:
         return none
     numbers, counts = np.unique(ids.ravel(), return_counts=True)
-    single = numbers[counts == 1]
+    single, levels = numbers[counts == 1], grey.astype(np.float32)
     found = {int(n): c.reshape(4, 2).astype(np.float64) for n, c in zip(ids.ravel(), corners)}
     rows = []
     for number in single:
@@ -65,10 +67,56 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
         side = float(np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1).min())
         if side < _LEAST_SIDE_PX:
             continue
-        half = int(np.clip(_WINDOW_SHARE * side, 1, _LARGEST_WINDOW))
-        start = np.ascontiguousarray(pixels[:, None], np.float32)
-        refined = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), _REFINE).reshape(4, 2)
-        rows.append((int(number), refined.astype(np.float64)))
+        refined = _by_edges(levels, pixels, side / (int(known.markerSize) + 2))
+        if refined is not None:
+            rows.append((int(number), refined))
     if not rows:
         return none
     return TagView(np.array([n for n, _ in rows], np.int64), np.stack([c for _, c in rows]))
+
+
+def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarray | None:
+    """(4, 2) corners where lines through the four edges meet; None where these are not there.
+
+    An edge is where the grey changes most: the middle of the derivative across it. Blur that is the same on both sides
+    does not move it, while it draws a corner that is looked for as a corner into the marker.
+    """
+    found, half = corners, float(np.clip(_CELL_SHARE * cell_px, *_HALF_PX))
+    for _ in range(_ROUNDS):
+        lines = [_edge(grey, found[k], found[(k + 1) % 4], half) for k in range(4)]
+        if any(line is None for line in lines):
+            return None
+        meets = [np.cross(lines[k - 1], lines[k]) for k in range(4)]  # type: ignore[arg-type]
+        if any(abs(m[2]) < 1e-9 for m in meets):
+            return None
+        found = np.stack([m[:2] / m[2] for m in meets])
+    return found if np.linalg.norm(found - corners, axis=1).max() <= _FURTHEST_PX else None
+
+
+def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) -> np.ndarray | None:
+    """The line a x + b y + c = 0 through an edge from dark to bright, sampled across in many places."""
+    length = float(np.linalg.norm(stop - start))
+    if length < 4.0:
+        return None
+    along = (stop - start) / length
+    across = np.array([along[1], -along[0]])  # clockwise corners: outward
+    t = np.linspace(_MARGIN, 1.0 - _MARGIN, max(8, int(2 * length)))[:, None]
+    steps = np.arange(-half - 0.5, half + 0.5 + 1e-9, _STEP_PX)
+    at = (start + t * (stop - start))[:, None] + steps[:, None] * across
+    values = cv2.remap(grey, at.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    rise = np.diff(values, axis=1).astype(np.float64)
+    middle = 0.5 * (steps[1:] + steps[:-1])
+    weight = np.maximum(rise, 0.0)
+    total = weight.sum(axis=1)
+    good = total > 0.5 * float(np.median(total))
+    if good.sum() < 4 or not np.median(total) > 5.0:
+        return None
+    place = (weight @ middle)[good] / total[good]
+    points = (start + t * (stop - start))[good] + place[:, None] * across
+    near = np.abs(place - np.median(place)) <= 1.0
+    points = points[near]
+    if len(points) < 4:
+        return None
+    mean = points.mean(axis=0)
+    normal = np.linalg.svd(points - mean)[2][1]
+    return np.array([normal[0], normal[1], -float(normal @ mean)])

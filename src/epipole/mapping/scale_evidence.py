@@ -19,7 +19,7 @@ from epipole.mapping.scale_agreement import ScaleEstimate
 from epipole.mapping.travelled_scale import fit_scale_to_distances
 from epipole.robust import triangulate_points
 
-CORNERS_SIGMA_PX = 0.3
+CORNERS_SIGMA_PX = 0.15
 """Standard deviation of a corner that a detector found; larger residuals enlarge it."""
 BOARD_SIGMA_PX = 0.1
 MOST_VIEWS = 60
