@@ -17,8 +17,8 @@ _LEAST_SIDE_PX = 14.0
 _LEAST_PICTURE = 32
 _ROUNDS, _STEP_PX, _MARGIN = 3, 0.25, 0.15
 """Edges are placed so many times, sampled so finely across, and not nearer to a corner than this share of their length."""
-_CELL_SHARE, _HALF_PX = 0.8, (1.5, 4.0)
-"""Half the width over which an edge is looked for, in cells of the marker, and its limits."""
+_CELL_SHARE, _HALF_PX = 0.65, (1.0, 4.0)
+"""Half the width over which an edge is looked for, in cells, and its limits: the white rim ends after a cell."""
 _FURTHEST_PX = 3.0
 
 
@@ -64,7 +64,7 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     rows = []
     for number in single:
         pixels = found[int(number)]
-        side = float(np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1).min())
+        side = _narrowest(pixels)
         if side < _LEAST_SIDE_PX:
             continue
         refined = _by_edges(levels, pixels, side / (int(known.markerSize) + 2))
@@ -73,6 +73,17 @@ def find_tags(grey: UInt8[np.ndarray, "h w"], dictionary: str) -> TagView:
     if not rows:
         return none
     return TagView(np.array([n for n, _ in rows], np.int64), np.stack([c for _, c in rows]))
+
+
+def _narrowest(corners: np.ndarray) -> float:
+    """The least distance of two opposite corners from an edge, in pixels."""
+    along = np.roll(corners, -1, axis=0) - corners
+    normal = (
+        np.stack([along[:, 1], -along[:, 0]], axis=1)
+        / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    )
+    away = [abs(normal[k] @ (corners[(k + n) % 4] - corners[k])) for k in range(4) for n in (2, 3)]
+    return float(min(away))
 
 
 def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarray | None:
@@ -101,9 +112,11 @@ def _edge(grey: np.ndarray, start: np.ndarray, stop: np.ndarray, half: float) ->
     along = (stop - start) / length
     across = np.array([along[1], -along[0]])  # clockwise corners: outward
     t = np.linspace(_MARGIN, 1.0 - _MARGIN, max(8, int(2 * length)))[:, None]
-    steps = np.arange(-half - 0.5, half + 0.5 + 1e-9, _STEP_PX)
+    steps = np.arange(-half, half + 1e-9, _STEP_PX)
     at = (start + t * (stop - start))[:, None] + steps[:, None] * across
-    values = cv2.remap(grey, at.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = _opencv.remap(
+        grey, at.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     rise = np.diff(values, axis=1).astype(np.float64)
     middle = 0.5 * (steps[1:] + steps[:-1])
     weight = np.maximum(rise, 0.0)

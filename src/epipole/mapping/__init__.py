@@ -6,13 +6,10 @@ from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
 from epipole.mapping.anchor_views import AnchorViews as AnchorViews
 from epipole.mapping.anchor_views import place_covariance as place_covariance
-from epipole.mapping.anchor_views import places_at as places_at
 from epipole.mapping.anchor_views import views_of_model as views_of_model
 from epipole.mapping.anchoring import Anchoring as Anchoring
-from epipole.mapping.anchoring import MeasuredPlaces as MeasuredPlaces
 from epipole.mapping.anchoring import after_adjustment as after_adjustment
 from epipole.mapping.anchoring import anchor_model as anchor_model
-from epipole.mapping.anchoring import places_of_views as places_of_views
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.known_objects import ObjectFit as ObjectFit
 from epipole.mapping.known_objects import fit_scale_to_object as fit_scale_to_object
@@ -32,6 +29,4 @@ from epipole.mapping.resection import resect_image as resect_image
 from epipole.mapping.scale_agreement import MetricScale as MetricScale
 from epipole.mapping.scale_agreement import ScaleEstimate as ScaleEstimate
 from epipole.mapping.scale_agreement import agreed_scale as agreed_scale
-from epipole.mapping.scale_evidence import ScaleEvidence as ScaleEvidence
-from epipole.mapping.scale_evidence import scale_evidence as scale_evidence
 from epipole.mapping.travelled_scale import fit_scale_to_distances as fit_scale_to_distances

@@ -73,17 +73,15 @@ def anchor_model(
         FileFormatError: a file that was named cannot be read.
     """
     everywhere = views if path is None else path
-    found = scale_evidence(views, options, everywhere)
-    places = None
+    found, places, refusals, measured = scale_evidence(views, options, everywhere), None, [], []
     if options.positions is not None:
+        log = read_places(options.positions)
         try:
-            places = places_of_views(
-                views, everywhere, read_places(options.positions), options.positions_sigma_m
-            )
-            found.estimates.insert(0, places.estimate())
+            places = places_of_views(views, everywhere, log, options.positions_sigma_m)
+            measured.append(places.estimate())
         except DegenerateGeometryError as error:
-            found.refusals.append(f"measured places: {error}")
-    scale = agreed_scale([*others, *found.estimates], found.refusals)
+            refusals.append(f"measured places: {error}")
+    scale = agreed_scale([*others, *measured, *found.estimates], [*refusals, *found.refusals])
     if places is not None and not scale.kept_mask[len(others)]:
         places = None
     return Anchoring(_similarity(scale.scale, places, views), scale, places)

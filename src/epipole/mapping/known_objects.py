@@ -133,11 +133,7 @@ def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
     good = found.success_mask
     away = shape[good] - shape[good][:1]
     if good.sum() < 2 or not away.any():
-        if (found.reason == PointReason.PARALLEL).any():
-            raise DegenerateGeometryError(
-                f"seen from one place only: its rays meet under less than {MIN_ANGLE_DEG:g} degrees"
-            )
-        raise DegenerateGeometryError("its pixels in two pictures belong to no point before both cameras")
+        raise DegenerateGeometryError(_why_no_points(found.reason, seen))
     points = found.points_in_world[good]
     if np.linalg.matrix_rank(away, tol=1e-6 * np.abs(away).max()) >= 2:
         return align_points(shape[good], points)
@@ -149,6 +145,19 @@ def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
         raise DegenerateGeometryError("its two ends are seen as one point")
     rotation = Rotation3.from_two_vectors(here, there).matrix
     return Similarity3(np.asarray(scale), rotation, points[0] - scale * rotation @ shape[rows[0]])
+
+
+def _why_no_points(reason: np.ndarray, seen: _Seen) -> str:
+    """In words: of the points' reasons, and of the widest angle between two rays to one point."""
+    if (reason == PointReason.TOO_FEW_VIEWS).any():
+        return "one of its ends is seen in one picture only: two from different places are needed"
+    rays = np.stack(
+        [c.unproject(p) @ r for c, p, r in zip(seen.cameras, seen.pixels, seen.cams_from_world.rotation)]
+    )
+    cosine = np.einsum("vnk,wnk->nvw", rays, rays)
+    if np.nanmin(cosine, initial=1.0) > np.cos(np.deg2rad(MIN_ANGLE_DEG)):
+        return f"seen from one place only: its rays meet under less than {MIN_ANGLE_DEG:g} degree"
+    return "its pixels in two pictures belong to no point before both cameras"
 
 
 def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epipole._declared import checked
+from epipole._declared import Declared, checked
 from epipole.config import AnchorOptions, BoardConfig
 from epipole.errors import DegenerateGeometryError
 from epipole.features.boards import corners_on_board, find_board
@@ -26,19 +26,31 @@ MOST_VIEWS = 60
 """Of one object: more tell little more."""
 
 
-@dataclass(slots=True)
-class ScaleEvidence:
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleEvidence(Declared):
     """Estimates of a scale, and why other things that were given tell nothing."""
 
-    estimates: list[ScaleEstimate]
-    refusals: list[str]
+    estimates: tuple[ScaleEstimate, ...]
+    refusals: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"ScaleEvidence({len(self.estimates)} estimates, {len(self.refusals)} refusals)"
+
+
+class _Gathered:
+    """Evidence that grows."""
+
+    def __init__(self) -> None:
+        self.estimates: list[ScaleEstimate] = []
+        self.refusals: list[str] = []
 
     def try_one(self, name: str, estimate: Callable[[], ScaleEstimate]) -> None:
         """Add an estimate, or the reason why there is none."""
         try:
             self.estimates.append(estimate())
         except DegenerateGeometryError as error:
-            self.refusals.append(f"{name}: {error}")
+            words = str(error)
+            self.refusals.append(words if words.startswith(name) else f"{name}: {words}")
 
 
 @checked
@@ -55,7 +67,7 @@ def scale_evidence(
     Raises:
         FileFormatError: a file of lengths or odometry cannot be read.
     """
-    found = ScaleEvidence([], [])
+    found = _Gathered()
     everywhere = views if path is None else path
     if options.lengths is not None:
         for known in read_lengths(options.lengths):
@@ -67,7 +79,7 @@ def scale_evidence(
         found.try_one(f"the board of {options.board}", lambda: _of_board(views, board, options))
     if options.odometry is not None:
         found.try_one("odometry", lambda: _of_odometry(everywhere, options))
-    return found
+    return ScaleEvidence(tuple(found.estimates), tuple(found.refusals))
 
 
 def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -> ScaleEstimate:
@@ -94,7 +106,7 @@ def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -
     return ScaleEstimate("length", f"length {known.name}", fit.scale, sigma, 0.0, words)
 
 
-def _add_tags(views: AnchorViews, options: AnchorOptions, found: ScaleEvidence) -> None:
+def _add_tags(views: AnchorViews, options: AnchorOptions, found: _Gathered) -> None:
     size = options.tag_size_m
     assert size is not None
     seen: dict[int, list[tuple[int, np.ndarray]]] = {}

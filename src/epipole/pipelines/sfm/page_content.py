@@ -67,7 +67,7 @@ class ReportContent:
     @property
     def unit(self) -> str:
         """The unit of world coordinates."""
-        return "m" if self.is_metric else "model units"
+        return "m" if self.is_metric else "model units, up to scale"
 
 
 def page_content(
