@@ -7,6 +7,7 @@ from pathlib import Path
 from epipole._checks import as_path
 from epipole.cameras import Camera as Camera
 from epipole.cameras import CameraModel as CameraModel
+from epipole.config import AnchorOptions as AnchorOptions
 from epipole.config import BoardConfig as BoardConfig
 from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import MatchConfig as MatchConfig

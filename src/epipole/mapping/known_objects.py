@@ -21,6 +21,8 @@ MIN_ANGLE_DEG = 1.0
 OUTLIER, LARGEST_ERROR = 4.0, 8.0
 """Views whose pixels are off by more, in deviations or in those of the median view; and what no object's may be off by."""
 MAX_STEPS, DAMPING = 50, 1e-3
+LARGEST = 1e12
+"""Of lengths and pixels: larger ones cannot be calculated with."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +90,20 @@ def fit_scale_to_object(
         ConfigError: sigma_px is not positive.
     """
     num_views = len(cameras)
-    if not 0 < sigma_px < np.inf:
-        raise ConfigError(f"sigma_px must be positive and finite, got {sigma_px}")
+    if not 0 < sigma_px < LARGEST:
+        raise ConfigError(f"sigma_px must be positive and below {LARGEST:g}, got {sigma_px}")
+    for name, values in (("points_in_object", points_in_object), ("pixels", pixels)):
+        if not (np.abs(values[~np.isnan(values)]) < LARGEST).all():
+            raise ShapeError(f"{name} must be below {LARGEST:g}")
+    if not np.isfinite(points_in_object).all():
+        raise ShapeError("points_in_object must be finite")
     if cams_from_world.batch_shape() != (num_views,) or len(pixels) != num_views:
         raise ShapeError(f"{num_views} cameras need as many places and rows of pixels")
     if len(points_in_object) < 2 or pixels.shape[1] != len(points_in_object):
         raise ShapeError("an object has at least two points, and a pixel for each in every view")
     covariance = np.zeros((num_views, 6, 6)) if cam_covariance is None else cam_covariance
+    if len(covariance) != num_views or (np.abs(covariance[np.isfinite(covariance)]) > LARGEST).any():
+        raise ShapeError(f"cam_covariance must have {num_views} rows, and be below {LARGEST:g}")
     known = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(cams_from_world.translation).all(axis=1)
     kept = known & np.isfinite(pixels).all(axis=2).any(axis=1)
     seen = _Seen(
@@ -103,7 +112,10 @@ def fit_scale_to_object(
     middle = points_in_object.mean(axis=0)
     shape = points_in_object - middle
     for _ in range(max(num_views, 1)):
-        found, sigma_log, errors = _fit(shape, seen.rows(kept))
+        try:
+            found, sigma_log, errors = _fit(shape, seen.rows(kept))
+        except np.linalg.LinAlgError as error:
+            raise DegenerateGeometryError("its pixels do not determine where it is") from error
         size = np.full(num_views, np.nan)
         size[kept] = errors
         limit = OUTLIER * max(1.0, float(np.nanmedian(size)))
