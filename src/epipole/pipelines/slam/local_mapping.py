@@ -11,6 +11,7 @@ from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjus
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
@@ -209,11 +210,14 @@ class LocalMapper:
             max_iterations=max_iterations,
             function_tolerance=1e-4,
         )
-        result = adjust_bundle(self._held(problem), config)
+        held = self._held(problem)
+        result = adjust_bundle(held, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         for place, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+        if self.focal_baseline is not None:
+            learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
         self.map.xyz[rows] = result.points_in_world
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epipole.geometry import Rigid3
+from epipole.pipelines.slam.map_covariance import with_map_error
 from epipole.pipelines.slam.slam_map import Keyframe
 from epipole.scene import Trajectory
 
@@ -69,11 +70,10 @@ class Path:
             np.stack([s.cam_from_keyframe.translation for s in steps]) * grown[:, None],
         )
         there = Rigid3(np.stack([k.rotation for k in keys]), np.stack([k.translation for k in keys]))
-        return Trajectory(
-            np.array([s.timestamp_s for s in steps]),
-            (relative @ there).inverse(),
-            _scaled(np.stack([s.covariance for s in steps]), grown),
-        )
+        own = _scaled(np.stack([s.covariance for s in steps]), grown)
+        of_map = np.stack([s.keyframe.covariance for s in steps])
+        times = np.array([s.timestamp_s for s in steps])
+        return Trajectory(times, (relative @ there).inverse(), with_map_error(of_map, relative, own))
 
 
 def _scaled(covariance: np.ndarray, grown: np.ndarray) -> np.ndarray:

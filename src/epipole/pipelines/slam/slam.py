@@ -13,6 +13,7 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, Track
 from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
+from epipole.pipelines.slam.map_covariance import frame_covariance, with_map_error
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.place_recognition import describe_keyframe
@@ -202,7 +203,14 @@ class Slam:
             self._extend(frame)
             reason = self._close_loop() or reason
             forget(self.map, self._path, self.tracker.tracks)
-        return self._answer(frame, refined.covariance(), num_agreeing, reason)
+        return self._answer(frame, self._own_covariance(refined), num_agreeing, reason)
+
+    def _own_covariance(self, refined: RefinedPose) -> np.ndarray:
+        """The frame's part: none where it has become a keyframe, which knows its own."""
+        if not self.camera.tells_depth:
+            return refined.covariance()
+        is_keyframe = self._newest().number == self._num_frames and self._newest().covariance.any()
+        return np.zeros((6, 6)) if is_keyframe else frame_covariance(refined)
 
     def _extend(self, frame: Frame) -> None:
         """A keyframe, new points, and the adjustment of the keyframes around it."""
@@ -367,6 +375,8 @@ class Slam:
         self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
     ) -> TrackedFrame:
         self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
+        between = self._cam_from_world @ keyframe.cam_from_world.inverse()
+        covariance = with_map_error(keyframe.covariance, between, covariance)
         place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
