@@ -13,16 +13,31 @@ from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_covariance
-from epipole.pipelines.slam.slam_map import Keyframe
+from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 MEDIAN_SQ = 1.386
 """Median of the squared length of a plane vector whose coordinates have deviation one."""
 LEAST_NOISE_PX = 0.05
 MOST_CORRELATED = 0.9
+USUAL, PAIRS, LEAST_SEEN = 0.5, 200, 10
+"""The correlation that is assumed, how many pairs of residuals it is worth, and observations of points that tell another."""
 
 
-def frame_covariance(refined: RefinedPose) -> np.ndarray:
-    """(6, 6) of a frame's place before the map, with the noise that its own errors show instead of a pixel."""
+def own_covariance(refined: RefinedPose, model: SlamMap, number: int) -> np.ndarray:
+    """(6, 6) of a frame's place before the map: none where it has become a keyframe, which knows its own.
+
+    Where the map knows its error the noise is that which the frame's own errors show, else a pixel.
+
+    Args:
+        refined: the frame's place.
+        model: the map.
+        number: of the frame.
+    """
+    newest = next((k for k in reversed(model.keyframes) if len(k.point)), None)
+    if newest is None or not any(k.covariance.any() for k in (newest, *model.keyframes[-3:])):
+        return refined.covariance()
+    if newest.number == number and newest.covariance.any():
+        return np.zeros((6, 6))
     errors = refined.error_sq[np.isfinite(refined.error_sq)]
     noise_sq = float(np.median(errors)) / MEDIAN_SQ if len(errors) else 1.0
     return refined.covariance() * max(noise_sq, LEAST_NOISE_PX**2)
@@ -98,12 +113,15 @@ def residual_correlation(
     in_cam = np.einsum("kij,kj->ki", cams.rotation, result.points_in_world[point]) + cams.translation
     with np.errstate(divide="ignore", invalid="ignore"):
         off = focal[:, None] * in_cam[:, :2] / in_cam[:, 2:] + middle - problem.pixels
+    off = np.where(
+        (np.diff(problem.offsets) >= LEAST_SEEN)[point][:, None], off, np.nan
+    )  # fitting fewer hides it
     order = np.lexsort((times[problem.frame], problem.sensor, point))
     same = (np.diff(point[order]) == 0) & (np.diff(problem.sensor[order]) == 0)
     now, then = off[order][1:][same], off[order][:-1][same]
     good = (np.abs(now) < 3.0 * noise_px).all(axis=1) & (np.abs(then) < 3.0 * noise_px).all(axis=1)
     now, then = now[good], then[good]
-    if len(now) < 20:
-        return 0.0
-    rho = 2.0 * float((now * then).sum()) / float((now**2 + then**2).sum())
-    return float(np.clip(rho, 0.0, MOST_CORRELATED))
+    size = float((now**2 + then**2).sum()) / 2.0
+    share = size / (size + PAIRS * 2.0 * noise_px**2)
+    rho = float((now * then).sum()) / max(size, 1e-300)
+    return float(np.clip(share * rho + (1.0 - share) * USUAL, 0.0, MOST_CORRELATED))

@@ -13,7 +13,7 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, Track
 from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
-from epipole.pipelines.slam.map_covariance import frame_covariance, with_map_error
+from epipole.pipelines.slam.map_covariance import own_covariance, with_map_error
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.place_recognition import describe_keyframe
@@ -203,14 +203,7 @@ class Slam:
             self._extend(frame)
             reason = self._close_loop() or reason
             forget(self.map, self._path, self.tracker.tracks)
-        return self._answer(frame, self._own_covariance(refined), num_agreeing, reason)
-
-    def _own_covariance(self, refined: RefinedPose) -> np.ndarray:
-        """The frame's part: none where it has become a keyframe, which knows its own."""
-        if not self.camera.tells_depth:
-            return refined.covariance()
-        is_keyframe = self._newest().number == self._num_frames and self._newest().covariance.any()
-        return np.zeros((6, 6)) if is_keyframe else frame_covariance(refined)
+        return self._answer(frame, own_covariance(refined, self.map, self._num_frames), num_agreeing, reason)
 
     def _extend(self, frame: Frame) -> None:
         """A keyframe, new points, and the adjustment of the keyframes around it."""
