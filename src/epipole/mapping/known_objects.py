@@ -90,20 +90,10 @@ def fit_scale_to_object(
         ConfigError: sigma_px is not positive.
     """
     num_views = len(cameras)
-    if not 0 < sigma_px < LARGEST:
-        raise ConfigError(f"sigma_px must be positive and below {LARGEST:g}, got {sigma_px}")
-    for name, values in (("points_in_object", points_in_object), ("pixels", pixels)):
-        if not (np.abs(values[~np.isnan(values)]) < LARGEST).all():
-            raise ShapeError(f"{name} must be below {LARGEST:g}")
-    if not np.isfinite(points_in_object).all():
-        raise ShapeError("points_in_object must be finite")
-    if cams_from_world.batch_shape() != (num_views,) or len(pixels) != num_views:
-        raise ShapeError(f"{num_views} cameras need as many places and rows of pixels")
-    if len(points_in_object) < 2 or pixels.shape[1] != len(points_in_object):
-        raise ShapeError("an object has at least two points, and a pixel for each in every view")
     covariance = np.zeros((num_views, 6, 6)) if cam_covariance is None else cam_covariance
-    if len(covariance) != num_views or (np.abs(covariance[np.isfinite(covariance)]) > LARGEST).any():
-        raise ShapeError(f"cam_covariance must have {num_views} rows, and be below {LARGEST:g}")
+    if len(covariance) != num_views:
+        raise ShapeError(f"cam_covariance must have {num_views} rows, as cameras has, got {len(covariance)}")
+    _check(points_in_object, cams_from_world, pixels, sigma_px, covariance)
     known = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(cams_from_world.translation).all(axis=1)
     kept = known & np.isfinite(pixels).all(axis=2).any(axis=1)
     seen = _Seen(
@@ -130,6 +120,23 @@ def fit_scale_to_object(
     scale = 1.0 / float(found.scale)
     placed = Similarity3(found.scale, found.rotation, found.apply(-middle[None])[0])
     return ObjectFit(placed, scale, scale * sigma_log, residual, kept)
+
+
+def _check(
+    points: np.ndarray, cams_from_world: Rigid3, pixels: np.ndarray, sigma_px: float, covariance: np.ndarray
+) -> None:
+    num_views = len(covariance)
+    if not 0 < sigma_px < LARGEST:
+        raise ConfigError(f"sigma_px must be positive and below {LARGEST:g}, got {sigma_px}")
+    if cams_from_world.batch_shape() != (num_views,) or len(pixels) != num_views:
+        raise ShapeError(f"{num_views} cameras need as many places, covariances and rows of pixels")
+    if len(points) < 2 or pixels.shape[1] != len(points):
+        raise ShapeError("an object has at least two points, and a pixel for each in every view")
+    for name, values in (("points_in_object", points), ("pixels", pixels), ("cam_covariance", covariance)):
+        if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
+            raise ShapeError(f"{name} must be below {LARGEST:g}")
+    if not np.isfinite(points).all() or np.isinf(pixels).any():
+        raise ShapeError("points_in_object must be finite, and pixels finite or NaN")
 
 
 def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
