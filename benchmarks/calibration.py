@@ -20,11 +20,12 @@ from rich.console import Console
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.side_by_side import table_of
 from epipole.cameras import Camera, CameraModel
+from epipole.config import BoardConfig
+from epipole.features.boards import BoardView, corners_on_board, find_board
 from epipole.io.photographs import read_grey
-from epipole.pipelines.calibration.board import BoardView, corners_on_board, find_board
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.coverage import covered_pixels
 
 PAIR = BoardConfig(columns=9, rows=6, square=0.025)

@@ -22,7 +22,7 @@ from epipole import (
     synthetic,
 )
 from epipole.cameras import Camera, CameraModel
-from epipole.config import FeatureConfig, MatchConfig, RansacConfig
+from epipole.config import AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.disparity_search import coarse_to_fine, config, rectification, search, uncertainty
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, tangents
 from epipole.geometry.homogeneous import normalize_lines
@@ -464,6 +464,48 @@ def _builder() -> mapping.ModelBuilder:
     return builder
 
 
+def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
+    """Scales: of an object before two cameras, of a path, of both; and of a model by its places."""
+    sheet = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0]])
+    two = Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0, 6], [1.0, 0, 6]]))
+    pixels = np.stack([PINHOLE.project(two[v].apply(sheet)) for v in range(2)])
+    yield _row(
+        mapping.fit_scale_to_object, points_in_object=sheet, cams_from_world=two, cameras=[PINHOLE, PINHOLE],
+        pixels=pixels, sigma_px=0.5, cam_covariance=np.zeros((2, 6, 6)),
+    )  # fmt: skip
+    times = np.arange(12.0)
+    way = np.stack([times, 0 * times, 0 * times], axis=1)
+    yield _row(
+        mapping.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
+        places_by_odometry=None, sigma=0.01,
+    )  # fmt: skip
+    estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}
+    yield _row(mapping.ScaleEstimate, **estimate)
+    known = mapping.ScaleEstimate(**estimate)
+    yield _row(mapping.agreed_scale, estimates=[known], refusals=["tag 2: not seen"])
+    metric = {
+        "scale": 2.0,
+        "sigma": 0.1,
+        "estimates": (known,),
+        "kept_mask": np.ones(1, bool),
+        "refusals": (),
+    }
+    yield _row(mapping.MetricScale, **metric)
+    views = mapping.views_of_model(model, lambda _: None)
+    yield _row(mapping.views_of_model, model=model, picture_of=lambda _: None)
+    yield _row(mapping.AnchorViews, **{name: getattr(views, name) for name in views.__slots__})
+    yield _row(mapping.place_covariance, model=model, image=1)
+    yield _row(mapping.anchor_model, views=views, options=AnchorOptions(), path=None, others=[known])
+    whole = {
+        "world_from_model": Similarity3.identity(),
+        "scale": mapping.MetricScale(**metric),
+        "places": None,
+    }
+    yield _row(mapping.Anchoring, **whole)
+    anchoring, centers = mapping.Anchoring(**whole), model.camera_centers_in_world()
+    yield _row(mapping.after_adjustment, anchoring=anchoring, before=centers, after=2.0 * centers)
+
+
 def _mapping() -> Iterator[Row]:
     model, graph = _ring().start, _view_graph()
     offsets, builder = model.images.keypoint_offsets, _builder()
@@ -490,6 +532,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(
         mapping.fit_scale_to_positions, positions_in_model=spread, positions_in_world=2.0 * spread, sigma=0.01
     )
+    yield from _anchors(model)
     more = {"sigma_px": np.ones(6), "disparities": mapping.Disparities(**deep), "loss_scale": 2.0}
     yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)

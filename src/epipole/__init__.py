@@ -16,7 +16,7 @@ _JOBS = ("reconstruct", "slam", "stereo", "calibrate", "evaluate", "undistort", 
 _MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
 _CONFIGS = (
     *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
-    *("SlamConfig", "JobOptions", "StereoConfig", "CalibrationConfig", "BoardConfig"),
+    *("AnchorOptions", "SlamConfig", "JobOptions", "StereoConfig", "CalibrationConfig", "BoardConfig"),
 )
 _DATA = (
     *("Camera", "CameraModel", "CameraOptions", "Reconstruction", "RectifiedRig", "Rigid3", "StereoRig"),

@@ -7,11 +7,12 @@ from pathlib import Path
 from epipole._checks import as_path
 from epipole.cameras import Camera as Camera
 from epipole.cameras import CameraModel as CameraModel
+from epipole.config import AnchorOptions as AnchorOptions
+from epipole.config import BoardConfig as BoardConfig
 from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.config import RansacConfig as RansacConfig
 from epipole.geometry import Rigid3 as Rigid3
-from epipole.pipelines.calibration.config import BoardConfig as BoardConfig
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun
 from epipole.pipelines.calibration.run import calibrate as calibrate

@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 from epipole._declared import check_fields
@@ -17,6 +18,7 @@ from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
 _LARGEST = 1e100
+_DICTIONARIES = ("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11", "ARUCO_ORIGINAL")
 
 
 def options_of(kind: type[Options], given: Options | None, named: Mapping[str, Any] | None = None) -> Options:
@@ -204,3 +206,141 @@ class RansacConfig:
             raise ConfigError("min_iterations, max_iterations and min_inliers must be at least 1")
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")
+
+
+def check_dictionary(name: str) -> None:
+    """Check that there is a dictionary of markers of this name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    side, _, count = name.partition("_")
+    is_sized = side in ("4X4", "5X5", "6X6", "7X7") and count in ("50", "100", "250", "1000")
+    if name not in _DICTIONARIES and not is_sized:
+        raise ConfigError(
+            f"unknown dictionary {name!r}: 4X4_50 to 7X7_1000, or one of {', '.join(_DICTIONARIES)}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardConfig:
+    """What the calibration board looks like."""
+
+    kind: Literal["chessboard", "charuco", "apriltag"] = "chessboard"
+    columns: int = 9
+    """Inner corners in a row of a chessboard; squares of a ChArUco board; tags of an AprilTag grid."""
+    rows: int = 6
+    """The same in a column."""
+    square: float = 1.0
+    """Side of a square (or tag); its unit is that of the translations and depths. 1: they are in squares."""
+    marker_share: float = 0.75
+    """ChArUco: side of a marker divided by that of a square."""
+    spacing: float = 0.3
+    """AprilTag grid: gap between tags divided by the side of a tag (Kalibr's tagSpacing)."""
+    dictionary: str = ""
+    """Dictionary of the markers, OpenCV's name without DICT_; empty: 4X4_50 for ChArUco, APRILTAG_36h11 for
+    AprilTags."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        least = 1 if self.kind == "apriltag" else 3
+        if min(self.columns, self.rows) < least:
+            raise ConfigError(
+                f"a {self.kind} needs at least {least} columns and rows, got {self.columns} x {self.rows}"
+            )
+        if not 0 < self.square < float("inf"):
+            raise ConfigError(f"square must be positive and finite, got {self.square}")
+        if not (0 < self.marker_share < 1 and self.spacing >= 0):
+            raise ConfigError("marker_share must lie between 0 and 1, spacing must not be negative")
+        if self.dictionary:
+            check_dictionary(self.dictionary)
+
+    @property
+    def dictionary_name(self) -> str:
+        """The dictionary, or the default of the kind of board."""
+        return self.dictionary or ("APRILTAG_36h11" if self.kind == "apriltag" else "4X4_50")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnchorOptions:
+    """What is known besides the pictures and fixes the scale: places, lengths, objects of known size, odometry."""
+
+    positions: Path | None = None
+    """Measured places of the camera, which fix the scale and the world: `SECONDS X Y Z` a line by the frames' clock (GPS
+    in local metres, or any log), or `PICTURE X Y Z`."""
+    positions_sigma_m: float = 1.0
+    """Standard deviation of a coordinate of these."""
+    lengths: Path | None = None
+    """Known lengths, a line for each end in each picture: `NAME METRES END PICTURE X Y`. END is a or b; (0, 0) is the centre
+    of the first pixel of the picture as it is looked at."""
+    lengths_sigma_m: float = 0.002
+    """Standard deviation of a length."""
+    clicks_sigma_px: float = 1.0
+    """Standard deviation of a pixel's coordinate in that file."""
+    tag_size_m: float | None = None
+    """Side of the black squares of AprilTags or ArUco markers in the scene."""
+    tag_family: str = "36h11"
+    """AprilTags: 16h5, 25h9, 36h10 or 36h11; ArUco: 4X4_50 to 7X7_1000, or ARUCO_ORIGINAL."""
+    board: str | None = None
+    """A chessboard in the scene: inner corners in a row and in a column, such as 9x6."""
+    square_m: float | None = None
+    """Side of its squares."""
+    size_sigma: float = 0.003
+    """Standard deviation of the stated size of tags and squares, as a share of it; all of them err alike."""
+    odometry: Path | None = None
+    """How far the camera went: `SECONDS METRES` a line, counted from any begin, or a trajectory (TUM's form)."""
+    odometry_sigma: float = 0.01
+    """Standard deviation of the wheels' unit, as a share; their slip is seen in the scatter."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense, or lacks another.
+        """
+        check_fields(self)
+        for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigError(f"{name} must be positive and finite, got {value}")
+        for name in ("size_sigma", "odometry_sigma"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ConfigError(f"{name} is a share, from 0 to below 1, got {getattr(self, name)}")
+        if (self.board is None) != (self.square_m is None):
+            raise ConfigError("a board of known size needs both: board (such as 9x6) and square_m")
+        check_dictionary(self.dictionary_name)
+        self.board_config()
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing is known besides the pictures."""
+        return all(
+            value is None
+            for value in (self.positions, self.lengths, self.tag_size_m, self.board, self.odometry)
+        )
+
+    @property
+    def dictionary_name(self) -> str:
+        """The tags' dictionary by OpenCV's name, without DICT_."""
+        april = f"APRILTAG_{self.tag_family.lower()}"
+        return april if april in _DICTIONARIES else self.tag_family.upper()
+
+    def board_config(self) -> BoardConfig | None:
+        """The board as the detector takes it; None where none is given.
+
+        Raises:
+            ConfigError: it is not two numbers.
+        """
+        if self.board is None or self.square_m is None:
+            return None
+        columns, _, rows = self.board.lower().partition("x")
+        if not (columns.isdecimal() and rows.isdecimal()):
+            raise ConfigError(
+                f"board is inner corners in a row and in a column, such as 9x6, got {self.board!r}"
+            )
+        return BoardConfig(columns=int(columns), rows=int(rows), square=self.square_m)

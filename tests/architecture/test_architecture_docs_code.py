@@ -138,6 +138,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pose_graphs": pose_graph,
     "relative_pose": lambda _: two_views(),
     "slam": ride,
+    "scale": lambda folder: {},
     "stereo": stereo_pair,
     "triangulation": tracks,
 }

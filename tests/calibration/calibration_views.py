@@ -3,8 +3,8 @@
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
+from epipole.features.boards import BoardView, corners_on_board
 from epipole.geometry import Rigid3, Rotation3
-from epipole.pipelines.calibration.board import BoardView, corners_on_board
 
 LENS = Camera(CameraModel.OPENCV, 640, 480, np.array([520.0, 524.0, 315.0, 236.0, -0.25, 0.08, 1e-3, -5e-4]))
 OTHER = Camera(CameraModel.OPENCV, 640, 480, np.array([540.0, 538.0, 326.0, 245.0, -0.2, 0.05, 0.0, 1e-3]))

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from epipole.config import BoardConfig
 from epipole.errors import ConfigError
-from epipole.pipelines.calibration.board import corners_on_board, find_board, whole_chessboard
-from epipole.pipelines.calibration.config import BoardConfig
+from epipole.features.boards import corners_on_board, find_board, whole_chessboard
 
 UNIT = 60  # pixels of a square in the drawing
 BOARDS = [

@@ -7,12 +7,13 @@ import pytest
 from calibration_views import FISHEYE, LENS, OTHER, RIGHT_FROM_LEFT, board_places, views_of
 
 from epipole.cameras import Camera, CameraModel
+from epipole.config import BoardConfig
 from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.features.boards import BoardView, corners_on_board
 from epipole.geometry import Rigid3
-from epipole.pipelines.calibration.board import BoardView, corners_on_board
 from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check, projection_difference
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.observations import warp_shapes
 from epipole.pipelines.calibration.uncertainty import projection_sigma
 from epipole.pipelines.calibration.verdict import assess

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from calibration_views import LENS, OTHER, RIGHT_FROM_LEFT, board_places, views_of
 
+from epipole.config import BoardConfig
 from epipole.geometry import Rigid3
 from epipole.pipelines.calibration.calibrate import calibrate_views
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun
 from epipole.pipelines.calibration.page import render_page
 from epipole.pipelines.calibration.verdict import Verdict

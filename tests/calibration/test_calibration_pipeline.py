@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from epipole.config import BoardConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.stereo_folders import pair_folders
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.run import calibrate, pictures_of_cameras
 
 

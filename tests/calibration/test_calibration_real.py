@@ -8,12 +8,13 @@ import pytest
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
+from epipole.config import BoardConfig
+from epipole.features.boards import BoardView, find_board
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
 from epipole.io.photographs import read_grey
-from epipole.pipelines.calibration.board import BoardView, find_board
 from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.coverage import covered_pixels
 
 SIZE = (640, 480)

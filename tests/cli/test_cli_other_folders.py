@@ -7,8 +7,9 @@ import pytest
 from PIL import Image
 
 from epipole import api
+from epipole.config import BoardConfig
 from epipole.errors import WorkspaceError
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.runs import Job, open_run
 
 BOARD = CalibrationConfig(board=BoardConfig(columns=9, rows=6, square=1.0))

@@ -40,6 +40,7 @@ from epipole.io import (
     write_g2o,
     write_points_ply,
 )
+from epipole.io.anchor_files import read_lengths, read_odometry, read_places
 from epipole.io.bags import bag_frames, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.calibration_files import (
     read_body_from_camera,
@@ -212,6 +213,21 @@ def _positions(folder: Path) -> None:
     found = read_positions(folder / "a.txt")
     assert len(found.timestamp_s) == len(found.positions) and (np.diff(found.timestamp_s) > 0).all()
     assert np.isfinite(found.positions).all()
+
+
+def _lengths(folder: Path) -> None:
+    for known in read_lengths(folder / "a.txt"):
+        assert 0 < known.length_m < np.inf and all(known.ends)
+        assert np.isfinite([pixel for end in known.ends for pixel in end.values()]).all()
+
+
+def _places(folder: Path) -> None:
+    assert np.isfinite(read_places(folder / "a.txt").positions).all()
+
+
+def _odometry(folder: Path) -> None:
+    found = read_odometry(folder / "a.txt")
+    assert (np.diff(found.timestamp_s) > 0).all() and (found.travelled_m is None) != (found.positions is None)
 
 
 SLAM_CAMERA = SlamCamera(Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]))
@@ -539,6 +555,18 @@ FORMATS: dict[str, Format] = {
     "positions": Format(
         _put("a.txt", b"# t x y z\n0.5 1 2 3\n0.6, 1, 2, 4\n0.7 1 2 5\n"),
         *("a.txt", "text", _positions, ("read_positions",)),
+    ),
+    "lengths": Format(
+        _put("a.txt", b"# n\nL 1.5 a one.jpg 1 2\nL 1.5 b one.jpg 3 4\nL 1.5 a b/c d.jpg 5 6\n"),
+        *("a.txt", "text", _lengths, ("read_lengths",)),
+    ),
+    "places": Format(
+        _put("a.txt", b"# n\none.jpg 1 2 3\ntwo.jpg 4 5 6\nd e.jpg 7 8 9\n"),
+        *("a.txt", "text", _places, ("read_places",)),
+    ),
+    "odometry": Format(
+        _put("a.txt", b"# s m\n0.5 1\n0.6 1.5\n0.7 2.25\n"),
+        *("a.txt", "text", _odometry, ("read_odometry",)),
     ),
     "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
     "slam-state": Format(_put_slam_state, STATE, "binary", _slam_state, ("read_state",)),

@@ -34,6 +34,7 @@ RESULTS = {
         "TrajectoryEvaluation",
         "TrajectoryScore",
         "RefinedPose",
+        "ObjectFit",
         "ScaleFit",
         "Rendering",
         "Snapshot",

@@ -27,7 +27,7 @@ def test_pictures_without_a_place_are_counted(content: ReportContent) -> None:
 
 
 def test_scale(content: ReportContent) -> None:
-    assert "Unknown scale: pictures alone cannot tell." in text_of(content)
+    assert "Up to scale: pictures alone cannot tell lengths." in text_of(content)
     assert "Scale: metres from GPS." in text_of(replace(content, scale_note="metres from GPS"))
 
 
@@ -52,4 +52,4 @@ def test_low_parallax_pairs(content: ReportContent) -> None:
 def test_no_model(empty_content: ReportContent) -> None:
     text = text_of(empty_content)
     assert "There is no model" in text
-    assert "Unknown scale" not in text
+    assert "p to scale" not in text

@@ -9,11 +9,12 @@ import pytest
 from tests.slam.slam_rides import CAMERA, MONO, RGBD, followed, ride
 
 from epipole import CameraOptions
+from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io import read_positions, read_trajectory
 from epipole.io.trajectories import PositionLog
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam.anchors import anchor_to_positions
+from epipole.pipelines.slam.anchors import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 
 SIGMA = 0.01
@@ -26,6 +27,16 @@ def finished():
     return system
 
 
+def anchored(system, log, sigma, folder):
+    """The map with measured places that stand in a file; the fit of the places."""
+    rows = np.column_stack([log.timestamp_s, log.positions])
+    np.savetxt(folder / "places.txt", rows, "%.12g")
+    options = AnchorOptions(positions=folder / "places.txt", positions_sigma_m=sigma)
+    names = [f"{k.number:03d}.png" for k in system.maps[0].keyframes]
+    found = anchor_map(system, options, names, {})
+    return found.places.fit
+
+
 def log_of(rng, every=2, shift_s=0.0):
     """The true places of some frames, with noise, by the frames' clock."""
     places = ride().truth().translation[::every]
@@ -33,11 +44,11 @@ def log_of(rng, every=2, shift_s=0.0):
     return PositionLog(times, places + SIGMA * rng.standard_normal(places.shape))
 
 
-def test_the_true_scale_lies_within_what_is_stated(finished, rng):
+def test_the_true_scale_lies_within_what_is_stated(finished, rng, tmp_path):
     within, worst = 0, 0.0
     for _ in range(12):
         system = copy.deepcopy(finished)
-        fit = anchor_to_positions(system, log_of(rng), SIGMA)
+        fit = anchored(system, log_of(rng), SIGMA, tmp_path)
         found = absolute_error(system.trajectory().world_from_body, ride().truth(), "similarity")
         off = abs(np.log(float(found.truth_from_estimate.scale)))
         within += off < 2.0 * fit.sigma / float(fit.world_from_model.scale)
@@ -45,25 +56,25 @@ def test_the_true_scale_lies_within_what_is_stated(finished, rng):
     assert within >= 10 and worst < 0.05
 
 
-def test_places_between_frames_are_compared_with_the_path_between_them(finished, rng):
+def test_places_between_frames_are_compared_with_the_path_between_them(finished, rng, tmp_path):
     system = copy.deepcopy(finished)
     with_shift = log_of(rng, shift_s=0.05)
     there = ride().truth().translation
     exact = PositionLog(with_shift.timestamp_s[:-1], 0.5 * (there[:-1:2] + there[1::2])[:14])
-    fit = anchor_to_positions(system, exact, SIGMA)
+    fit = anchored(system, exact, SIGMA, tmp_path)
     assert fit.kept_mask.all() and fit.residual_m < 0.02
 
 
-def test_what_tells_no_scale_is_refused(finished, rng):
+def test_what_tells_no_scale_is_refused(finished, rng, tmp_path):
     still = PositionLog(0.1 * np.arange(30), 1.0 * rng.standard_normal((30, 3)))
     with pytest.raises(DegenerateGeometryError):
-        anchor_to_positions(copy.deepcopy(finished), still, 1.0)
+        anchored(copy.deepcopy(finished), still, 1.0, tmp_path)
     later = log_of(rng, shift_s=100.0)
     with pytest.raises(DegenerateGeometryError, match="0 places"):
-        anchor_to_positions(copy.deepcopy(finished), later, SIGMA)
+        anchored(copy.deepcopy(finished), later, SIGMA, tmp_path)
     metric, _ = followed(ride().frames("rgbd")[:6], RGBD)
     with pytest.raises(ConfigError, match="one camera"):
-        anchor_to_positions(metric, log_of(rng), SIGMA)
+        anchored(metric, log_of(rng), SIGMA, tmp_path)
 
 
 @pytest.fixture(scope="module")

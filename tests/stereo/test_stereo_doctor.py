@@ -6,13 +6,14 @@ import pytest
 
 from epipole import api
 from epipole.cameras import Camera, CameraModel
+from epipole.config import BoardConfig
 from epipole.errors import ShapeError
+from epipole.features.boards import find_board
 from epipole.geometry import Rigid3
 from epipole.io.calibration_files import read_stereo_rig
 from epipole.io.photographs import read_grey, read_rgb
-from epipole.pipelines.calibration.board import find_board
 from epipole.pipelines.calibration.calibrate import calibrate_views
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import TYPICAL_SIGMA_PX, Cause, examine
 from epipole.pipelines.stereo.pair import measure_pair

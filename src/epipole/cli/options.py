@@ -104,9 +104,10 @@ def signature_of(command: str, function: Callable[..., Any]) -> Signature:
 def _options_of(config: Any, prefix: str, *, is_flat: bool) -> Iterator[Option]:
     hints = get_type_hints(config, include_extras=True)
     for field in fields(config):
-        kind, _ = _without_marks(hints[field.name])
+        kind, marks = _without_marks(hints[field.name])
         if is_dataclass(kind):
-            below = prefix if is_flat else f"{prefix}{_dashed(field.name)}."
+            is_nameless = any(getattr(mark, "name", None) == "" for mark in marks)
+            below = prefix if is_flat or is_nameless else f"{prefix}{_dashed(field.name)}."
             yield from _options_of(kind, below, is_flat=is_flat)
         else:
             yield _option(

@@ -4,7 +4,15 @@ from epipole.mapping.adjustment import Freedom as Freedom
 from epipole.mapping.adjustment import PositionPriors as PositionPriors
 from epipole.mapping.adjustment import adjust_all as adjust_all
 from epipole.mapping.adjustment import adjust_around as adjust_around
+from epipole.mapping.anchor_views import AnchorViews as AnchorViews
+from epipole.mapping.anchor_views import place_covariance as place_covariance
+from epipole.mapping.anchor_views import views_of_model as views_of_model
+from epipole.mapping.anchoring import Anchoring as Anchoring
+from epipole.mapping.anchoring import after_adjustment as after_adjustment
+from epipole.mapping.anchoring import anchor_model as anchor_model
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
+from epipole.mapping.known_objects import ObjectFit as ObjectFit
+from epipole.mapping.known_objects import fit_scale_to_object as fit_scale_to_object
 from epipole.mapping.match_components import MatchComponents as MatchComponents
 from epipole.mapping.match_components import connect_matches as connect_matches
 from epipole.mapping.metric_scale import ScaleFit as ScaleFit
@@ -18,3 +26,7 @@ from epipole.mapping.readjustment import adjust_reconstruction as adjust_reconst
 from epipole.mapping.readjustment import bundle_problem_of as bundle_problem_of
 from epipole.mapping.resection import refine_resection as refine_resection
 from epipole.mapping.resection import resect_image as resect_image
+from epipole.mapping.scale_agreement import MetricScale as MetricScale
+from epipole.mapping.scale_agreement import ScaleEstimate as ScaleEstimate
+from epipole.mapping.scale_agreement import agreed_scale as agreed_scale
+from epipole.mapping.travelled_scale import fit_scale_to_distances as fit_scale_to_distances

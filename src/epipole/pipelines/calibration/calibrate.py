@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float64
 from epipole.cameras import MAX_PARAMS, Camera, camera_model_named
 from epipole.config import options_of
 from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.features.boards import BoardView, corners_on_board
 from epipole.geometry import Rigid3
-from epipole.pipelines.calibration.board import BoardView, corners_on_board
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.observations import Corners, RigState, adjust
 from epipole.pipelines.calibration.start import place_view, start_camera, start_rig

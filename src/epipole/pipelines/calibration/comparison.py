@@ -11,9 +11,9 @@ from scipy.special import chdtri
 
 from epipole.cameras import MAX_PARAMS, Camera
 from epipole.errors import EpipoleError
+from epipole.features.boards import BoardView
 from epipole.geometry import Rigid3
 from epipole.geometry.rotation3 import Rotation3, skew
-from epipole.pipelines.calibration.board import BoardView
 from epipole.pipelines.calibration.calibrate import Calibration, calibrate_views
 from epipole.pipelines.calibration.coverage import covered_pixels
 from epipole.pipelines.calibration.observations import Corners, RigState, adjust

@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float64, Int64
 
 from epipole.cameras import Camera
 from epipole.errors import ShapeError
+from epipole.features.boards import BoardView
 from epipole.geometry import Rigid3
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, Loss, adjust_bundle
 from epipole.optim.bundle_problem import NUM_PARAMS, free_params_mask
-from epipole.pipelines.calibration.board import BoardView
 
 
 @dataclass(frozen=True, slots=True, eq=False)

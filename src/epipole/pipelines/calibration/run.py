@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
-from epipole.config import options_of
+from epipole.config import BoardConfig, options_of
 from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.features.boards import BoardView, find_board, whole_chessboard
 from epipole.io.photographs import list_photographs, read_grey
 from epipole.io.stereo_folders import pair_folders, pair_within
-from epipole.pipelines.calibration.board import BoardView, find_board, whole_chessboard
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check
-from epipole.pipelines.calibration.config import BoardConfig, CalibrationConfig
+from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun, write_results
 from epipole.pipelines.calibration.page import render_page
 from epipole.pipelines.calibration.verdict import assess

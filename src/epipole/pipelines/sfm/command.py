@@ -58,10 +58,9 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
     error_px = summary["mean_reprojection_error_px"]
     table.add_row("reprojection error", "unknown" if error_px is None else f"{error_px:.2f} px")
-    scale = "unknown: pictures alone cannot tell"
-    if summary["is_metric"]:
-        scale = f"metres, from GPS ({summary['median_gps_residual_m']:.1f} m from the fixes, median)"
-    table.add_row("scale", scale)
+    table.add_row("scale", summary["scale"])
+    if summary["median_gps_residual_m"] is not None:
+        table.add_row("GPS", f"{summary['median_gps_residual_m']:.1f} m from the fixes (median)")
     times = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in result.timings_s.items())
     earlier = ", with those of earlier runs" if sum(result.timings_s.values()) > summary["seconds"] else ""
     table.add_row("time", f"{summary['seconds']:.1f} s (stages{earlier}: {times})")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from epipole._declared import check_fields
-from epipole.config import FeatureConfig, MatchConfig, RansacConfig
+from epipole.config import AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
 MAX_SEED = 2**32 - 1
@@ -159,6 +161,8 @@ class ReconstructConfig:
     pairing: PairingConfig = field(default_factory=PairingConfig)
     verification: RansacConfig = field(default_factory=lambda: RansacConfig(min_inlier_ratio=0.3))
     mapper: MapperConfig = field(default_factory=MapperConfig)
+    anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
+    """What is known besides the pictures and fixes the scale."""
 
     def __post_init__(self) -> None:
         """Check what can be checked without looking at the pictures.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epipole.io.exif import gps_to_enu
-from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
+from epipole.mapping import MetricScale, ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps_evidence import gps_evidence
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
@@ -33,6 +33,8 @@ class Mapped:
     """Of each model: distance of each image from its GPS fix; None where the model is not in metres."""
     agreements: tuple[float, ...]
     """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
+    scale: MetricScale | None = None
+    """What made the largest model metric; None where it is up to scale."""
 
     def num_placed(self) -> int:
         """Images that have a place in any model."""

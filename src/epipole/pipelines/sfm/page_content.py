@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from epipole._jit import compile_seconds
+from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.notes import focal_source, pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
@@ -57,7 +58,7 @@ class ReportContent:
     """Image name to a small JPEG."""
     inliers: Mapping[str, Float[np.ndarray, "k 2"]] = field(default_factory=dict)
     """Image name to positions of features that see a point, as fractions of width and height."""
-    scale_note: str = "unknown scale: pictures alone cannot tell"
+    scale_note: str = UP_TO_SCALE
     is_metric: bool = False
     """World coordinates are metres."""
     truth_errors: Mapping[str, str] = field(default_factory=dict)
@@ -66,7 +67,7 @@ class ReportContent:
     @property
     def unit(self) -> str:
         """The unit of world coordinates."""
-        return "m" if self.is_metric else "model units"
+        return "m" if self.is_metric else "model units, up to scale"
 
 
 def page_content(
@@ -101,10 +102,10 @@ def page_content(
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
         inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
     rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
-    residuals = solution.mapped.gps_residuals_m[0]
-    scale_note = "unknown scale: pictures alone cannot tell"
+    residuals, scale = solution.mapped.gps_residuals_m[0], solution.mapped.scale
+    scale_note = UP_TO_SCALE if scale is None else scale.in_words()
     if residuals is not None:
-        scale_note = f"metres from GPS (median distance of the cameras from their fixes {np.nanmedian(residuals):.2f} m)"
+        scale_note += f"; median distance of the cameras from their GPS fixes {np.nanmedian(residuals):.2f} m"
     return ReportContent(
         title=title_of(run.job.inputs[0]),
         reconstruction=model,
@@ -119,7 +120,7 @@ def page_content(
         thumbnails=thumbnails,
         inliers=inliers,
         scale_note=scale_note,
-        is_metric=residuals is not None,
+        is_metric=scale is not None,
     )
 
 

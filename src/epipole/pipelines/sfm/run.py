@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_lenses, warnings_of
@@ -87,6 +88,11 @@ def reconstruct(
     )
     with open_run(job, out) as run:
         solution = solve(source, run, config)
+        if solution.mapped.models:
+            with run.stage("anchor"):
+                mapped, notes = with_scale(solution, config)
+            solution = replace(solution, mapped=mapped)
+            run.warnings += notes
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
@@ -112,8 +118,9 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
     if config.masks is not None and not config.masks.is_dir():
         what = "is a file" if config.masks.exists() else "does not exist"
         raise ConfigError(f"masks must be a folder of masks: {config.masks} {what}")
-    for name in ("calibration", "pairs", "database"):
-        path = getattr(config, name)
+    named = {name: getattr(config, name) for name in ("calibration", "pairs", "database")}
+    named |= {name: getattr(config.anchors, name) for name in ("positions", "lengths", "odometry")}
+    for name, path in named.items():
         if path is not None and not path.exists():
             raise FileFormatError(path, f"no such file ({name})")
 
@@ -136,7 +143,7 @@ def _summary(
     timings_s: dict[str, float],
 ) -> dict[str, Any]:
     models, images = solution.mapped.models, solution.images
-    model, residuals = models[0], solution.mapped.gps_residuals_m[0]
+    model, residuals, scale = models[0], solution.mapped.gps_residuals_m[0], solution.mapped.scale
     return {
         "num_images": len(images) + len(images.left_out),
         "num_registered": int(model.is_registered().sum()),
@@ -154,7 +161,9 @@ def _summary(
         "num_points": len(model.points),
         "num_observations": len(model.tracks.image),
         "mean_reprojection_error_px": _finite(model.mean_reprojection_error_px()),
-        "is_metric": residuals is not None,
+        "is_metric": scale is not None,
+        "scale": UP_TO_SCALE if scale is None else scale.in_words(),
+        "anchor": None if scale is None else scale.summary(),
         "median_gps_residual_m": None if residuals is None else float(np.nanmedian(residuals)),
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
         "focal_sources": [focal_source(solution, c) for c in range(len(images.focal_sources))],

@@ -1,67 +1,87 @@
-"""What makes the map of one camera metric: places of the camera that were measured besides (GPS, a motion capture, a log)."""
+"""What makes the map of one camera metric: places, lengths, objects or odometry that are known besides its pictures."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
+from epipole.config import AnchorOptions
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.io.trajectories import PositionLog
-from epipole.mapping import ScaleFit, fit_scale_to_positions
+from epipole.mapping import Anchoring, AnchorViews, after_adjustment, anchor_model, views_of_model
+from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.local_mapping import LocalMapper
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 
-LONGEST_GAP = 3.0
-"""Between measured places, in median gaps: in a longer one nothing is interpolated."""
 
-
-def anchor_to_positions(system: Slam, log: PositionLog, sigma: float) -> ScaleFit:
-    """Tell the first map in the log's world and metres, and adjust it with the measured places as factors.
+def anchor_map(
+    system: Slam, options: AnchorOptions, keyframe_names: Sequence[str], frame_names: Mapping[float, str]
+) -> Anchoring:
+    """Tell the first map in metres; with measured places in their world, and adjusted with them as factors.
 
     Args:
         system: of one camera, after its last frame.
-        log: instants and places, by the frames' clock.
-        sigma: standard deviation of a measured coordinate, in metres.
-
-    Returns:
-        the fit before the adjustment: the metres of the map's unit, and their deviation.
+        options: what is known.
+        keyframe_names: of the first map's keyframes.
+        frame_names: of every frame, by its time.
 
     Raises:
         ConfigError: the camera is metric already.
-        DegenerateGeometryError: the places do not tell a scale; the message says why.
+        DegenerateGeometryError: nothing that is known tells the scale; the message says why.
+        FileFormatError: a file that was named cannot be read.
     """
-    if system.camera.tells_depth:
-        raise ConfigError(
-            "positions tell the scale of one camera; this one has its metres from its own depth"
-        )
-    path, model = system.trajectory(), system.maps[0]
-    there = _places_at(path.timestamp_s, path.world_from_body.translation, log.timestamp_s)
-    known = np.isfinite(there[:, 0])
-    fit = fit_scale_to_positions(there[known], log.positions[known], sigma)
-    model.move(fit.world_from_model)
-    mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config)
+    check_one_camera(options, tells_depth=system.camera.tells_depth)
+    model, lens = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
-    times = np.array([k.timestamp_s for k in keyframes])
-    measured = _places_at(log.timestamp_s, log.positions, times)
-    mapper.positions = {k.number: p for k, p in zip(keyframes, measured) if np.isfinite(p[0])}
-    # Interpolated places repeat each other: together they weigh no more than the measured ones.
-    repeats = len(mapper.positions) / max(int(known.sum()), 1)
-    mapper.position_sigma = max(sigma, fit.residual_m / np.sqrt(3.0)) * float(np.sqrt(max(repeats, 1.0)))
-    mapper.adjust_all()
-    return fit
+    views = views_of_model(reconstruction_of(model, lens, keyframe_names), lambda row: keyframes[row].grey)
+    path = _views_of_path(system.trajectory(), frame_names, views)
+    anchoring = anchor_model(views, options, path)
+    model.move(anchoring.world_from_model)
+    places = anchoring.places
+    if places is not None:
+        before = _centers(system)
+        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config)
+        known = np.isfinite(places.positions[:, 0])
+        mapper.positions = {
+            k.number: p for k, p, is_known in zip(keyframes, places.positions, known) if is_known
+        }
+        mapper.position_sigma = places.sigma
+        mapper.adjust_all()
+        model.move(after_adjustment(anchoring, before, _centers(system)))
+    return anchoring
 
 
-def _places_at(known_s: np.ndarray, places: np.ndarray, wanted_s: np.ndarray) -> np.ndarray:
-    """(n, 3) places at instants, interpolated; NaN outside, and in gaps."""
-    out = np.stack([np.interp(wanted_s, known_s, places[:, axis]) for axis in range(3)], axis=1)
-    after = np.searchsorted(known_s, wanted_s)
-    inside = (after > 0) & (after < len(known_s))
-    inside |= np.isin(wanted_s, known_s)
-    gap = np.diff(known_s)
-    longest = LONGEST_GAP * float(np.median(gap)) if len(gap) else 0.0
-    width = known_s[np.minimum(after, len(known_s) - 1)] - known_s[np.maximum(after - 1, 0)]
-    return np.where((inside & (width <= longest))[:, None], out, np.nan)
+def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
+    """Check that there is a scale to be told.
+
+    Raises:
+        ConfigError: the camera has its metres from its own depth.
+    """
+    if tells_depth and not options.is_empty:
+        raise ConfigError(
+            "positions, lengths, tags, boards and odometry tell the scale of one camera; this one has its metres from its "
+            "own depth"
+        )
+
+
+def _centers(system: Slam) -> np.ndarray:
+    return np.stack([k.cam_from_world.centers() for k in system.maps[0].keyframes if len(k.point)])
+
+
+def _views_of_path(path: Trajectory, names: Mapping[float, str], keyframes: AnchorViews) -> AnchorViews:
+    """Every frame that has a place."""
+    count, known = len(path), path.covariance
+    covariance = np.zeros((count, 6, 6)) if known is None else known
+    return AnchorViews(
+        tuple(names.get(float(t), "") for t in path.timestamp_s),
+        path.timestamp_s,
+        path.world_from_body.inverse(),
+        keyframes.cameras[:1] * count,
+        lambda row: covariance[row],
+        lambda _: None,
+    )
 
 
 def moved_path(path: Trajectory, world_from_model: Similarity3) -> Trajectory:
@@ -73,22 +93,3 @@ def moved_path(path: Trajectory, world_from_model: Similarity3) -> Trajectory:
         unit = np.array([scale, scale, scale, 1.0, 1.0, 1.0])
         covariance = covariance * unit[:, None] * unit
     return Trajectory(path.timestamp_s, moved, covariance)
-
-
-def scale_words(fit: ScaleFit) -> str:
-    """What fixed the scale, and how well it is known."""
-    share = 100.0 * fit.sigma / float(fit.world_from_model.scale)
-    return (
-        f"metres, from {int(fit.kept_mask.sum())} measured places of {len(fit.kept_mask)}: "
-        f"known to {share:.2g} % (1 sigma)"
-    )
-
-
-def scale_summary(fit: ScaleFit) -> dict[str, float]:
-    """The same as numbers."""
-    scale = float(fit.world_from_model.scale)
-    return {
-        "relative_sigma": fit.sigma / scale,
-        "residual_m": fit.residual_m,
-        "num_kept": int(fit.kept_mask.sum()),
-    }

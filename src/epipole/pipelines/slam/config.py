@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from epipole._declared import check_fields
-from epipole.config import FlowConfig
+from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ class SlamConfig:
     """Points further from where the map says are mistakes."""
     min_tracked: int = 15
     """With fewer points of the map in agreement the camera is lost."""
-    keyframe_share: float = 0.7
+    keyframe_share: float = 0.65
     """A new keyframe is made when fewer of the last one's points are in sight."""
     keyframe_motion: float = 0.04
     """... or when points have moved by more than this share of the picture's width."""
@@ -158,11 +160,8 @@ class JobOptions:
     """Go on in the map of an earlier run (its output folder): the camera is found in it, and the map grows."""
     localize: bool = False
     """Only find the camera in that map, which stays as it is."""
-    positions: Path | None = None
-    """One camera: measured places by the frames' clock (`seconds x y z` a line; GPS in local metres, or any log), which fix
-    the scale and the world."""
-    positions_sigma_m: float = 1.0
-    """Standard deviation of a coordinate of these."""
+    anchors: Annotated[AnchorOptions, tyro.conf.arg(name="")] = field(default_factory=AnchorOptions)
+    """One camera: what fixes its scale."""
     truth: Path | None = None
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
@@ -188,8 +187,6 @@ class JobOptions:
             raise ConfigError(f"start must be at least 0 and stride 1, got {self.start} and {self.stride}")
         if self.fps is not None and not 0 < self.fps < 1e6:
             raise ConfigError(f"fps must be positive, got {self.fps}")
-        if not 0 < self.positions_sigma_m < math.inf:
-            raise ConfigError(f"positions_sigma_m must be positive and finite, got {self.positions_sigma_m}")
         if self.localize and self.map is None:
             raise ConfigError("localize finds the camera in a map: give it, too (map)")
         if self.port is not None and not self.view:

@@ -13,6 +13,7 @@ from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjus
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
@@ -24,6 +25,8 @@ LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
 GROWTH = 1.25
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
+COVARIANCES_EVERY = 3
+"""Keyframes: those between carry the covariance of the one before on, and their own part."""
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
 SHIFT_SIGMA_PX = 0.3
@@ -227,13 +230,17 @@ class LocalMapper:
             loss=Loss.CAUCHY,
             loss_scale_px=loss_scale_px,
             max_iterations=max_iterations,
-            function_tolerance=1e-4,
+            function_tolerance=1e-3,
         )
-        result = adjust_bundle(self._held(problem), config)
+        held = self._held(problem)
+        result = adjust_bundle(held, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         for place, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+        is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
+        if self.focal_baseline is not None and is_due:
+            learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
         self.map.xyz[rows] = result.points_in_world
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from epipole.geometry import Rigid3
+from epipole.pipelines.slam.map_covariance import with_map_error
 from epipole.pipelines.slam.slam_map import Keyframe
 from epipole.scene import Trajectory
 
@@ -97,11 +98,10 @@ class Path:
             np.stack([k.cam_from_world.rotation for k in keys])[which],
             np.stack([k.cam_from_world.translation for k in keys])[which],
         )
-        return Trajectory(
-            rows[:, _TIME].copy(),
-            (relative @ there).inverse(),
-            _scaled(rows[:, _COVARIANCE].reshape(-1, 6, 6), grown),
-        )
+        own = _scaled(rows[:, _COVARIANCE].reshape(-1, 6, 6), grown)
+        of_map = np.stack([k.covariance for k in keys])[which]
+        places = (relative @ there).inverse()
+        return Trajectory(rows[:, _TIME].copy(), places, with_map_error(of_map, relative, own))
 
     def _number_of(self, keyframe: Keyframe) -> int:
         """In the list, where it is put if it is not there; the newest are asked for most."""

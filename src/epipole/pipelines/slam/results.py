@@ -15,8 +15,8 @@ from epipole.io.colmap import write_colmap_model
 from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.ply import write_scene_ply
 from epipole.io.trajectories import write_trajectory
-from epipole.mapping import ScaleFit
-from epipole.pipelines.slam.anchors import moved_path, scale_summary, scale_words
+from epipole.mapping import Anchoring
+from epipole.pipelines.slam.anchors import moved_path
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.doubts import doubts, moving_things, poor_pictures
 from epipole.pipelines.slam.export import reconstruction_of
@@ -65,8 +65,8 @@ class Given(NamedTuple):
     """The true path, to compare with."""
     map: KnownMap | None
     """The map that the run went on in."""
-    scale: ScaleFit | None
-    """What measured places told."""
+    anchoring: Anchoring | None
+    """What made the map metric."""
 
 
 def write_results(
@@ -96,23 +96,20 @@ def write_results(
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
     tied = tracked[system.first_frame - system.first_number :]
-    came = _causal(tied) if given.scale is None else moved_path(_causal(tied), given.scale.world_from_model)
+    came, anchoring = _causal(tied), given.anchoring
+    if anchoring is not None:
+        came = moved_path(came, anchoring.world_from_model)
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
-    names = _names(system, [record.name for record in records if record.answer], given.map)
+    names = keyframe_names(system, records, given.map)
     model = reconstruction_of(system.maps[0], source.camera.camera, names)
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
-    summary, known = (
-        {**_summary(source, system, records, model, run.warnings), **feed.summary(), **checked},
-        None,
-    )
-    if given.scale is not None:
-        summary |= {
-            "scale": scale_words(given.scale),
-            "is_metric": True,
-            "anchor": scale_summary(given.scale),
-        }
+    facts = _summary(source, system, records, model, run.warnings)
+    summary, known = {**facts, **feed.summary(), **checked}, None
+    if anchoring is not None:
+        scale = anchoring.scale
+        summary |= {"scale": scale.in_words(), "is_metric": True, "anchor": scale.summary()}
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
@@ -143,8 +140,9 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         }
 
 
-def _names(system: Slam, names: Sequence[str], known: KnownMap | None) -> list[str]:
+def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
     """Names of the pictures of the first map's keyframes."""
+    names = [record.name for record in records if record.answer]
     named = {} if known is None else dict(zip(known.numbers, known.names))
     named |= {system.first_number + n: name for n, name in enumerate(names)}
     return [named[keyframe.number] for keyframe in system.maps[0].keyframes]

@@ -11,20 +11,19 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.config import options_of
+from epipole.config import AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
-from epipole.io.trajectories import PositionLog, read_positions
 from epipole.io.video import is_video
-from epipole.mapping import ScaleFit
-from epipole.pipelines.slam.anchors import anchor_to_positions
+from epipole.mapping import Anchoring
+from epipole.pipelines.slam.anchors import anchor_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
-from epipole.pipelines.slam.map_files import read_slam_map
+from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -32,7 +31,7 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import Given, SlamResult, write_results
+from epipole.pipelines.slam.results import Given, SlamResult, keyframe_names, write_results
 from epipole.pipelines.slam.resuming import (
     CHECKPOINT,
     TakenUp,
@@ -67,7 +66,7 @@ def slam(
         job: what is taken of the source (sensor, topics, max_frames), how (realtime), and what is written.
         camera: intrinsics, for sources that do not tell them.
         progress: called after each frame.
-        **options: single options of `job` or the config by name, which override them.
+        **options: single options of `job`, its anchors or the config by name, which override them.
 
     Raises:
         NoModelError: no frame got a place; the message says why.
@@ -83,11 +82,7 @@ def slam(
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
-    places = None if wanted.positions is None else read_positions(wanted.positions)
-    if places is not None and frames.camera.tells_depth:
-        raise ConfigError(
-            "positions tell the scale of one camera; this source has its metres from its own depth"
-        )
+    check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
@@ -100,9 +95,9 @@ def slam(
             records = _track(feed, system, progress, live, stands)
         with run.stage("adjust"):
             _finish(feed, system, run, is_stopped)
-            fit = None if places is None else _anchored(system, places, wanted, run)
+            anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
-            return write_results(feed, system, records, Given(truth, known, fit), wanted, run)
+            return write_results(feed, system, records, Given(truth, known, anchoring), wanted, run)
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
@@ -119,19 +114,27 @@ def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) 
     run.report("adjust", total, total)
 
 
-def _anchored(system: Slam, places: PositionLog, job: JobOptions, run: Run) -> ScaleFit | None:
-    """The scale by measured places; None, and a warning that says why, where they do not tell it."""
+def _anchored(
+    system: Slam, options: AnchorOptions, records: list[FrameRecord], known: KnownMap | None, run: Run
+) -> Anchoring | None:
+    """What made the map metric; None, and a warning that says why, where what is known does not tell the scale."""
+    if options.is_empty or not len(system.trajectory()):
+        return None
+    frames = {r.answer.timestamp_s: r.name for r in records if r.answer is not None}
     try:
-        return anchor_to_positions(system, places, job.positions_sigma_m)
+        found = anchor_map(system, options, keyframe_names(system, records, known), frames)
     except DegenerateGeometryError as error:
         run.warnings.append(f"the path stays up to scale: {error}")
         return None
+    run.warnings += found.scale.warnings()
+    return found
 
 
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
-    own = {field.name: options.pop(field.name) for field in fields(JobOptions) if field.name in options}
-    for name in ("truth", "map", "positions", "masks"):
+    names = [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
+    own = {name: options.pop(name) for name in names if name in options}
+    for name in ("truth", "map", "positions", "lengths", "odometry", "masks"):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
     return options_of(JobOptions, job, own)

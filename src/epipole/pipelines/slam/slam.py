@@ -15,6 +15,7 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, Track
 from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
 from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
+from epipole.pipelines.slam.map_covariance import carry_covariance, own_covariance, with_map_error
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.picture_watch import Look, PictureWatch
@@ -151,10 +152,9 @@ class Slam:
             self.map.keyframes[:] = [k for k in self.map.keyframes if k.number < first.number]
         self.map.absorb(begun.model)
         self.tracker.tracks, self._cam_from_world = begun.tracks, place
-        points = begun.tracks.point
         self._insert_keyframe(frame)
         self.mapper.adjust_all()
-        depth = first.cam_from_world.apply(self.map.xyz[points])[:, 2]
+        depth = first.cam_from_world.apply(self.map.xyz[begun.tracks.point])[:, 2]
         self.map.rescale(1.0 / float(np.nanmedian(depth)))
         newest = self.map.keyframes[-1]
         start = self._cam_from_world = newest.cam_from_world
@@ -170,10 +170,8 @@ class Slam:
                 describe_keyframe(keyframe)
         self._set_followed()
         num_points = int(self.map.has_place(self.tracker.tracks.point).sum())
-        is_first = self.map is self.maps[0]
-        return self._answer(
-            frame, covariance, num_points, "the map begins" if is_first else "a new map begins"
-        )
+        reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
+        return self._told_from(self._newest(), frame, covariance, num_points, reason)
 
     def _set_followed(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
@@ -204,14 +202,16 @@ class Slam:
             self.tracker.look_again(frame, self._cam_from_world)
             reason = ""
         elif reason:
-            self._extend(frame)
+            self._extend(frame, refined)
             reason = self._close_loop() or reason
             forget(self.map, self._path, self.tracker.tracks)
-        return self._answer(frame, refined.covariance(), num_agreeing, reason)
+        own = own_covariance(refined, self.map, self._num_frames)
+        return self._told_from(self._newest(), frame, own, num_agreeing, reason)
 
-    def _extend(self, frame: Frame) -> None:
+    def _extend(self, frame: Frame, refined: RefinedPose) -> None:
         """A keyframe, new points, and the adjustment of the keyframes around it."""
         self._insert_keyframe(frame)
+        carry_covariance(self.map, refined)
         newest = len(self.map.keyframes) - 1
         self.mapper.triangulate(newest)
         self.mapper.adjust_around(newest)
@@ -219,9 +219,8 @@ class Slam:
         self._cam_from_world = self.map.keyframes[-1].cam_from_world
 
     def _insert_keyframe(self, frame: Frame) -> None:
-        tracker, place = self.tracker, self._cam_from_world
-        made = self.mapper.insert_keyframe(frame, self._num_frames, place, tracker.tracks, tracker.stale)
-        tracker.start_from(made)
+        known = self._cam_from_world, self.tracker.tracks, self.tracker.stale
+        self.tracker.start_from(self.mapper.insert_keyframe(frame, self._num_frames, *known))
 
     # A camera that is lost.
 
@@ -335,8 +334,8 @@ class Slam:
             if number not in {k.number for k in self.map.keyframes}:
                 self.map.keyframes += turning.keyframes
             if first is frame:
-                known = np.zeros((6, 6))
-                return Turned(turning.keyframes[0], self._cam_from_world, known, 0, is_keyframe=False)
+                none = np.zeros((6, 6))
+                return Turned(turning.keyframes[0], self._cam_from_world, none, 0, is_keyframe=False)
         turned = self._turning.track(frame, self._num_frames)
         if turned is None:
             self._turning = None
@@ -361,9 +360,6 @@ class Slam:
 
     # Answers.
 
-    def _answer(self, frame: Frame, covariance: np.ndarray, num_points: int, reason: str) -> TrackedFrame:
-        return self._told_from(self._newest(), frame, covariance, num_points, reason)
-
     def _newest(self) -> Keyframe:
         """The last keyframe that is not one of a turn."""
         return next(k for k in reversed(self.map.keyframes) if len(k.point))
@@ -372,6 +368,8 @@ class Slam:
         self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
     ) -> TrackedFrame:
         self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
+        between = self._cam_from_world @ keyframe.cam_from_world.inverse()
+        covariance = with_map_error(keyframe.covariance, between, covariance)
         place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
@@ -399,5 +397,6 @@ class Slam:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        tracks = self.tracker.tracks if self.map.num_points else self._start.tracks
-        return snapshot_of(self.map, self.state, tracks)
+        return snapshot_of(
+            self.map, self.state, (self.tracker if self.map.num_points else self._start).tracks
+        )

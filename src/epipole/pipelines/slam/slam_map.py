@@ -31,6 +31,7 @@ class Keyframe:
         descriptors: (n, 128) of them, zeros where none was made.
         look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
         unit: by what lengths around it were multiplied since it was made.
+        covariance: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world; zero where it is not known.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Keyframe:
         self.descriptors = np.zeros((len(self.point), 128), np.uint8)
         self.look: np.ndarray | None = None
         self.unit = 1.0
+        self.covariance = np.zeros((6, 6))
 
     def keep(self, mask: np.ndarray) -> None:
         """Forget the other observations."""

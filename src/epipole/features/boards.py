@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-from epipole.pipelines.calibration.config import BoardConfig
+from epipole.config import BoardConfig
 
 _opencv: Any = cv2  # its stubs lack parts of aruco
 _LEAST_CORNERS = 6

@@ -1,0 +1,270 @@
+"""Whether a scale lies where it is said to lie. `python -m benchmarks.anchors`.
+
+Each trial is a ring of cameras around points, seen with noise, adjusted, and moved by a similarity that nobody is told: its
+places have the errors that an adjustment leaves. Then one thing is known besides, with noise of the stated size, and goes
+the way of the command line: files and pictures to one scale. The truth is the scale of the similarity that best moves the
+adjusted cameras onto the true ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from epipole.cameras import Camera
+from epipole.config import AnchorOptions
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rotation3, Similarity3, align_points
+from epipole.mapping import AnchorViews, Freedom, adjust_reconstruction, anchor_model, views_of_model
+from epipole.scene import Reconstruction
+from epipole.synthetic import SyntheticScene, render
+from epipole.synthetic.markers import chessboard_sheet, tag_sheet
+from epipole.synthetic.problems import bundle_problem
+
+VIEWS, POINTS, TRACK, NOISE_PX = 36, 400, 8, 0.5
+SMALL = (640, 480)
+RESULTS = REPOSITORY / "benchmarks" / "results" / "anchors.json"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model up to scale, the truth, and a folder for files."""
+
+    model: Reconstruction
+    truth: Reconstruction
+    metres: float
+    """Of the model's unit."""
+    rng: np.random.Generator
+    folder: Path
+
+    def views(self, picture: Callable[[int], np.ndarray | None] = lambda _: None) -> AnchorViews:
+        """The model's pictures."""
+        return views_of_model(self.model, picture)
+
+    def write(self, name: str, lines: list[str]) -> Path:
+        """A file of these lines."""
+        path = self.folder / name
+        path.write_text("\n".join(lines) + "\n")
+        return path
+
+    @property
+    def centers(self) -> np.ndarray:
+        """Where the cameras were."""
+        return self.truth.camera_centers_in_world()
+
+
+def trial_of(seed: int, folder: Path) -> Trial:
+    """An adjusted ring, moved."""
+    rng = np.random.default_rng([7, seed])
+    truth = bundle_problem(VIEWS, POINTS, TRACK, NOISE_PX, seed).truth
+    frames = replace(truth.frames, timestamp_s=np.arange(VIEWS) * 0.5)
+    truth = replace(truth, frames=frames)
+    model, _ = adjust_reconstruction(truth, freedom=Freedom(focal=False, distortion=False))
+    unit = float(np.exp(rng.uniform(-1.5, 1.5)))
+    turn = Rotation3.exp(rng.normal(size=3)).matrix
+    model = model.transformed(Similarity3(np.asarray(unit), turn, rng.normal(size=3)))
+    metres = float(align_points(model.camera_centers_in_world(), truth.camera_centers_in_world()).scale)
+    return Trial(model, truth, metres, rng, folder)
+
+
+def positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """Every third picture's place, 5 cm wrong, by name."""
+    rows = np.arange(0, VIEWS, 3)
+    places = trial.centers[rows] + 0.05 * trial.rng.normal(size=(len(rows), 3))
+    names = trial.truth.images.name
+    path = trial.write("p.txt", [f"{names[i]} {x} {y} {z}" for i, (x, y, z) in zip(rows, places)])
+    return trial.views(), AnchorOptions(positions=path, positions_sigma_m=0.05)
+
+
+def timed_positions(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """Places by time, with a tenth of them metres off."""
+    places = trial.centers + 0.05 * trial.rng.normal(size=(VIEWS, 3))
+    places[::10] += 3.0 * trial.rng.normal(size=places[::10].shape)
+    path = trial.write("p.txt", [f"{0.5 * n} {x} {y} {z}" for n, (x, y, z) in enumerate(places)])
+    return trial.views(), AnchorOptions(positions=path, positions_sigma_m=0.05)
+
+
+def lengths(trial: Trial, count: int = 1) -> tuple[AnchorViews, AnchorOptions]:
+    """Lengths in the scene, clicked in four pictures with an error of a pixel, and measured to 2 mm."""
+    camera, lines = trial.truth.cameras[0], []
+    cams = trial.truth.cams_from_world()
+    for n in range(count):
+        ends = trial.rng.uniform(-0.7, 0.7, size=(2, 3))
+        while np.linalg.norm(ends[0] - ends[1]) < 0.4:
+            ends = trial.rng.uniform(-0.7, 0.7, size=(2, 3))
+        length = float(np.linalg.norm(ends[0] - ends[1])) + 0.002 * trial.rng.normal()
+        for name, end in zip("ab", ends):
+            for i in trial.rng.choice(VIEWS, 4, replace=False):
+                x, y = camera.project(cams[i].apply(end[None]))[0] + trial.rng.normal(size=2)
+                lines.append(f"L{n} {length:.6f} {name} {trial.truth.images.name[i]} {x:.3f} {y:.3f}")
+    return trial.views(), AnchorOptions(lengths=trial.write("l.txt", lines))
+
+
+def four_lengths(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """The same of four, one of which is written down 20 % wrong."""
+    views, options = lengths(trial, 4)
+    assert options.lengths is not None
+    lines = options.lengths.read_text().splitlines()
+    wrong = [line.split() for line in lines if line.startswith("L2 ")]
+    kept = [line for line in lines if not line.startswith("L2 ")]
+    bad = [" ".join([w[0], f"{1.2 * float(w[1]):.6f}", *w[2:]]) for w in wrong]
+    return views, AnchorOptions(lengths=trial.write("l.txt", kept + bad))
+
+
+def _facing(trial: Trial) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Right, down and towards of a sheet that some of the cameras face, and these cameras' rows."""
+    angle = trial.rng.uniform(0, 2 * np.pi)
+    towards = np.array([np.cos(angle), np.sin(angle), 0.0])
+    right, down = np.array([-np.sin(angle), np.cos(angle), 0.0]), np.array([0.0, 0.0, -1.0])
+    tilt = Rotation3.exp(trial.rng.normal(size=3) * 0.2).matrix
+    seen = trial.centers @ towards / np.linalg.norm(trial.centers, axis=1)
+    rows = np.flatnonzero(seen > 0.6)
+    return tilt @ right, tilt @ down, tilt @ towards, rows
+
+
+def _drawn(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
+    """Views that see a scene in small pictures."""
+    scene = SyntheticScene.of(things, light=(0.3, 0.3, 0.9))
+    lens = trial.truth.cameras[0].scaled_to(*SMALL)
+    cams = trial.truth.cams_from_world()
+
+    def picture(row: int) -> np.ndarray | None:
+        if row not in rows:
+            return None
+        drawn = render(scene, lens, cams[row], noise_sigma=3.0, seed=int(trial.rng.integers(1 << 30)))
+        return cv2.cvtColor(drawn.rgb, cv2.COLOR_RGB2GRAY)
+
+    views = trial.views(picture)
+    lenses: tuple[Camera, ...] = (lens,) * len(views)
+    return replace(views, cameras=lenses)
+
+
+def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """Three AprilTags in rendered pictures, one printed 10 % too large; the sides are stated 0.3 % wrong."""
+    right, down, _, rows = _facing(trial)
+    side, things = 0.25, []
+    for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
+        center = tuple(float(v) for v in aside * right)
+        things += tag_sheet(7 + n, size, center, tuple(map(float, right)), tuple(map(float, down)))  # type: ignore[arg-type]
+    stated = side * (1.0 + 0.003 * trial.rng.normal())
+    return _drawn(trial, things, rows), AnchorOptions(tag_size_m=stated)
+
+
+def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """A chessboard in rendered pictures; the side of its squares is stated 0.3 % wrong."""
+    right, down, _, rows = _facing(trial)
+    axes = tuple(map(float, right)), tuple(map(float, down))
+    things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), *axes)  # type: ignore[arg-type]
+    stated = 0.1 * (1.0 + 0.003 * trial.rng.normal())
+    return _drawn(trial, things, rows), AnchorOptions(board="8x5", square_m=stated)
+
+
+def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """Distances travelled: wheels 0.5 % wrong as a whole, 2 % of scatter a step, slip in a tenth of the steps."""
+    fine = np.linspace(0, VIEWS - 1, 20 * VIEWS)
+    angles = 2 * np.pi * fine / VIEWS
+    radius = float(np.hypot(*trial.centers[0, :2]))
+    way = np.stack([radius * np.cos(angles), radius * np.sin(angles), 0.8 + 0.5 * np.sin(2 * angles)], axis=1)
+    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    steps *= (1.0 + 0.005 * trial.rng.normal()) * (1.0 + 0.02 * trial.rng.normal(size=len(steps)))
+    steps[40:110] *= 1.5
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    lines = [f"{0.5 * t:.6f} {d:.6f}" for t, d in zip(fine, travelled)]
+    return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
+
+
+def wheel_places(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """Places by odometry, which drift, as a trajectory; wheels 0.5 % wrong as a whole."""
+    steps = np.diff(trial.centers, axis=0) * (1.0 + 0.005 * trial.rng.normal())
+    steps *= 1.0 + 0.02 * trial.rng.normal(size=(len(steps), 1))
+    turns = Rotation3.exp(np.cumsum(0.02 * trial.rng.normal(size=(len(steps), 3)), axis=0))
+    places = np.concatenate([np.zeros((1, 3)), np.cumsum(turns.apply(steps[:, None])[:, 0], axis=0)])
+    lines = [f"{0.5 * n} {x} {y} {z} 0 0 0 1" for n, (x, y, z) in enumerate(places)]
+    return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
+
+
+ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
+    "places by name": positions,
+    "places by time, 1 in 10 wrong": timed_positions,
+    "one length": lengths,
+    "four lengths, one wrong": four_lengths,
+    "three tags, one too large": tags,
+    "chessboard": board,
+    "distances travelled, slip": wheels,
+    "places by odometry": wheel_places,
+}
+
+
+DRAWN = ("three tags, one too large", "chessboard")
+"""Anchors that are found in rendered pictures."""
+
+
+def measured(name: str, count: int) -> dict[str, Any]:
+    """Error and stated deviation of the scale over trials, and how many times nothing was found."""
+    errors, sigmas, refused, begin = [], [], [], time.perf_counter()
+    for seed in range(count):
+        with tempfile.TemporaryDirectory() as folder:
+            trial = trial_of(seed, Path(folder))
+            views, options = ANCHORS[name](trial)
+            try:
+                found = anchor_model(views, options).scale
+            except DegenerateGeometryError as error:
+                refused.append(str(error))
+                continue
+            errors.append(found.scale / trial.metres - 1.0)
+            sigmas.append(found.relative_sigma)
+    off, sigma = np.array(errors), np.array(sigmas)
+    return {
+        "trials": count,
+        "refused": refused,
+        "within 2 sigma %": 100.0 * float((np.abs(off) <= 2.0 * sigma).sum()) / count,
+        "within 2 %": 100.0 * float((np.abs(off) <= 0.02).sum()) / count,
+        "rms error %": 100.0 * float(np.sqrt((off**2).mean())) if len(off) else None,
+        "largest error %": 100.0 * float(np.abs(off).max()) if len(off) else None,
+        "median sigma %": 100.0 * float(np.median(sigma)) if len(off) else None,
+        "rms error / sigma": float(np.sqrt(((off / sigma) ** 2).mean())) if len(off) else None,
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def main() -> None:
+    """Run all anchors and print the table."""
+    parser = argparse.ArgumentParser(description="Scales by anchors against the truth.")
+    parser.add_argument("--anchor", nargs="+", choices=list(ANCHORS), default=list(ANCHORS))
+    parser.add_argument("--trials", type=int, default=200, help="a quarter of them where pictures are drawn")
+    arguments = parser.parse_args()
+    report: dict[str, Any] = {"machine": describe_machine(1), "anchors": {}}
+    table = Table(title="scale")
+    shown = (
+        "within 2 sigma %",
+        "within 2 %",
+        "rms error %",
+        "largest error %",
+        "median sigma %",
+        "rms error / sigma",
+    )
+    for column in ("anchor", "trials", *shown, "refused"):
+        table.add_column(column, justify="left" if column == "anchor" else "right")
+    for name in arguments.anchor:
+        row = report["anchors"][name] = measured(name, arguments.trials // (4 if name in DRAWN else 1))
+        values = ["" if row[key] is None else f"{row[key]:.3g}" for key in shown]
+        table.add_row(name, str(row["trials"]), *values, str(len(row["refused"])))
+    Console(width=150).print(table)
+    if arguments.anchor == list(ANCHORS) and arguments.trials >= 50:
+        RESULTS.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""The pictures of a model as anchors of its scale see them: names, times, places with their covariance, pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from epipole._declared import Declared, checked
+from epipole.cameras import Camera
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3
+from epipole.mapping.pose_refinement import refine_pose
+from epipole.scene import Reconstruction
+
+LEAST_POINTS = 6
+RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a plane vector of normal errors, in deviations of a coordinate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AnchorViews(Declared):
+    """Pictures with a place in one model; a row each."""
+
+    names: tuple[str, ...]
+    timestamp_s: Float64[np.ndarray, " n"]
+    """NaN where it is not known."""
+    cams_from_world: Rigid3
+    """Batch shape (n,)."""
+    cameras: tuple[Camera, ...]
+    covariance_of: Callable[[int], np.ndarray]
+    """Of a row: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world."""
+    picture_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
+    """Grey picture of a row, as the camera's pixels count; None where it cannot be had."""
+
+    def __post_init__(self) -> None:
+        """Check the rows.
+
+        Raises:
+            ShapeError: the columns are not of one length.
+        """
+        Declared.__post_init__(self)
+        n = len(self.names)
+        if {len(self.timestamp_s), len(self.cameras), len(self.cams_from_world.translation)} != {n}:
+            raise ShapeError(f"{n} names need as many times, cameras and places")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"AnchorViews({len(self)} pictures)"
+
+    def row_of(self, name: str) -> int | None:
+        """The row of a picture by its name, or by the last part of it where that is unique; None where there is none."""
+        if name in self.names:
+            return self.names.index(name)
+        last = [n for n, own in enumerate(self.names) if PurePath(own).name == PurePath(name).name]
+        return last[0] if len(last) == 1 else None
+
+
+@checked
+def views_of_model(
+    model: Reconstruction, picture_of: Callable[[int], UInt8[np.ndarray, "h w"] | None]
+) -> AnchorViews:
+    """The registered images of a model; the covariance of a place is that before the points that it sees.
+
+    Args:
+        model: places, lenses, points and tracks.
+        picture_of: the grey picture of a row of the model's images; None where it cannot be had.
+    """
+    rows = np.flatnonzero(model.is_registered())
+    lens = model.camera_of_image
+    places = model.cams_from_world()[rows]
+    names = tuple(str(model.images.name[int(i)]) for i in rows)
+    times = np.asarray(model.frames.timestamp_s)[model.images.frame[rows]].astype(np.float64)
+    return AnchorViews(
+        names,
+        times,
+        places,
+        tuple(model.cameras[int(lens[i])] for i in rows),
+        lambda n: place_covariance(model, int(rows[n])),
+        lambda n: picture_of(int(rows[n])),
+    )
+
+
+@checked
+def place_covariance(model: Reconstruction, image: int) -> Float64[np.ndarray, "6 6"]:
+    """Covariance of an image's place before its points, with the noise of its own residuals; infinite for too few points.
+
+    Of xi = (translation, rotation) in exp(xi) @ cam_from_world. Errors of the points are not in it.
+    """
+    own = np.flatnonzero(model.tracks.image == image)
+    if len(own) < LEAST_POINTS:
+        return np.full((6, 6), np.inf)
+    points = model.points.xyz_in_world[model.tracks.point_of_observation()[own]]
+    pixels, camera = model.observed_pixels()[own], model.cameras[int(model.camera_of_image[image])]
+    found = refine_pose(points, pixels, camera, model.cams_from_world()[image])
+    off = camera.project(found.cam_from_world.apply(points)) - pixels
+    noise = float(np.nanmedian(np.linalg.norm(off, axis=1))) / RAYLEIGH_MEDIAN
+    return noise**2 * found.covariance()
+
+
+@checked
+def places_at(
+    known_s: Float64[np.ndarray, " n"],
+    places: Float64[np.ndarray, "n 3"],
+    wanted_s: Float64[np.ndarray, " m"],
+    longest_gap: float = 3.0,
+) -> Float64[np.ndarray, "m 3"]:
+    """Places at instants, interpolated; NaN outside, and in gaps of more than so many median gaps."""
+    if not len(known_s):
+        return np.full((len(wanted_s), 3), np.nan)
+    out = np.stack([np.interp(wanted_s, known_s, places[:, axis]) for axis in range(3)], axis=1)
+    after = np.searchsorted(known_s, wanted_s)
+    inside = (after > 0) & (after < len(known_s))
+    inside |= np.isin(wanted_s, known_s)
+    gap = np.diff(known_s)
+    longest = longest_gap * float(np.median(gap)) if len(gap) else 0.0
+    width = known_s[np.minimum(after, len(known_s) - 1)] - known_s[np.maximum(after - 1, 0)]
+    return np.where((inside & (width <= longest))[:, None], out, np.nan)
+
+
+def joined_words(words: Sequence[str], most: int = 3) -> str:
+    """A list in a sentence, cut after some."""
+    more = len(words) - most
+    return ", ".join(words[:most]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,240 @@
+"""An object of known size in the pictures of a model: where it is, and what it says of the model's scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole._declared import Declared, checked
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid3, Rotation3, Similarity3, align_points
+from epipole.geometry.rotation3 import skew
+from epipole.robust import triangulate_points
+from epipole.robust.triangulate import PointReason
+
+MIN_ANGLE_DEG = 1.0
+OUTLIER, LARGEST_ERROR = 4.0, 8.0
+"""Views whose pixels are off by more, in deviations or in those of the median view; and what no object's may be off by."""
+MAX_STEPS, DAMPING = 50, 1e-3
+LARGEST = 1e12
+"""Of lengths and pixels: larger ones cannot be calculated with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectFit(Declared):
+    """A known object among the cameras of a model."""
+
+    model_from_object: Similarity3
+    scale: float
+    """Metres of the model's unit."""
+    sigma: float
+    """Standard deviation of the scale, by the pixels and the cameras' places."""
+    residual: float
+    """Root mean square of the pixels' errors over their deviations."""
+    kept_mask: Bool[np.ndarray, " v"]
+    """Views that agree."""
+
+    def __repr__(self) -> str:
+        return f"ObjectFit(scale {self.scale:.6g} +- {self.sigma:.2g}, {int(self.kept_mask.sum())} of {len(self.kept_mask)} views)"
+
+
+class _Seen(NamedTuple):
+    """The views of an object."""
+
+    cams_from_world: Rigid3
+    cameras: list[Camera]
+    pixels: np.ndarray
+    sigma_px: float
+    covariance: np.ndarray
+
+    def rows(self, mask: np.ndarray) -> _Seen:
+        rows = np.flatnonzero(mask)
+        cameras = [self.cameras[v] for v in rows]
+        return _Seen(
+            self.cams_from_world[rows], cameras, self.pixels[rows], self.sigma_px, self.covariance[rows]
+        )
+
+
+@checked
+def fit_scale_to_object(
+    points_in_object: Float64[np.ndarray, "n 3"],
+    cams_from_world: Rigid3,
+    cameras: Sequence[Camera],
+    pixels: Float64[np.ndarray, "v n 2"],
+    sigma_px: float,
+    cam_covariance: Float64[np.ndarray, "v 6 6"] | None = None,
+) -> ObjectFit:
+    """The similarity from an object to the model whose projections are nearest to the pixels, and the deviation of its scale.
+
+    X = c + s R P is found by Gauss-Newton over (c, R, log s) from the triangulated points. The pixels of one view share the
+    error of its camera's place: with J_xi = d pixel / d xi the covariance of a view's pixels is sigma^2 I + J_xi C J_xi^T. Of
+    two points the turn about their line stays open, which the scale does not feel. Views whose pixels do not fit are left
+    out where at least two others agree.
+
+    Args:
+        points_in_object: corners of a board or a tag, or the ends of a length; in metres.
+        cams_from_world: the model's cameras that see it, batch shape (v,).
+        cameras: of each.
+        pixels: where they see it; NaN for a point that a view does not see.
+        sigma_px: standard deviation of a pixel's coordinate.
+        cam_covariance: of xi = (translation, rotation) in exp(xi) @ cam_from_world; None: the places are exact.
+
+    Raises:
+        DegenerateGeometryError: seen from one place, or pixels that no such object has; the message says which.
+        ShapeError: the arrays do not fit.
+        ConfigError: sigma_px is not positive.
+    """
+    num_views = len(cameras)
+    covariance = np.zeros((num_views, 6, 6)) if cam_covariance is None else cam_covariance
+    if len(covariance) != num_views:
+        raise ShapeError(f"cam_covariance must have {num_views} rows, as cameras has, got {len(covariance)}")
+    _check(points_in_object, cams_from_world, pixels, sigma_px, covariance)
+    known = np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(cams_from_world.translation).all(axis=1)
+    kept = known & np.isfinite(pixels).all(axis=2).any(axis=1)
+    seen = _Seen(
+        cams_from_world, list(cameras), pixels, sigma_px, np.where(known[:, None, None], covariance, 0.0)
+    )
+    middle = points_in_object.mean(axis=0)
+    shape = points_in_object - middle
+    for _ in range(max(num_views, 1)):
+        try:
+            found, sigma_log, errors = _fit(shape, seen.rows(kept))
+        except np.linalg.LinAlgError as error:
+            raise DegenerateGeometryError("its pixels do not determine where it is") from error
+        size = np.full(num_views, np.nan)
+        size[kept] = errors
+        limit = OUTLIER * max(1.0, float(np.nanmedian(size)))
+        if not (size > limit).any() or kept.sum() <= 2:
+            break
+        kept = kept & ~(size > limit)
+    residual = float(np.sqrt(np.mean(size[kept] ** 2)))
+    if residual > LARGEST_ERROR:
+        raise DegenerateGeometryError(
+            f"its pixels are off by {residual * sigma_px:.1f} px from where such an object would be seen"
+        )
+    scale = 1.0 / float(found.scale)
+    placed = Similarity3(found.scale, found.rotation, found.apply(-middle[None])[0])
+    return ObjectFit(placed, scale, scale * sigma_log, residual, kept)
+
+
+def _check(
+    points: np.ndarray, cams_from_world: Rigid3, pixels: np.ndarray, sigma_px: float, covariance: np.ndarray
+) -> None:
+    num_views = len(covariance)
+    if not 0 < sigma_px < LARGEST:
+        raise ConfigError(f"sigma_px must be positive and below {LARGEST:g}, got {sigma_px}")
+    if cams_from_world.batch_shape() != (num_views,) or len(pixels) != num_views:
+        raise ShapeError(f"{num_views} cameras need as many places, covariances and rows of pixels")
+    if len(points) < 2 or pixels.shape[1] != len(points):
+        raise ShapeError("an object has at least two points, and a pixel for each in every view")
+    for name, values in (("points_in_object", points), ("pixels", pixels), ("cam_covariance", covariance)):
+        if (np.abs(values[np.isfinite(values)]) > LARGEST).any():
+            raise ShapeError(f"{name} must be below {LARGEST:g}")
+    if not np.isfinite(points).all() or np.isinf(pixels).any():
+        raise ShapeError("points_in_object must be finite, and pixels finite or NaN")
+
+
+def _start(shape: np.ndarray, seen: _Seen) -> Similarity3:
+    """From the triangulated points that are good."""
+    if len(seen.cameras) < 2:
+        raise DegenerateGeometryError(
+            f"seen in {len(seen.cameras) or 'no'} picture{'' if len(seen.cameras) == 1 else 's'} with a place: two from "
+            "different places are needed"
+        )
+    found = triangulate_points(
+        seen.cams_from_world, seen.cameras, seen.pixels, min_angle_rad=np.deg2rad(MIN_ANGLE_DEG)
+    )
+    good = found.success_mask
+    away = shape[good] - shape[good][:1]
+    if good.sum() < 2 or not away.any():
+        raise DegenerateGeometryError(_why_no_points(found.reason, seen))
+    points = found.points_in_world[good]
+    if np.linalg.matrix_rank(away, tol=1e-6 * np.abs(away).max()) >= 2:
+        return align_points(shape[good], points)
+    rows = np.flatnonzero(good)
+    last = int(np.argmax(np.linalg.norm(shape[rows] - shape[rows[0]], axis=1)))
+    here, there = shape[rows[last]] - shape[rows[0]], points[last] - points[0]
+    scale = np.linalg.norm(there) / np.linalg.norm(here)
+    if not scale > 0:
+        raise DegenerateGeometryError("its two ends are seen as one point")
+    rotation = Rotation3.from_two_vectors(here, there).matrix
+    return Similarity3(np.asarray(scale), rotation, points[0] - scale * rotation @ shape[rows[0]])
+
+
+def _why_no_points(reason: np.ndarray, seen: _Seen) -> str:
+    """In words: of the points' reasons, and of the widest angle between two rays to one point."""
+    if (reason == PointReason.TOO_FEW_VIEWS).any():
+        return "one of its ends is seen in one picture only: two from different places are needed"
+    rays = np.stack(
+        [c.unproject(p) @ r for c, p, r in zip(seen.cameras, seen.pixels, seen.cams_from_world.rotation)]
+    )
+    cosine = np.einsum("vnk,wnk->nvw", rays, rays)
+    if np.nanmin(cosine, initial=1.0) > np.cos(np.deg2rad(MIN_ANGLE_DEG)):
+        return f"seen from one place only: its rays meet under less than {MIN_ANGLE_DEG:g} degree"
+    return "its pixels in two pictures belong to no point before both cameras"
+
+
+def _fit(shape: np.ndarray, seen: _Seen) -> tuple[Similarity3, float, np.ndarray]:
+    """The similarity, the deviation of the logarithm of its scale, and each view's rms error in deviations."""
+    found, damping = _start(shape, seen), DAMPING
+    residual, jacobian, sizes = _equations(found, shape, seen)
+    for _ in range(MAX_STEPS):
+        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+        damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-12 * normal.max()))
+        step = -np.linalg.solve(damped, gradient)
+        tried = Similarity3(
+            np.asarray(float(found.scale) * np.exp(np.clip(step[6], -1.0, 1.0))),
+            found.rotation @ Rotation3.exp(step[3:6]).matrix,
+            found.translation + step[:3],
+        )
+        again = _equations(tried, shape, seen)
+        if np.isfinite(again[0]).all() and again[0] @ again[0] <= residual @ residual:
+            gain = residual @ residual - again[0] @ again[0]
+            found, damping = tried, max(damping / 10.0, 1e-12)
+            residual, jacobian, sizes = again
+            if gain <= 1e-10 * (1.0 + residual @ residual):
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e8:
+                break
+    normal = jacobian.T @ jacobian
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal * unit[:, None] * unit, rcond=1e-12, hermitian=True)
+    freedom = len(residual) - np.linalg.matrix_rank(normal * unit[:, None] * unit, tol=1e-9, hermitian=True)
+    excess = max(1.0, float(residual @ residual) / freedom) if freedom > 0 else 1.0
+    return found, float(np.sqrt(excess * inverse[6, 6]) * unit[6]), sizes
+
+
+def _equations(
+    found: Similarity3, shape: np.ndarray, seen: _Seen
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whitened residuals, their Jacobian by (centre, turn, log scale), and each view's rms error in deviations of a pixel."""
+    points, scale, rotation = found.apply(shape), float(found.scale), found.rotation
+    by_object = np.empty((len(shape), 3, 7))
+    by_object[:, :, :3] = np.eye(3)
+    by_object[:, :, 3:6] = -scale * rotation @ skew(shape)
+    by_object[:, :, 6] = scale * shape @ rotation.T
+    residuals, jacobians, sizes = [], [], np.empty(len(seen.cameras))
+    for v, camera in enumerate(seen.cameras):
+        rows = np.flatnonzero(np.isfinite(seen.pixels[v]).all(axis=1))
+        in_cam = seen.cams_from_world[v].apply(points[rows])
+        at, by_point, _ = camera.project_with_jacobian(in_cam)
+        by_cam = np.concatenate([by_point, -by_point @ skew(in_cam)], axis=2).reshape(-1, 6)
+        off = (at - seen.pixels[v, rows]).ravel()
+        sizes[v] = np.sqrt(np.mean(off**2)) / seen.sigma_px
+        spread = seen.sigma_px**2 * np.eye(len(off)) + by_cam @ seen.covariance[v] @ by_cam.T
+        jacobian = (by_point @ seen.cams_from_world.rotation[v] @ by_object[rows]).reshape(-1, 7)
+        if not (np.isfinite(off).all() and np.isfinite(spread).all()):
+            residuals.append(np.full(len(off), np.inf))
+            jacobians.append(jacobian)
+            continue
+        whiten = np.linalg.inv(np.linalg.cholesky(spread))
+        residuals.append(whiten @ off)
+        jacobians.append(whiten @ jacobian)
+    return np.concatenate(residuals), np.concatenate(jacobians), sizes

@@ -1,0 +1,179 @@
+"""One scale from several estimates of it: which agree, what they give together, and how well that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Bool
+
+from epipole._declared import Declared, checked
+from epipole.errors import ConfigError, DegenerateGeometryError
+
+AGREE, TOLERANCE = 3.0, 0.02
+"""Estimates agree that differ by no more than so many deviations, or by this share: a model's own scale drifts, too."""
+LARGEST_SHARE = 0.1
+"""A scale that is known worse is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScaleEstimate(Declared):
+    """What one known thing says of a model's scale."""
+
+    kind: str
+    """What it is one of: GPS, positions, length, tag, board, odometry."""
+    name: str
+    scale: float
+    """Metres of the model's unit."""
+    sigma: float
+    """Standard deviation of the scale, but for what all of a kind share."""
+    shared_sigma: float = 0.0
+    """Relative deviation that all estimates of this kind have in common: that of the stated size."""
+    note: str = ""
+    """From what it was found, in words."""
+
+    @property
+    def share(self) -> float:
+        """Relative deviation, what is shared included."""
+        return float(np.hypot(self.sigma / self.scale, self.shared_sigma))
+
+    def __repr__(self) -> str:
+        return f"ScaleEstimate({self.name}: {self.scale:.6g} +- {100 * self.share:.2g} %)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricScale(Declared):
+    """A model's scale, and what fixed it."""
+
+    scale: float
+    """Metres of the model's unit."""
+    sigma: float
+    """Standard deviation of the scale."""
+    estimates: tuple[ScaleEstimate, ...]
+    kept_mask: Bool[np.ndarray, " n"]
+    """Estimates that agree."""
+    refusals: tuple[str, ...] = field(default=())
+    """What was given and tells nothing, in words."""
+
+    @property
+    def relative_sigma(self) -> float:
+        """Deviation as a share of the scale."""
+        return self.sigma / self.scale
+
+    def in_words(self) -> str:
+        """What fixed the scale, and how well it is known."""
+        kept = [e for e, k in zip(self.estimates, self.kept_mask) if k]
+        parts = [
+            _counted(kind, [e for e in kept if e.kind == kind])
+            for kind in dict.fromkeys(e.kind for e in kept)
+        ]
+        return f"metres, from {' and '.join(parts)}: known to {100 * self.relative_sigma:.2g} % (1 sigma)"
+
+    def warnings(self) -> list[str]:
+        """What was given and does not count, in words."""
+        out = list(self.refusals)
+        for estimate, kept in zip(self.estimates, self.kept_mask):
+            if not kept:
+                off = 100.0 * (estimate.scale / self.scale - 1.0)
+                out.append(
+                    f"{estimate.name} does not count: by it the scale would be {off:+.2g} %, and it was thought to be known to "
+                    f"{100 * estimate.share:.2g} %"
+                )
+        return out
+
+    def summary(self) -> dict[str, object]:
+        """The same as numbers and words, for a job's summary."""
+        return {
+            "scale": self.scale,
+            "relative_sigma": self.relative_sigma,
+            "estimates": [
+                {
+                    "kind": e.kind,
+                    "name": e.name,
+                    "scale": e.scale,
+                    "relative_sigma": e.share,
+                    "kept": bool(k),
+                    "from": e.note,
+                }
+                for e, k in zip(self.estimates, self.kept_mask)
+            ],
+        }
+
+    def __repr__(self) -> str:
+        return f"MetricScale({self.scale:.6g} +- {self.sigma:.2g}, {int(self.kept_mask.sum())} of {len(self.estimates)})"
+
+
+@checked
+def agreed_scale(estimates: Sequence[ScaleEstimate], refusals: Sequence[str] = ()) -> MetricScale:
+    """The scale on which most estimates agree, by the mean of least variance of its logarithm.
+
+    Estimates of one kind come first, with what they share added once; then the kinds. Where estimates scatter by more than
+    their deviations say, the result's deviation grows with the scatter.
+
+    Args:
+        estimates: of one model's scale, independent but for what those of a kind share.
+        refusals: what else was given, and why it tells nothing.
+
+    Raises:
+        DegenerateGeometryError: there is none, they contradict each other, or the scale is known too badly; the message says
+            which.
+        ConfigError: a scale or a deviation is not positive.
+    """
+    given = tuple(estimates)
+    if not all(e.scale > 0 and np.isfinite(e.scale) and 0 < e.sigma < np.inf for e in given):
+        raise ConfigError("scales and their deviations must be positive and finite")
+    if not given:
+        raise DegenerateGeometryError("; ".join(refusals) or "nothing tells the scale")
+    logs = np.log([e.scale for e in given])
+    kept = _agreeing(given, logs)
+    rows = [
+        _of_kind([e for e, k in zip(given, kept) if k and e.kind == kind]) for kind in _kinds(given, kept)
+    ]
+    mean, sigma = _weighed(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))
+    if sigma > LARGEST_SHARE:
+        names = ", ".join(e.name for e, k in zip(given, kept) if k)
+        raise DegenerateGeometryError(f"{names}: the scale would be known to {100 * sigma:.0f} % only")
+    scale = float(np.exp(mean))
+    return MetricScale(scale, scale * sigma, given, kept, tuple(refusals))
+
+
+def _kinds(estimates: Sequence[ScaleEstimate], kept: np.ndarray) -> list[str]:
+    return list(dict.fromkeys(e.kind for e, k in zip(estimates, kept) if k))
+
+
+def _agreeing(estimates: Sequence[ScaleEstimate], logs: np.ndarray) -> np.ndarray:
+    """The largest set that agrees with one of them; more than half, or it is a contradiction."""
+    share = np.array([e.share for e in estimates])
+    apart = np.abs(logs[:, None] - logs)
+    near = apart <= np.maximum(AGREE * np.hypot(share[:, None], share), TOLERANCE)
+    counts = near.sum(axis=1)
+    best = min(np.flatnonzero(counts == counts.max()), key=lambda n: share[n])
+    if 2 * counts[best] <= len(estimates):
+        words = "; ".join(f"{e.name} {e.scale:.4g} +- {100 * e.share:.2g} %" for e in estimates[:6])
+        raise DegenerateGeometryError(
+            f"what is known contradicts itself (metres of the model's unit: {words})"
+        )
+    return near[best]
+
+
+def _of_kind(estimates: Sequence[ScaleEstimate]) -> tuple[float, float]:
+    mean, sigma = _weighed(
+        np.log([e.scale for e in estimates]), np.array([e.sigma / e.scale for e in estimates])
+    )
+    return mean, float(np.hypot(sigma, max(e.shared_sigma for e in estimates)))
+
+
+def _weighed(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float]:
+    weights = 1.0 / sigmas**2
+    mean = float((weights * values).sum() / weights.sum())
+    scatter = 1.0
+    if len(values) > 1:
+        scatter = max(1.0, float((weights * (values - mean) ** 2).sum()) / (len(values) - 1))
+    return mean, float(np.sqrt(scatter / weights.sum()))
+
+
+def _counted(kind: str, estimates: Sequence[ScaleEstimate]) -> str:
+    if kind in ("GPS", "positions", "odometry"):
+        return estimates[0].note
+    return estimates[0].name if len(estimates) == 1 else f"{len(estimates)} {kind}s"

@@ -1,0 +1,112 @@
+"""The largest model in metres: by GPS of the pictures, measured places, known lengths, tags, boards or odometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.errors import DegenerateGeometryError, EpipoleError
+from epipole.geometry import Similarity3
+from epipole.io.exif import gps_to_enu
+from epipole.io.photographs import read_grey
+from epipole.mapping import (
+    Anchoring,
+    MetricScale,
+    ScaleEstimate,
+    adjust_reconstruction,
+    after_adjustment,
+    anchor_model,
+    views_of_model,
+)
+from epipole.optim import BundleConfig, BundlePriors, Loss
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.mapping_stage import Mapped
+from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.pipeline import Solution
+from epipole.scene import Reconstruction
+
+UP_TO_SCALE = "up to scale: pictures alone cannot tell lengths"
+
+
+def with_scale(solution: Solution, config: ReconstructConfig) -> tuple[Mapped, list[str]]:
+    """The models, the largest of them in metres where something tells its scale; and what does not tell it, in words.
+
+    Raises:
+        FileFormatError: a file that was named cannot be read.
+    """
+    mapped, images = solution.mapped, solution.images
+    model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
+    if config.anchors.is_empty:
+        return replace(mapped, scale=_of_gps(gps)), []
+
+    def grey(row: int) -> np.ndarray | None:
+        try:
+            return read_grey(images.folder / images.names[row])
+        except EpipoleError:
+            return None
+
+    views = views_of_model(model, grey)
+    try:
+        found = anchor_model(views, config.anchors, others=[] if gps is None else [gps])
+    except DegenerateGeometryError as error:
+        words = "the model stays up to scale" if gps is None else "the scale stays that of GPS"
+        return replace(mapped, scale=_of_gps(gps)), [f"{words}: {error}"]
+    model, residuals = _moved(model, found, config), mapped.gps_residuals_m[0]
+    if residuals is not None:
+        positions = gps_to_enu(images.lat_lon_alt)
+        residuals = None
+        if found.places is None:
+            residuals = np.linalg.norm(model.camera_centers_in_world() - positions, axis=1)
+    return (
+        replace(
+            mapped,
+            models=(model, *mapped.models[1:]),
+            gps_residuals_m=(residuals, *mapped.gps_residuals_m[1:]),
+            scale=found.scale,
+        ),
+        found.scale.warnings(),
+    )
+
+
+def _moved(model: Reconstruction, found: Anchoring, config: ReconstructConfig) -> Reconstruction:
+    """In metres; with measured places once more adjusted, with them as factors."""
+    model = model.transformed(_about_middle(model, found))
+    if found.places is None:
+        return model
+    rows = np.flatnonzero(model.is_registered())
+    before = model.camera_centers_in_world()[rows]
+    expected = np.full((len(model.frames), 3), np.nan)
+    expected[model.images.frame[rows]] = found.places.positions
+    priors = BundlePriors(position_in_world=expected, position_sigma=found.places.sigma)
+    loss = Loss[config.mapper.final_loss.upper()]
+    bundle = BundleConfig(loss=loss, loss_scale_px=config.mapper.final_scale_px)
+    adjusted, _ = adjust_reconstruction(model, bundle, priors=priors)
+    return adjusted.transformed(after_adjustment(found, before, adjusted.camera_centers_in_world()[rows]))
+
+
+def _about_middle(model: Reconstruction, found: Anchoring) -> Similarity3:
+    """Without measured places the middle of the cameras stays, so that those that GPS has placed stay there."""
+    if found.places is not None:
+        return found.world_from_model
+    middle = np.nanmean(model.camera_centers_in_world(), axis=0)
+    scale = float(found.world_from_model.scale)
+    return Similarity3(np.asarray(scale), np.eye(3), middle - scale * middle)
+
+
+def _of_gps(gps: ScaleEstimate | None) -> MetricScale | None:
+    return None if gps is None else MetricScale(gps.scale, gps.sigma, (gps,), np.ones(1, bool))
+
+
+def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
+    """Of a model that GPS has made metric: a scale of about one, with its deviation."""
+    if mapped.gps_residuals_m[0] is None:
+        return None
+    centers, fixes = mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt)
+    fixes = np.where(np.isfinite(fixes), fixes, np.where(np.isfinite(fixes[:, :1]), centers, np.nan))
+    rows = np.flatnonzero(np.isfinite(fixes).all(axis=1) & np.isfinite(centers).all(axis=1))
+    spread = float(np.sqrt(((centers[rows] - centers[rows].mean(axis=0)) ** 2).sum()))
+    off = np.linalg.norm(centers[rows] - fixes[rows], axis=1)
+    each = max(config.mapper.gps_sigma_m, float(np.median(off)))
+    words = f"GPS of {len(rows)} pictures"
+    return ScaleEstimate("GPS", "GPS", 1.0, each / max(spread, 1e-9), 0.0, words)
