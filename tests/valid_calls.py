@@ -13,6 +13,7 @@ from epipole import (
     features,
     geometry,
     image,
+    inertial,
     mapping,
     metrics,
     optim,
@@ -36,7 +37,20 @@ from epipole.solvers.two_view import hartley_normalization
 from epipole.synthetic import problems, rides, stereo_rooms
 from epipole.synthetic.ride import Shutter
 
-ROOMS = (cameras, geometry, image, solvers, optim, features, robust, scene, metrics, synthetic, mapping)
+ROOMS = (
+    cameras,
+    geometry,
+    image,
+    inertial,
+    solvers,
+    optim,
+    features,
+    robust,
+    scene,
+    metrics,
+    synthetic,
+    mapping,
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,7 @@ Row = tuple[str, Callable[..., Any], dict[str, Any]]
 def _all_calls() -> Iterator[Row]:
     for rows in (
         *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
-        *(_features, _pictures, _columns, _mapping, _disparities, _synthetic, _metrics, _options),
+        *(_features, _pictures, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
     ):
         yield from rows()
 
@@ -372,6 +386,29 @@ def _features() -> Iterator[Row]:
     yield _row(features.describe_upright, grey=_picture(), pixels=at["pixels"], sigma_px=3.0)
 
 
+def _imu_log() -> inertial.ImuLog:
+    times = np.arange(0.0, 4.0, 0.01)
+    pull = -4.0 * np.sin(2.0 * (times - 0.2))[:, None] * np.array([1.0, 0.5, 0.2]) + np.array(
+        [0.0, 0.0, 9.81]
+    )
+    return inertial.ImuLog(times, np.zeros((len(times), 3)), pull)
+
+
+def _inertial() -> Iterator[Row]:
+    log, instants = _imu_log(), np.arange(12) * 0.25 + 0.2
+    yield _row(
+        inertial.ImuLog, timestamp_s=log.timestamp_s, gyro_rad_s=log.gyro_rad_s, accel_m_s2=log.accel_m_s2
+    )
+    yield _row(inertial.ImuNoise, gyro_density=1e-3)
+    bias = {"gyro_bias": np.zeros(3), "accel_bias": np.zeros(3), "noise": inertial.ImuNoise()}
+    yield _row(inertial.preintegrate, log=log, instants_s=instants, **bias)
+    way = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
+    path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), way)
+    given = {"world_from_camera": path, "log": log, "camera_from_imu": geometry.Rigid3.identity()}
+    options = {"noise": inertial.ImuNoise(), "place_sigma": 0.01, "turn_sigma_rad": 0.01}
+    yield _row(inertial.align_path_to_imu, timestamp_s=instants, **given, **options)
+
+
 def _picture(*channels: int) -> np.ndarray:
     return np.random.default_rng(5).integers(0, 255, (48, 64, *channels), np.uint8)
 
@@ -479,6 +516,11 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
         mapping.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
         places_by_odometry=None, sigma=0.01,
     )  # fmt: skip
+    instants = np.arange(12) * 0.25 + 0.2
+    swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
+    path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), swing)
+    given = {"world_from_camera": path, "log": _imu_log(), "camera_from_imu": geometry.Rigid3.identity()}
+    yield _row(mapping.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
     estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}
     yield _row(mapping.ScaleEstimate, **estimate)
     known = mapping.ScaleEstimate(**estimate)

@@ -35,8 +35,8 @@ _RESULTS = (
     *("DemoResult", "SlamResult", "TrackedFrame", "TrajectoryEvaluation", "ViewerHandle"),
 )
 _ROOMS = (
-    *("api", "cameras", "config", "disparity_search", "errors", "features", "geometry", "image", "io"),
-    *("mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
+    *("api", "cameras", "config", "disparity_search", "errors", "features", "geometry", "image", "inertial"),
+    *("io", "mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
     *("synthetic", "viewer"),
 )
 __all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_DATA, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings

@@ -266,9 +266,13 @@ class BoardConfig:
         return self.dictionary or ("APRILTAG_36h11" if self.kind == "apriltag" else "4X4_50")
 
 
+ANCHOR_FILES = ("positions", "lengths", "odometry", "imu", "imu_mounting")
+"""Options of `AnchorOptions` that name files."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class AnchorOptions:
-    """What is known besides the pictures and fixes the scale: places, lengths, objects of known size, odometry."""
+    """What is known besides the pictures and fixes the scale: places, lengths, objects of known size, odometry, an IMU."""
 
     positions: Path | None = None
     """Measured places of the camera, which fix the scale and the world: `SECONDS X Y Z` a line by the frames' clock (GPS
@@ -296,6 +300,10 @@ class AnchorOptions:
     """How far the camera went: `SECONDS METRES` a line, counted from any begin, or a trajectory (TUM's form)."""
     odometry_sigma: float = 0.01
     """Standard deviation of the wheels' unit, as a share; their slip is seen in the scatter."""
+    imu: Path | None = None
+    """What an inertial unit measured: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` a line, or a recording of ROS."""
+    imu_mounting: Path | None = None
+    """How it is mounted: EuRoC's sensor.yaml of the camera (T_BS), or Kalibr's file with T_cam_imu."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -313,6 +321,8 @@ class AnchorOptions:
                 raise ConfigError(f"{name} is a share, from 0 to below 1, got {getattr(self, name)}")
         if (self.board is None) != (self.square_m is None):
             raise ConfigError("a board of known size needs both: board (such as 9x6) and square_m")
+        if (self.imu is None) != (self.imu_mounting is None):
+            raise ConfigError("an IMU tells the scale where its mounting is known: give imu and imu_mounting")
         check_dictionary(self.dictionary_name)
         self.board_config()
 
@@ -321,7 +331,9 @@ class AnchorOptions:
         """Nothing is known besides the pictures."""
         return all(
             value is None
-            for value in (self.positions, self.lengths, self.tag_size_m, self.board, self.odometry)
+            for value in (
+                *(self.positions, self.lengths, self.tag_size_m, self.board, self.odometry, self.imu),
+            )
         )
 
     @property

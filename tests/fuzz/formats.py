@@ -53,6 +53,7 @@ from epipole.io.calibration_files import (
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
 from epipole.io.frame_tables import read_frame_table
+from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.trajectories import read_pose_matrix, trajectory_format
@@ -189,7 +190,7 @@ def _bag(name: str) -> Callable[[Path], None]:
             assert np.isfinite(frame.timestamp_s)
             with suppress(EpipoleError):  # a picture that is damaged is left out
                 assert frame.grey().ndim == 2
-        assert np.isfinite(read_bag_imu(path).acceleration_m_s2).all()
+        assert np.isfinite(read_bag_imu(path).accel_m_s2).all()
 
     return read
 
@@ -228,6 +229,15 @@ def _places(folder: Path) -> None:
 def _odometry(folder: Path) -> None:
     found = read_odometry(folder / "a.txt")
     assert (np.diff(found.timestamp_s) > 0).all() and (found.travelled_m is None) != (found.positions is None)
+
+
+def _imu(folder: Path) -> None:
+    log, noise = read_imu(folder / "a.csv")
+    assert len(log) and (np.diff(log.timestamp_s) > 0).all() and noise.gyro_density > 0
+
+
+def _imu_mounting(folder: Path) -> None:
+    assert np.isfinite(read_camera_from_imu(folder / "a.yaml").as_matrix()).all()
 
 
 SLAM_CAMERA = SlamCamera(Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]))
@@ -567,6 +577,21 @@ FORMATS: dict[str, Format] = {
     "odometry": Format(
         _put("a.txt", b"# s m\n0.5 1\n0.6 1.5\n0.7 2.25\n"),
         *("a.txt", "text", _odometry, ("read_odometry",)),
+    ),
+    "imu": Format(
+        _put(
+            "a.csv",
+            b"#t [ns],wx,wy,wz,ax,ay,az\n1400000000000000000,0.1,0,0,9.8,0,0\n1400000000005000000,0,0,1,9,0,1\n",
+        ),
+        *("a.csv", "text", _imu, ("read_imu",)),
+    ),
+    "imu-mounting": Format(
+        _put(
+            "a.yaml",
+            b"cam0:\n  T_cam_imu:\n  - [1.0, 0.0, 0.0, 0.1]\n  - [0.0, 1.0, 0.0, 0.0]\n"
+            b"  - [0.0, 0.0, 1.0, 0.0]\n  - [0.0, 0.0, 0.0, 1.0]\n",
+        ),
+        *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
     "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
     "slam-state": Format(_put_slam_state, STATE, "binary", _slam_state, ("read_state",)),

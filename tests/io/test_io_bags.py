@@ -227,8 +227,8 @@ def test_what_an_imu_measured(recorded, tmp_path):
         recorded.imu("/imu", BEGIN + n * STEP, turn[n], pull[n])
     path = recorded.write(tmp_path)
     found = read_bag_imu(path)
-    assert np.array_equal(found.angular_velocity_rad_s, turn)
-    assert np.array_equal(found.acceleration_m_s2, pull) and len(found) == 4
+    assert np.array_equal(found.gyro_rad_s, turn)
+    assert np.array_equal(found.accel_m_s2, pull) and len(found) == 4
     assert np.allclose(found.timestamp_s, BEGIN / SECOND + 0.1 * np.arange(4), atol=1e-6)
     with pytest.raises(ConfigError, match="no topic of an IMU"):
         read_bag_imu(path, "/other")

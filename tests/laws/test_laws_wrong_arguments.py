@@ -34,6 +34,8 @@ RESULTS = {
         "TrajectoryEvaluation",
         "TrajectoryScore",
         "RefinedPose",
+        "InertialAlignment",
+        "Preintegrated",
         "ObjectFit",
         "ScaleFit",
         "Rendering",

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, UInt8
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
+from epipole.inertial import ImuLog
 from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
@@ -25,7 +26,7 @@ from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics
 from epipole.io._named_numbers import is_rotation
 from epipole.scene import StereoRig
 
-__all__ = ["BagFrame", "BagSequence", "BagTopic", "ImuReadings", "bag_frames", "is_bag"]
+__all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
 __all__ += ["read_bag", "read_bag_imu", "read_bag_topics"]
 
 PAIR_TOLERANCE_S = 0.005
@@ -33,22 +34,6 @@ PAIR_TOLERANCE_S = 0.005
 DEPTH_TOLERANCE_S = 0.02
 """Depth sensors run beside the colour camera (as the TUM set pairs them)."""
 _FIRST_MESSAGES = 5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ImuReadings:
-    """What an IMU measured, in its own axes."""
-
-    timestamp_s: Float64[np.ndarray, " n"]
-    angular_velocity_rad_s: Float64[np.ndarray, "n 3"]
-    acceleration_m_s2: Float64[np.ndarray, "n 3"]
-    """With gravity: at rest it points up, 9.8 m/s^2."""
-
-    def __len__(self) -> int:
-        return len(self.timestamp_s)
-
-    def __repr__(self) -> str:
-        return f"ImuReadings({len(self)} over {np.ptp(self.timestamp_s) if len(self) else 0.0:.1f} s)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +157,7 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
                 yield BagFrame(time_s, _grey(bag, 0, first), None, _depth(bag, second))
 
 
-def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuReadings:
+def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     """What an IMU measured (sensor_msgs/Imu), by the stamps in its headers.
 
     Args:
@@ -200,7 +185,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuReadings:
     values = np.array(rows, np.float64).reshape(-1, 7)
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
-    return ImuReadings(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
+    values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time; one of a doubled stamp
+    return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
 
 
 def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:

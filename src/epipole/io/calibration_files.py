@@ -80,7 +80,7 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
 
 
 def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
-    contents = [_parse(path) for path in files]
+    contents = [parsed_file(path) for path in files]
     with_camera = [k for k, content in enumerate(contents) if _is_single(content)]
     if len(files) == 2 and len(with_camera) == 2:
         return _left_and_right(files, contents, size)
@@ -116,7 +116,7 @@ def read_body_from_camera(path: str | Path) -> Rigid3:
     """
     path = Path(path)
     try:
-        return datasets.body_from_camera(path, _parse(path))
+        return datasets.body_from_camera(path, parsed_file(path))
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(path, f"T_BS cannot be read: {error}") from error
 
@@ -242,7 +242,12 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": [float(v) for v in matrix.ravel()]}
 
 
-def _parse(path: Path) -> dict[str, Any]:
+def parsed_file(path: Path) -> dict[str, Any]:
+    """Names and values of a file of YAML, JSON, OpenCV's XML, or lines of KITTI's kind.
+
+    Raises:
+        FileFormatError: it is none of these.
+    """
     data = file_bytes(path, _MOST_BYTES)
     head = data.lstrip()[:200]
     try:

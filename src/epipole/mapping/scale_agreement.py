@@ -22,7 +22,7 @@ class ScaleEstimate(Declared):
     """What one known thing says of a model's scale."""
 
     kind: str
-    """What it is one of: GPS, positions, length, tag, board, odometry."""
+    """What it is one of: GPS, positions, length, tag, board, odometry, imu."""
     name: str
     scale: float
     """Metres of the model's unit."""
@@ -174,6 +174,6 @@ def _weighed(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float]:
 
 
 def _counted(kind: str, estimates: Sequence[ScaleEstimate]) -> str:
-    if kind in ("GPS", "positions", "odometry"):
+    if kind in ("GPS", "positions", "odometry", "imu"):
         return estimates[0].note
     return estimates[0].name if len(estimates) == 1 else f"{len(estimates)} {kind}s"

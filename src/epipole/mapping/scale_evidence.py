@@ -1,4 +1,4 @@
-"""What known lengths, tags, boards and odometry say of a model's scale: from options and files to estimates."""
+"""What known lengths, tags, boards, odometry and an IMU say of a model's scale: from options and files to estimates."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from epipole.config import AnchorOptions, BoardConfig
 from epipole.errors import DegenerateGeometryError
 from epipole.features.boards import corners_on_board, find_board
 from epipole.features.tags import find_tags
+from epipole.geometry import Rigid3
 from epipole.io.anchor_files import KnownLength, read_lengths, read_odometry
+from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.mapping.anchor_views import AnchorViews, joined_words
+from epipole.mapping.inertial_scale import fit_scale_to_imu
 from epipole.mapping.known_objects import ObjectFit, fit_scale_to_object
 from epipole.mapping.scale_agreement import ScaleEstimate
 from epipole.mapping.travelled_scale import fit_scale_to_distances
@@ -79,6 +82,10 @@ def scale_evidence(
         found.try_one(f"the board of {options.board}", lambda: _of_board(views, board, options))
     if options.odometry is not None:
         found.try_one("odometry", lambda: _of_odometry(everywhere, options))
+    if options.imu is not None and options.imu_mounting is not None:
+        log, noise = read_imu(options.imu)
+        mounting = read_camera_from_imu(options.imu_mounting)
+        found.try_one("IMU", lambda: fit_scale_to_imu(*_timed(everywhere), log, mounting, noise))
     return ScaleEvidence(tuple(found.estimates), tuple(found.refusals))
 
 
@@ -195,12 +202,15 @@ def _fit_object(
 def _of_odometry(views: AnchorViews, options: AnchorOptions) -> ScaleEstimate:
     assert options.odometry is not None
     log = read_odometry(options.odometry)
+    times, path = _timed(views)
+    known = (log.timestamp_s, log.travelled_m, log.positions, options.odometry_sigma)
+    return fit_scale_to_distances(times, path.translation, *known)
+
+
+def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:
+    """Times and world_from_camera of the pictures that have a time, in their order."""
     timed = np.flatnonzero(np.isfinite(views.timestamp_s))
     if not len(timed):
         raise DegenerateGeometryError("the pictures have no times")
-    timed = timed[np.argsort(views.timestamp_s[timed], kind="stable")]
-    return fit_scale_to_distances(
-        views.timestamp_s[timed],
-        views.cams_from_world.centers()[timed],
-        *(log.timestamp_s, log.travelled_m, log.positions, options.odometry_sigma),
-    )
+    timed = timed[np.unique(views.timestamp_s[timed], return_index=True)[1]]
+    return views.timestamp_s[timed], views.cams_from_world[timed].inverse()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, replace
 
 import cv2
@@ -75,7 +74,7 @@ class PictureWatch:
     """Looks at every frame's pictures before they are followed."""
 
     def __init__(self) -> None:
-        self._usual: deque[np.ndarray] = deque(maxlen=REMEMBERED)
+        self._usual: list[np.ndarray] = []
 
     def look(self, frame: Frame) -> Look:
         """What is wrong with the pictures, in words."""
@@ -83,7 +82,7 @@ class PictureWatch:
         shows_nothing = bool(problem)
         if not shows_nothing:
             problem = self._blur(detail)
-            self._usual.append(np.minimum(detail, MOST_USUAL))
+            self._usual = [*self._usual[1 - REMEMBERED :], np.minimum(detail, MOST_USUAL)]
         if frame.right_grey is None:
             return Look(problem)
         right = _examined(frame.right_grey)[0]

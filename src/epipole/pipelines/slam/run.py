@@ -11,7 +11,7 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.config import AnchorOptions, options_of
+from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
@@ -134,7 +134,7 @@ def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
     names = [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
     own = {name: options.pop(name) for name in names if name in options}
-    for name in ("truth", "map", "positions", "lengths", "odometry", "masks"):
+    for name in ("truth", "map", "masks", *ANCHOR_FILES):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
     return options_of(JobOptions, job, own)

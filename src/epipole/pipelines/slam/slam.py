@@ -141,8 +141,7 @@ class Slam:
     def _begin_with_one_camera(self, frame: Frame, begun: Begun) -> TrackedFrame:
         """The new map goes on in the world of the turns before it, where its first frame is one of them."""
         first, lens = begun.model.keyframes[0], self.camera.camera
-        there = self._turns.get(first.number)
-        place = begun.cam_from_world
+        there, place = self._turns.get(first.number), begun.cam_from_world
         if self.map is self.maps[0]:
             if there is None:
                 self.first_frame, self.map.keyframes[:] = first.number, []
@@ -165,9 +164,8 @@ class Slam:
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
     def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
-        for keyframe in self.map.keyframes:
-            if len(keyframe.point):
-                describe_keyframe(keyframe)
+        for keyframe in (k for k in self.map.keyframes if len(k.point)):
+            describe_keyframe(keyframe)
         self._set_followed()
         num_points = int(self.map.has_place(self.tracker.tracks.point).sum())
         reason = "the map begins" if self.map is self.maps[0] else "a new map begins"

@@ -1,0 +1,8 @@
+"""Inertial measurement units: pre-integration, and what a path and an IMU together tell of scale and gravity."""
+
+from epipole.inertial.alignment import InertialAlignment as InertialAlignment
+from epipole.inertial.alignment import align_path_to_imu as align_path_to_imu
+from epipole.inertial.log import ImuLog as ImuLog
+from epipole.inertial.log import ImuNoise as ImuNoise
+from epipole.inertial.preintegration import Preintegrated as Preintegrated
+from epipole.inertial.preintegration import preintegrate as preintegrate

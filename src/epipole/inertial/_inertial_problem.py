@@ -1,0 +1,198 @@
+"""Least squares of poses, velocities, biases, gravity and one scale: terms, their derivatives, and the normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+
+from epipole.geometry import Rigid3, Rotation3, skew
+from epipole.geometry.tangents import inverse_right_jacobian
+from epipole.inertial.log import ImuNoise
+from epipole.inertial.preintegration import Preintegrated
+
+LANES = 15
+"""Of a pose: rotation, velocity, place, and the biases of gyroscope and accelerometer."""
+
+
+class States(NamedTuple):
+    """Of the unit, in the world's axes and metres."""
+
+    rotation: np.ndarray  # (n, 3, 3) world_from_imu
+    velocity: np.ndarray  # (n, 3)
+    place: np.ndarray  # (n, 3)
+    bias: np.ndarray  # (n, 6)
+    log_scale: float
+    gravity: np.ndarray  # (3,), its length stays
+
+
+class _Terms(NamedTuple):
+    """Whitened residuals (m, r), and blocks (m, r, c) with the first column of each."""
+
+    residual: np.ndarray
+    blocks: list[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialProblem:
+    """The terms. Rotations change on the right, R exp(phi); gravity turns about two axes across it."""
+
+    measured: Preintegrated
+    world_from_camera: Rigid3
+    camera_from_imu: Rigid3
+    noise: ImuNoise
+    path_sigma: tuple[float, float]
+    """Of a place, in the path's unit, and of a rotation."""
+    integrated_at: np.ndarray
+    """(3,) the gyroscope's bias at which was integrated."""
+
+    @property
+    def scale_column(self) -> int:
+        """Of the scale's logarithm; gravity's two follow."""
+        return LANES * len(self.world_from_camera.translation)
+
+    def cost(self, states: States) -> float:
+        """Half the sum of squares."""
+        return 0.5 * sum(float((terms.residual**2).sum()) for terms in self._terms(states))
+
+    def misfit(self, states: States) -> float:
+        """Root of chi^2 over the degrees of freedom."""
+        count = sum(terms.residual.size for terms in self._terms(states))
+        return float(np.sqrt(2.0 * self.cost(states) / max(count - self.scale_column - 3, 1)))
+
+    def moved(self, states: States, step: np.ndarray) -> States:
+        """The states after a step."""
+        own = step[: self.scale_column].reshape(-1, LANES)
+        turn = _across(states.gravity) @ step[self.scale_column + 1 :]
+        return States(
+            states.rotation @ Rotation3.exp(own[:, :3]).matrix,
+            states.velocity + own[:, 3:6],
+            states.place + own[:, 6:9],
+            states.bias + own[:, 9:],
+            states.log_scale + float(np.clip(step[self.scale_column], -1.0, 1.0)),
+            Rotation3.exp(turn).apply(states.gravity),
+        )
+
+    def normal_equations(self, states: States) -> tuple[scipy.sparse.csc_matrix, np.ndarray]:
+        """Matrix and gradient."""
+        terms = self._terms(states)
+        jacobian = scipy.sparse.vstack([self._jacobian(one) for one in terms]).tocsc()
+        residual = np.concatenate([one.residual.ravel() for one in terms])
+        return (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
+
+    def variance_factors(self, states: States) -> tuple[float, float, float, float]:
+        """By how much the variances of gyroscope, accelerometer, places and turns should be larger than was assumed.
+
+        Variance components (Koch, Parameter estimation and hypothesis testing in linear models, 1999, section 3.6): the
+        sum of squares of each kind over its redundancy, m - trace(J N^-1 J^T).
+        """
+        normal, _ = self.normal_equations(states)
+        inverse = np.linalg.inv(normal.toarray() + 1e-12 * np.eye(normal.shape[0]))
+        imu, _, places, turns, _ = self._terms(states)
+        out = []
+        for terms, rows in ((imu, slice(0, 3)), (imu, slice(3, 9)), (places, slice(3)), (turns, slice(3))):
+            m, r = terms.residual.shape
+            own = np.arange(m * r).reshape(m, r)[:, rows].ravel()
+            jacobian = self._jacobian(terms).tocsr()[own]
+            used = np.asarray(jacobian.multiply(jacobian @ inverse).sum())
+            squares = float((terms.residual[:, rows] ** 2).sum())
+            out.append(squares / max(len(own) - float(used), 1e-3 * len(own)))
+        return out[0], out[1], out[2], out[3]
+
+    def _jacobian(self, terms: _Terms) -> scipy.sparse.coo_matrix:
+        m, r = terms.residual.shape
+        rows, columns, values = [], [], []
+        for first, block in terms.blocks:
+            own = np.broadcast_to(np.arange(m * r).reshape(m, r, 1), block.shape)
+            rows.append(own.ravel())
+            across = np.reshape(first, (-1, 1, 1)) + np.arange(block.shape[2])
+            columns.append(np.broadcast_to(across, block.shape).ravel())
+            values.append(block.ravel())
+        entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+        return scipy.sparse.coo_matrix(entries, shape=(m * r, self.scale_column + 3))
+
+    def _terms(self, states: States) -> list[_Terms]:
+        return [
+            self._of_imu(states),
+            self._of_walk(states),
+            self._of_places(states),
+            self._of_turns(states),
+            self._of_first_bias(states),
+        ]
+
+    def _of_imu(self, states: States) -> _Terms:
+        """Equations 45 of Forster et al. 2017, and their derivatives (A.21 to A.33)."""
+        data, dt = self.measured, self.measured.seconds[:, None]
+        first = LANES * np.arange(len(dt))
+        change = states.bias[:-1] - np.concatenate([self.integrated_at, np.zeros(3)])
+        turned, gained, went = data.at_biases(change)
+        back = np.swapaxes(states.rotation[:-1], 1, 2)
+        faster = states.velocity[1:] - states.velocity[:-1] - states.gravity * dt
+        further = (
+            states.place[1:] - states.place[:-1] - states.velocity[:-1] * dt - 0.5 * states.gravity * dt**2
+        )
+        there = back @ states.rotation[1:]
+        off = Rotation3(np.swapaxes(turned, 1, 2) @ there).log()
+        by_speed, by_place = (back @ faster[..., None])[..., 0], (back @ further[..., None])[..., 0]
+        residual = np.concatenate([off, by_speed - gained, by_place - went], axis=1)
+        root = np.linalg.inv(np.linalg.cholesky(data.covariance))
+        m = len(dt)
+        here, next_one = np.zeros((m, 9, LANES)), np.zeros((m, 9, 9))
+        right = inverse_right_jacobian(off)
+        here[:, :3, :3] = -right @ np.swapaxes(there, 1, 2)
+        here[:, 3:6, :3], here[:, 6:, :3] = skew(by_speed), skew(by_place)
+        here[:, 3:6, 3:6], here[:, 6:, 3:6] = -back, -back * dt[..., None]
+        here[:, 6:, 6:9] = -back
+        here[:, 3:, 9:] = -data.by_bias[:, 3:]
+        # The correction of the turn comes first: -J_r^-1(r) exp(r)^T J dphi/db, to first order in the bias' change.
+        here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ data.by_bias[:, :3]
+        next_one[:, :3, :3] = right
+        next_one[:, 3:6, 3:6] = next_one[:, 6:, 6:9] = back
+        by_gravity = np.zeros((m, 9, 2))
+        tilt = -skew(states.gravity) @ _across(states.gravity)
+        by_gravity[:, 3:6], by_gravity[:, 6:] = (
+            -back @ tilt * dt[..., None],
+            -0.5 * back @ tilt * dt[..., None] ** 2,
+        )
+        blocks = [(first, here), (first + LANES, next_one), (np.array(self.scale_column + 1), by_gravity)]
+        return _Terms((root @ residual[..., None])[..., 0], [(at, root @ block) for at, block in blocks])
+
+    def _of_walk(self, states: States) -> _Terms:
+        dt = np.sqrt(self.measured.seconds)[:, None]
+        sigma = np.repeat([self.noise.gyro_walk, self.noise.accel_walk], 3) * dt
+        first = LANES * np.arange(len(dt)) + 9
+        weight = np.eye(6) / sigma[:, :, None]
+        return _Terms(np.diff(states.bias, axis=0) / sigma, [(first, -weight), (first + LANES, weight)])
+
+    def _of_places(self, states: States) -> _Terms:
+        """Where the camera was by the unit's state, in the path's unit, less where the path says."""
+        shrunk, sigma = np.exp(-states.log_scale), self.path_sigma[0]
+        mount = self.camera_from_imu.inverse().translation
+        metric = states.place + states.rotation @ mount
+        off = (shrunk * metric - self.world_from_camera.translation) / sigma
+        n = len(off)
+        by_state = np.zeros((n, 3, 9))
+        by_state[:, :, :3] = -shrunk / sigma * states.rotation @ skew(mount)
+        by_state[:, :, 6:] = np.eye(3) * shrunk / sigma
+        by_scale = (-shrunk / sigma * metric)[..., None]
+        return _Terms(off, [(LANES * np.arange(n), by_state), (np.array(self.scale_column), by_scale)])
+
+    def _of_turns(self, states: States) -> _Terms:
+        seen = self.world_from_camera.rotation @ self.camera_from_imu.rotation
+        off = Rotation3(np.swapaxes(seen, 1, 2) @ states.rotation).log()
+        by_turn = inverse_right_jacobian(off) / self.path_sigma[1]
+        return _Terms(off / self.path_sigma[1], [(LANES * np.arange(len(off)), by_turn)])
+
+    def _of_first_bias(self, states: States) -> _Terms:
+        sigma = np.repeat([self.noise.gyro_bias_sigma, self.noise.accel_bias_sigma], 3)
+        return _Terms(states.bias[:1] / sigma, [(np.array(9), np.diag(1.0 / sigma)[None])])
+
+
+def _across(gravity: np.ndarray) -> np.ndarray:
+    """(3, 2) two unit axes across gravity."""
+    unit = gravity / np.linalg.norm(gravity)
+    first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(unit, first)], axis=1)

@@ -1,0 +1,251 @@
+"""A path up to scale and an IMU: scale, gravity, biases and velocities, or why they cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse.linalg
+from jaxtyping import Float64
+
+from epipole._declared import Declared, checked
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial._inertial_problem import InertialProblem, States
+from epipole.inertial.log import ImuLog, ImuNoise
+from epipole.inertial.preintegration import Preintegrated, preintegrate
+
+GRAVITY = 9.81
+LEAST_POSES = 8
+MOST_STEPS, SETTLED = 30, 1e-6
+LARGEST_SIGMA = 0.05
+"""Of the scale's logarithm: known worse than this it is not named."""
+OPEN = 0.5
+"""The same: no better knowledge of the path's deviation would bring it below that."""
+LEAST_SIGMA = 1e-5
+"""Of places, as a share of the path's extent, and of rotations in radians."""
+ROUNDS = 6
+"""In which the deviations of path and unit are found from what is left over."""
+LARGEST_MISFIT = 30.0
+"""Times that stated: the IMU then belongs to another path, clock or mounting."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialAlignment(Declared):
+    """What a path and an IMU tell together."""
+
+    scale: float
+    """Metres for the path's unit."""
+    sigma: float
+    """Standard deviation of the scale, the accelerometer's sensitivity included."""
+    gravity_in_world: Float64[np.ndarray, " 3"]
+    """m / s^2, in the path's axes."""
+    gyro_bias: Float64[np.ndarray, " 3"]
+    """rad / s, mean over the path."""
+    accel_bias: Float64[np.ndarray, " 3"]
+    """m / s^2, mean over the path."""
+    velocity_in_world: Float64[np.ndarray, "n 3"]
+    """m / s, in the path's axes, at each pose."""
+    misfit: float
+    """Root of chi^2 over its degrees of freedom, with the deviations stated (before they are found anew)."""
+
+    def __repr__(self) -> str:
+        return f"InertialAlignment(scale {self.scale:.6g} +- {self.sigma:.2g})"
+
+
+@checked
+def align_path_to_imu(
+    timestamp_s: Float64[np.ndarray, " n"],
+    world_from_camera: Rigid3,
+    log: ImuLog,
+    camera_from_imu: Rigid3,
+    noise: ImuNoise | None = None,
+    place_sigma: float | None = None,
+    turn_sigma_rad: float = 2e-3,
+) -> InertialAlignment:
+    """Scale, gravity, biases and velocities by least squares of all (maximum a posteriori).
+
+    A linear start (Qin and Shen, Robust initialization of monocular visual-inertial estimation, IROS 2017), then
+    Gauss-Newton over every state with the pre-integrated measurements, the walk of the biases and the path's poses as
+    terms (Campos, Montiel and Tardos, Inertial-only optimization for visual-inertial initialization, ICRA 2020, with poses
+    that may err). The densities stated are those of a unit at rest, and motors shake it: gyroscope, accelerometer, places and
+    turns get the variances that their residuals show (variance components), the unit no less than stated. The scale's deviation is that of the inverse normal matrix: a camera that moves at constant velocity
+    leaves it open, whatever the scene, and is refused.
+
+    Args:
+        timestamp_s: rising times of the poses, by the IMU's clock; some tenths of a second apart.
+        world_from_camera: the poses, up to scale.
+        log: measurements that cover them.
+        camera_from_imu: how the unit is mounted, in metres.
+        noise: densities; None: the defaults.
+        place_sigma: deviation of a coordinate of the path's places, in its unit; None: found from what is left over.
+        turn_sigma_rad: deviation of its rotations.
+
+    Raises:
+        DegenerateGeometryError: scale and gravity cannot be told; the message says why.
+        ShapeError: the arrays do not fit, or the times do not rise.
+        ConfigError: a deviation is not positive.
+    """
+    noise = ImuNoise() if noise is None else noise
+    _check(timestamp_s, world_from_camera, place_sigma, turn_sigma_rad)
+    extent = float(np.ptp(world_from_camera.translation, axis=0).max())
+    if not extent > 0:
+        raise DegenerateGeometryError("the camera rests: an IMU tells no scale then")
+    given = place_sigma if place_sigma is not None else 1e-3 * extent
+    gyro_bias = _gyro_bias(timestamp_s, world_from_camera, log, camera_from_imu, noise)
+    measured = preintegrate(log, timestamp_s, gyro_bias, np.zeros(3), noise)
+    states = _linear_start(measured, world_from_camera, camera_from_imu, gyro_bias, noise)
+    problem = InertialProblem(
+        measured, world_from_camera, camera_from_imu, noise, (given, turn_sigma_rad), gyro_bias
+    )
+    states = _minimum(problem, states)
+    stated = problem.misfit(states)
+    if place_sigma is None:
+        problem, states = _with_found_deviations(problem, states, log, timestamp_s)
+    return _judged(problem, states, extent, stated)
+
+
+def _with_found_deviations(
+    problem: InertialProblem, states: States, log: ImuLog, times: np.ndarray
+) -> tuple[InertialProblem, States]:
+    """With the deviations that the residuals show, found in a few rounds, and the minimum with them."""
+    stated, noise = problem.noise, problem.noise
+    extent = float(np.ptp(problem.world_from_camera.translation, axis=0).max())
+    for _ in range(ROUNDS):
+        if _sigma_of_log_scale(problem, states) > OPEN:
+            break
+        gyro, accel, place, turn = np.sqrt(problem.variance_factors(states))
+        noise = replace(
+            noise,
+            gyro_density=max(noise.gyro_density * gyro, stated.gyro_density),
+            accel_density=max(noise.accel_density * accel, stated.accel_density),
+        )
+        sigmas = (
+            max(problem.path_sigma[0] * place, LEAST_SIGMA * extent),
+            max(problem.path_sigma[1] * turn, LEAST_SIGMA),
+        )
+        measured = preintegrate(log, times, problem.integrated_at, np.zeros(3), noise)
+        problem = replace(problem, measured=measured, noise=noise, path_sigma=sigmas)
+        states = _minimum(problem, states)
+        if max(abs(np.log([gyro, accel, place, turn]))) < 0.05:
+            break
+    return problem, states
+
+
+def _check(times: np.ndarray, poses: Rigid3, place_sigma: float | None, turn_sigma: float) -> None:
+    if poses.batch_shape() != times.shape:
+        raise ShapeError(f"{len(times)} times are given for {poses.batch_shape()} poses")
+    if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        raise ShapeError("times of poses must be finite and rise")
+    if not (np.isfinite(poses.rotation).all() and np.isfinite(poses.translation).all()):
+        raise ShapeError("poses must be finite")
+    if (place_sigma is not None and not 0 < place_sigma < np.inf) or not 0 < turn_sigma < np.inf:
+        raise ConfigError("place_sigma and turn_sigma_rad must be positive and finite")
+    if len(times) < LEAST_POSES:
+        raise DegenerateGeometryError(f"{len(times)} poses have a place, {LEAST_POSES} are needed for an IMU")
+
+
+def _gyro_bias(
+    times: np.ndarray, poses: Rigid3, log: ImuLog, mounting: Rigid3, noise: ImuNoise
+) -> np.ndarray:
+    """By least squares of the turns between poses, to first order, twice."""
+    turned = Rotation3(poses.rotation @ mounting.rotation)
+    seen, bias = turned[:-1].inverse() @ turned[1:], np.zeros(3)
+    for _ in range(2):
+        measured = preintegrate(log, times, bias, np.zeros(3), noise)
+        off = (Rotation3(measured.rotation).inverse() @ seen).log()
+        by_bias = measured.by_bias[:, :3, :3].reshape(-1, 3)
+        bias = bias + np.linalg.lstsq(by_bias, off.ravel(), rcond=None)[0]
+    return bias
+
+
+def _linear_start(
+    measured: Preintegrated, poses: Rigid3, mounting: Rigid3, gyro_bias: np.ndarray, noise: ImuNoise
+) -> States:
+    """Velocities, scale, gravity and the accelerometer's bias: what is integrated is linear in them."""
+    n = len(poses.translation)
+    turned = poses.rotation @ mounting.rotation
+    lever = (poses.rotation @ mounting.translation[:, None])[..., 0]  # from camera to unit, in the world
+    dt = measured.seconds
+    columns = 3 * n + 7
+    by_place, by_speed = np.zeros((n - 1, 3, columns)), np.zeros((n - 1, 3, columns))
+    rows, axes = np.arange(n - 1)[:, None], np.arange(3)
+    by_place[:, :, 3 * n] = np.diff(poses.translation, axis=0)
+    by_place[rows, axes, 3 * rows + axes] = -dt[:, None]
+    by_place[rows, axes, 3 * n + 1 + axes] = -0.5 * dt[:, None] ** 2
+    by_place[:, :, 3 * n + 4 :] = -turned[:-1] @ measured.by_bias[:, 6:, 3:]
+    by_speed[rows, axes, 3 * rows + axes] = -1.0
+    by_speed[rows, axes, 3 * rows + 3 + axes] = 1.0
+    by_speed[rows, axes, 3 * n + 1 + axes] = -dt[:, None]
+    by_speed[:, :, 3 * n + 4 :] = -turned[:-1] @ measured.by_bias[:, 3:6, 3:]
+    went = (turned[:-1] @ measured.position[..., None])[..., 0] - np.diff(lever, axis=0)
+    gained = (turned[:-1] @ measured.velocity[..., None])[..., 0]
+    prior = np.zeros((3, columns))
+    prior[:, 3 * n + 4 :] = np.eye(3) * np.median(dt) ** 2 / noise.accel_bias_sigma / 10.0
+    left = np.concatenate([by_place.reshape(-1, columns), by_speed.reshape(-1, columns), prior])
+    right = np.concatenate([went.ravel(), gained.ravel(), np.zeros(3)])
+    found = np.linalg.lstsq(left, right, rcond=None)[0]
+    scale, gravity = abs(float(found[3 * n])), found[3 * n + 1 : 3 * n + 4]
+    scale = max(scale, 1e-6)
+    gravity = GRAVITY * gravity / max(float(np.linalg.norm(gravity)), 1e-9)
+    biases = np.tile(np.concatenate([gyro_bias, np.zeros(3)]), (n, 1))
+    places = scale * poses.translation + lever
+    return States(turned, found[: 3 * n].reshape(-1, 3).copy(), places, biases, float(np.log(scale)), gravity)
+
+
+def _minimum(problem: InertialProblem, states: States) -> States:
+    """Gauss-Newton with Levenberg's damping."""
+    cost, damping = problem.cost(states), 1e-6
+    for _ in range(MOST_STEPS):
+        normal, gradient = problem.normal_equations(states)
+        while True:
+            damped = normal + scipy.sparse.diags(damping * normal.diagonal() + 1e-12, format="csc")
+            step = -scipy.sparse.linalg.splu(damped).solve(gradient)
+            moved = problem.moved(states, step)
+            after = problem.cost(moved)
+            if after <= cost or damping > 1e8:
+                break
+            damping *= 10.0
+        if not after <= cost:
+            break
+        gain, states, cost = cost - after, moved, after
+        damping = max(damping / 10.0, 1e-12)
+        if gain <= SETTLED * cost:
+            break
+    return states
+
+
+def _sigma_of_log_scale(problem: InertialProblem, states: States) -> float:
+    normal, _ = problem.normal_equations(states)
+    unit = np.zeros(normal.shape[0])
+    unit[problem.scale_column] = 1.0
+    tied = normal + 1e-12 * scipy.sparse.eye(len(unit), format="csc")
+    variance = scipy.sparse.linalg.splu(tied).solve(unit)[problem.scale_column]
+    return float(np.sqrt(variance)) if variance >= 0 else np.inf
+
+
+def _judged(problem: InertialProblem, states: States, extent: float, stated: float) -> InertialAlignment:
+    """The result, or why none is believed."""
+    scale = float(np.exp(states.log_scale))
+    misfit = problem.misfit(states)
+    sigma = _sigma_of_log_scale(problem, states) * max(misfit, 1.0)
+    if not (np.isfinite(sigma) and sigma <= LARGEST_SIGMA):
+        told = f"{100 * sigma:.0f} %" if np.isfinite(sigma) and sigma < 10 else "nothing at all"
+        raise DegenerateGeometryError(
+            f"the IMU tells the scale to {told} only ({100 * LARGEST_SIGMA:g} % are needed): a camera that moves at "
+            "constant velocity, or hardly, looks the same at every scale; move it to and fro"
+        )
+    place_sigma = problem.path_sigma[0]
+    if place_sigma > 0.05 * extent or misfit > LARGEST_MISFIT:
+        raise DegenerateGeometryError(
+            "the IMU and the path contradict each other: is it the same clock, mounting and camera?"
+        )
+    return InertialAlignment(
+        scale=scale,
+        sigma=scale * float(np.hypot(sigma, problem.noise.accel_gain_sigma)),
+        gravity_in_world=states.gravity,
+        gyro_bias=states.bias[:, :3].mean(axis=0),
+        accel_bias=states.bias[:, 3:].mean(axis=0),
+        velocity_in_world=states.velocity,
+        misfit=stated,
+    )

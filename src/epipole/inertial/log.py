@@ -1,0 +1,76 @@
+"""What an inertial measurement unit reports, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._declared import Declared, check_fields
+from epipole.errors import ConfigError, ShapeError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuLog(Declared):
+    """Angular velocities and specific forces (acceleration less gravity), in the unit's own axes."""
+
+    timestamp_s: Float64[np.ndarray, " n"]
+    gyro_rad_s: Float64[np.ndarray, "n 3"]
+    accel_m_s2: Float64[np.ndarray, "n 3"]
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ShapeError: a value is not finite, or the times do not rise.
+        """
+        check_fields(self)
+        values = (self.timestamp_s, self.gyro_rad_s, self.accel_m_s2)
+        if not all(np.isfinite(value).all() for value in values):
+            raise ShapeError("an IMU's times and measurements must be finite")
+        if (np.diff(self.timestamp_s) <= 0).any():
+            raise ShapeError("an IMU's times must rise")
+
+    def __len__(self) -> int:
+        return len(self.timestamp_s)
+
+    def __repr__(self) -> str:
+        if len(self) < 2:
+            return f"ImuLog({len(self)} samples)"
+        span = float(self.timestamp_s[-1] - self.timestamp_s[0])
+        return f"ImuLog({len(self)} samples, {span:.1f} s, {(len(self) - 1) / span:.0f} Hz)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuNoise:
+    """Noise densities and random walks of the biases (continuous time, as Kalibr and EuRoC state them).
+
+    The defaults are those of a common MEMS unit (ADIS16448, as EuRoC's).
+    """
+
+    gyro_density: float = 1.7e-4
+    """rad / s / sqrt(Hz)."""
+    accel_density: float = 2.0e-3
+    """m / s^2 / sqrt(Hz)."""
+    gyro_walk: float = 2.0e-5
+    """rad / s^2 / sqrt(Hz)."""
+    accel_walk: float = 3.0e-3
+    """m / s^3 / sqrt(Hz)."""
+    gyro_bias_sigma: float = 0.1
+    """rad / s, of the bias before anything is known."""
+    accel_bias_sigma: float = 0.3
+    """m / s^2."""
+    accel_gain_sigma: float = 0.01
+    """Share by which the accelerometer's sensitivity is not known: it is the scale's, and no motion shows it."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value is not positive.
+        """
+        check_fields(self)
+        for name in self.__slots__:
+            if not 0 < getattr(self, name) < np.inf:
+                raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")

@@ -1,0 +1,101 @@
+"""Logs of inertial measurement units: EuRoC's folder or CSV, any table of seven numbers, a recording of ROS; and how they are mounted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3
+from epipole.inertial import ImuLog, ImuNoise
+from epipole.io.bags import is_bag, read_bag_imu
+from epipole.io.calibration_files import parsed_file, read_body_from_camera
+from epipole.io.files import file_text
+
+_COLUMNS, _NS, _IN_NS = 7, 1e-9, 1e12
+_DENSITIES = {
+    "gyro_density": "gyroscope_noise_density",
+    "accel_density": "accelerometer_noise_density",
+    "gyro_walk": "gyroscope_random_walk",
+    "accel_walk": "accelerometer_random_walk",
+}
+
+
+def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
+    """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
+
+    Args:
+        path: EuRoC's `imu0` folder or its `data.csv` (the `sensor.yaml` beside it tells the noise), a text of
+            `SECONDS wx wy wz ax ay az` lines (or nanoseconds), or a recording of ROS with one IMU.
+
+    Raises:
+        FileFormatError: no such file, a line that is none, or times that do not rise.
+        MissingDependencyError: the package rosbags is needed and not installed.
+    """
+    path = Path(path)
+    if is_bag(path):
+        return read_bag_imu(path), ImuNoise()
+    table = path / "data.csv" if path.is_dir() else path
+    values = _table(table)
+    times = values[:, 0] * (_NS if values[0, 0] > _IN_NS else 1.0)
+    if (np.diff(times) <= 0).any():
+        raise FileFormatError(
+            table, f"the time of sample {int(np.argmax(np.diff(times) <= 0)) + 2} does not rise"
+        )
+    about = table.with_name("sensor.yaml")
+    noise = _noise(about) if about.is_file() else ImuNoise()
+    return ImuLog(times, values[:, 1:4].copy(), values[:, 4:7].copy()), noise
+
+
+def read_camera_from_imu(path: str | Path) -> Rigid3:
+    """How the unit is mounted: Kalibr's `T_cam_imu` (of its first camera), or the camera's `sensor.yaml` of EuRoC (T_BS).
+
+    Raises:
+        FileFormatError: the file holds neither.
+    """
+    path = Path(path)
+    content = parsed_file(path)
+    own = content.get("cam0", content)
+    if not (isinstance(own, dict) and "T_cam_imu" in own):
+        return read_body_from_camera(path).inverse()
+    try:
+        matrix = np.asarray(own["T_cam_imu"], np.float64).reshape(4, 4)
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(path, "T_cam_imu is not 4 x 4 numbers") from error
+    rotation = matrix[:3, :3]
+    is_rotation = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-4
+    if not is_rotation or np.linalg.det(rotation) < 0:
+        raise FileFormatError(path, "T_cam_imu holds no rotation")
+    return Rigid3.from_matrix(matrix)
+
+
+def _table(path: Path) -> np.ndarray:
+    rows = []
+    for number, line in enumerate(file_text(path).splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            rows.append([float(word) for word in words[:_COLUMNS]])
+        except ValueError as error:
+            raise FileFormatError(path, f"line {number}: {error}") from error
+        if len(words) < _COLUMNS or not np.isfinite(rows[-1]).all():
+            raise FileFormatError(path, f"line {number}: a time and six finite numbers are expected")
+    if not rows:
+        raise FileFormatError(path, "holds no measurement of an IMU")
+    return np.array(rows)
+
+
+def _noise(path: Path) -> ImuNoise:
+    """EuRoC's densities; the defaults where one is missing."""
+    content = parsed_file(path)
+    known = {}
+    for name, key in _DENSITIES.items():
+        try:
+            value = float(content[key])
+        except (KeyError, TypeError, ValueError):
+            continue
+        if 0 < value < np.inf:
+            known[name] = value
+    return ImuNoise(**known)

@@ -1,0 +1,121 @@
+"""A path with what an inertial unit on it measures, and the truth of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._declared import checked
+from epipole.errors import ConfigError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial import ImuLog, ImuNoise
+
+RATE_HZ, STEP_S = 200.0, 1e-4
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InertialPath:
+    """Poses up to scale, measurements, and what is to be found."""
+
+    timestamp_s: Float64[np.ndarray, " n"]
+    world_from_camera: Rigid3
+    """With the noise asked for."""
+    log: ImuLog
+    camera_from_imu: Rigid3
+    scale: float
+    """Metres of the poses' unit."""
+    gravity_in_world: Float64[np.ndarray, " 3"]
+    velocity_in_world: Float64[np.ndarray, "n 3"]
+    """Of the unit, m / s."""
+    gyro_bias: Float64[np.ndarray, " 3"]
+    """Mean over the path."""
+    accel_bias: Float64[np.ndarray, " 3"]
+    noise: ImuNoise = field(default_factory=ImuNoise)
+
+
+@checked
+def inertial_path(
+    seed: int,
+    seconds: float = 15.0,
+    place_sigma_m: float = 2e-3,
+    turn_sigma_rad: float = 2e-3,
+    *,
+    constant_velocity: bool = False,
+    noise: ImuNoise | None = None,
+) -> InertialPath:
+    """A hand-held unit: sums of sines in place and rotation, gravity anywhere, biases that walk, a gain that is a little off.
+
+    Args:
+        seed: of everything that is drawn.
+        seconds: length, from 2 on.
+        place_sigma_m: noise of the places, in metres.
+        turn_sigma_rad: noise of the rotations.
+        constant_velocity: the place goes on evenly instead; the camera turns as before.
+        noise: of the unit; None: the defaults.
+
+    Raises:
+        ConfigError: a length or a deviation makes no sense.
+    """
+    if not 2 <= seconds < 1e4 or not (0 <= place_sigma_m < 1 and 0 <= turn_sigma_rad < 1):
+        raise ConfigError("seconds must be at least 2, and deviations from 0 to below 1")
+    noise = ImuNoise() if noise is None else noise
+    rng = np.random.default_rng([17, seed])
+    motion = _Motion(rng, is_even=constant_velocity)
+    times = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+    up = rng.normal(size=3)
+    gravity = -GRAVITY * up / np.linalg.norm(up)
+    turning, force = motion.measured(times, gravity)
+    gain = 1.0 + noise.accel_gain_sigma * rng.normal()
+    gyro_bias = _walk(rng, 0.02, noise.gyro_walk, len(times))
+    accel_bias = _walk(rng, 0.1, noise.accel_walk, len(times))
+    white = rng.normal(size=(2, len(times), 3)) * np.sqrt(RATE_HZ)
+    log = ImuLog(
+        times,
+        turning + gyro_bias + noise.gyro_density * white[0],
+        gain * force + accel_bias + noise.accel_density * white[1],
+    )
+    instants = np.arange(0.2, seconds - 0.2, 0.25)
+    mounting = Rigid3(Rotation3.exp(rng.normal(size=3)).matrix, 0.05 * rng.normal(size=3))
+    cameras = motion.place(instants) @ mounting.inverse()
+    scale = float(np.exp(rng.uniform(-1.0, 1.0)))
+    turns = Rotation3.exp(turn_sigma_rad * rng.normal(size=(len(instants), 3))).matrix
+    places = (cameras.translation + place_sigma_m * rng.normal(size=(len(instants), 3))) / scale
+    return InertialPath(
+        *(instants, Rigid3(cameras.rotation @ turns, places), log, mounting, scale, gravity),
+        *(motion.velocity(instants), gyro_bias.mean(axis=0), accel_bias.mean(axis=0), noise),
+    )
+
+
+def _walk(rng: np.random.Generator, size: float, density: float, count: int) -> np.ndarray:
+    steps = density * rng.normal(size=(count, 3)) / np.sqrt(RATE_HZ)
+    return size * rng.normal(size=3) + np.cumsum(steps, axis=0)
+
+
+class _Motion:
+    """A smooth motion, and its derivatives by differences."""
+
+    def __init__(self, rng: np.random.Generator, *, is_even: bool) -> None:
+        self._size = np.zeros(3) if is_even else rng.uniform(0.3, 0.8, 3)
+        self._rate, self._phase = rng.uniform(1.0, 2.5, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
+        self._speed = rng.normal(size=3) * (1.0 if is_even else 0.1)
+        self._turn, self._turn_rate = rng.uniform(0.2, 0.4, 3), rng.uniform(0.5, 1.2, 3)
+
+    def place(self, times: np.ndarray) -> Rigid3:
+        t = times[:, None]
+        at = self._size * np.sin(self._rate * t + self._phase) + self._speed * t
+        return Rigid3(Rotation3.exp(self._turn * np.sin(self._turn_rate * t + self._phase)).matrix, at)
+
+    def velocity(self, times: np.ndarray) -> np.ndarray:
+        t = times[:, None]
+        return self._size * self._rate * np.cos(self._rate * t + self._phase) + self._speed
+
+    def measured(self, times: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angular velocity, and specific force R^T (a - g)."""
+        before, after = self.place(times - STEP_S), self.place(times + STEP_S)
+        turning = (Rotation3(before.rotation).inverse() @ Rotation3(after.rotation)).log() / (2 * STEP_S)
+        swing = -self._size * self._rate**2 * np.sin(self._rate * times[:, None] + self._phase)
+        back = np.swapaxes(self.place(times).rotation, 1, 2)
+        return turning, (back @ (swing - gravity)[..., None])[..., 0]

@@ -1,0 +1,116 @@
+"""A path up to scale and an IMU: scale, gravity, biases and velocities with the deviation stated, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial import ImuLog, ImuNoise, align_path_to_imu, preintegrate
+from epipole.inertial._inertial_problem import InertialProblem, States
+from epipole.io.imu_logs import read_camera_from_imu, read_imu
+from epipole.mapping import fit_scale_to_imu
+from epipole.synthetic.inertial import InertialPath, inertial_path
+
+
+def aligned(path: InertialPath, **options):
+    return align_path_to_imu(
+        path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu, path.noise, **options
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_scale_gravity_and_biases_are_found(seed):
+    path = inertial_path(seed)
+    found = aligned(path)
+    assert abs(found.scale - path.scale) < 3 * found.sigma and found.sigma < 0.015 * path.scale
+    cosine = found.gravity_in_world @ path.gravity_in_world / 9.81**2
+    assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.3
+    np.testing.assert_allclose(found.gyro_bias, path.gyro_bias, atol=1e-3)
+    np.testing.assert_allclose(found.velocity_in_world, path.velocity_in_world, atol=0.06)
+    assert 0.7 < found.misfit < 4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_constant_velocity_names_no_metre(seed):
+    with pytest.raises(DegenerateGeometryError, match="constant velocity"):
+        aligned(inertial_path(seed, constant_velocity=True))
+
+
+def test_without_noise_the_scale_is_exact():
+    quiet = ImuNoise(
+        *(), gyro_density=1e-7, accel_density=1e-6, gyro_walk=1e-8, accel_walk=1e-7, accel_gain_sigma=1e-9
+    )
+    path = inertial_path(3, place_sigma_m=0.0, turn_sigma_rad=0.0, noise=quiet)
+    assert aligned(path).scale == pytest.approx(path.scale, rel=2e-4)
+
+
+def test_another_units_log_is_refused():
+    path, other = inertial_path(0), inertial_path(1)
+    with pytest.raises(DegenerateGeometryError):
+        align_path_to_imu(path.timestamp_s, path.world_from_camera, other.log, path.camera_from_imu)
+    still = Rigid3(path.world_from_camera.rotation, np.zeros_like(path.world_from_camera.translation))
+    with pytest.raises(DegenerateGeometryError, match="rests"):
+        align_path_to_imu(path.timestamp_s, still, path.log, path.camera_from_imu)
+    with pytest.raises(DegenerateGeometryError, match="8 are needed"):
+        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera[:5], path.log, path.camera_from_imu)
+    with pytest.raises(ShapeError, match="times"):
+        align_path_to_imu(path.timestamp_s[:5], path.world_from_camera, path.log, path.camera_from_imu)
+
+
+def test_derivatives_are_those_of_the_terms(rng):
+    path = inertial_path(2, seconds=4.0)
+    measured = preintegrate(path.log, path.timestamp_s)
+    unit = path.world_from_camera @ path.camera_from_imu
+    n = len(unit.translation)
+    states = States(
+        *(unit.rotation, rng.normal(size=(n, 3)), unit.translation, 1e-3 * rng.normal(size=(n, 6))),
+        *(0.2, path.gravity_in_world),
+    )
+    problem = InertialProblem(
+        *(measured, path.world_from_camera, path.camera_from_imu, ImuNoise(), (0.01, 0.01), np.zeros(3))
+    )
+    states = problem.moved(states, 1e-3 * rng.normal(size=problem.scale_column + 3))
+    _, gradient = problem.normal_equations(states)
+    for _ in range(3):
+        way = rng.normal(size=len(gradient))
+        ahead, behind = (problem.cost(problem.moved(states, h * way)) for h in (1e-6, -1e-6))
+        assert (ahead - behind) / 2e-6 == pytest.approx(gradient @ way, rel=2e-3)
+
+
+def test_stretches_give_one_scale_and_what_drifts_is_told_by_the_deviation():
+    path = inertial_path(4, seconds=65.0)
+    found = fit_scale_to_imu(path.timestamp_s, path.world_from_camera, path.log, path.camera_from_imu)
+    assert found.note == "the IMU (5 of 5 stretches)" and found.shared_sigma == 0.01
+    assert abs(found.scale / path.scale - 1) < 2 * found.share < 0.03
+    with pytest.raises(DegenerateGeometryError, match="no 12 poses"):
+        fit_scale_to_imu(path.timestamp_s + 900.0, path.world_from_camera, path.log, path.camera_from_imu)
+
+
+def test_a_real_unit_on_a_drone_with_its_true_path(data_dir):
+    """EuRoC V1_01: sensitivity, vibration and clock as they are; the truth is the path by a laser tracker's motion capture."""
+    log, noise = read_imu(data_dir / "slam" / "euroc_static" / "mav0" / "imu0")
+    assert noise.accel_walk == 3e-3 and len(log) == 29120
+    rows = np.loadtxt(data_dir / "slam" / "euroc_static" / "V1_01_easy.csv", delimiter=",")[::5]
+    times = rows[:, 0] * 1e-9
+    inside = (times > log.timestamp_s[0]) & (times < log.timestamp_s[-1])
+    rows, times = rows[inside], times[inside]
+    path = Rigid3(Rotation3.from_quat_wxyz(rows[:, 4:8]).matrix, rows[:, 1:4] / 2.5)
+    found = fit_scale_to_imu(times, path, log, Rigid3.identity(), noise)
+    assert abs(found.scale / 2.5 - 1) < min(2 * found.share, 0.02)
+    few = slice(0, 60)
+    one = align_path_to_imu(times[few], path[few], log, Rigid3.identity(), noise)
+    np.testing.assert_allclose(one.gyro_bias, rows[few, 11:14].mean(axis=0), atol=2e-3)
+    assert np.degrees(np.arccos(-one.gravity_in_world[2] / 9.81)) < 1.0
+    mounting = read_camera_from_imu(data_dir / "slam" / "euroc_static" / "mav0" / "cam0" / "sensor.yaml")
+    assert 0.05 < np.linalg.norm(mounting.translation) < 0.1
+
+
+def test_a_log_is_sorted_out(tmp_path):
+    table = tmp_path / "imu.txt"
+    table.write_text("# s\n0.0 0 0 0 0 0 9.8\n0.1,0,0,0,0,0,9.8\n")
+    log, noise = read_imu(table)
+    assert np.array_equal(log.timestamp_s, [0.0, 0.1]) and noise == ImuNoise()
+    assert replace(noise, accel_walk=1.0) != noise and repr(log) == "ImuLog(2 samples, 0.1 s, 10 Hz)"
+    assert isinstance(log, ImuLog)
