@@ -16,7 +16,7 @@ from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
-from epipole.pipelines.slam.tracking import Tracks, locate, predict_pixels
+from epipole.pipelines.slam.tracking import Tracks, is_sure, locate, predict_pixels
 
 PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
@@ -99,7 +99,7 @@ class MapTracker:
             deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
         proven = self.map.num_agreed[rows] >= PROVEN_FRAMES
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
-        if found is None:
+        if found is None or not is_sure(*found, self.config):
             return None
         refined, agrees = found
         kept = np.ones(len(tracks.point), bool)

@@ -15,8 +15,9 @@ from epipole.robust import estimate_absolute_pose
 COARSE_PX = 15.0
 """Scale of the loss in a first refinement: at the final one a prediction that is far off ends in a wrong minimum."""
 LEAST_PROVEN = 40
-LARGEST_TURN_DEG = 0.75
-"""Standard deviation of a frame's orientation, for points that are off by a pixel, beyond which it has no place."""
+FEW, LARGEST_TURN_DEG = 2, 0.75
+"""With points fewer than so many times the least: the standard deviation of a frame's orientation, for points that are off by
+a pixel, beyond which it has no place."""
 AGREEING_SHARE = 0.7
 """With a smaller share of the points in agreement the predicted place is not trusted, and one is sought anew."""
 
@@ -114,7 +115,7 @@ def locate(
         points_in_world[agrees], pixels[agrees], camera, found[0].cam_from_world, disparities=some
     )
     agrees[agrees] = refined.error_sq <= config.max_error_px**2
-    return (refined, agrees) if _is_sure(refined, agrees, config) else None
+    return (refined, agrees) if agrees.sum() >= config.min_tracked else None
 
 
 def _search(
@@ -142,12 +143,12 @@ def _search(
             again = refine_pose(points_in_world, pixels, camera, sought.model, disparities=disparities)
             if (again.error_sq <= limit).sum() > agrees.sum():
                 found, agrees = again, again.error_sq <= limit
-    return (found, agrees) if _is_sure(found, agrees, config) else None
+    return (found, agrees) if agrees.sum() >= config.min_tracked else None
 
 
-def _is_sure(refined: RefinedPose, agrees: np.ndarray, config: SlamConfig) -> bool:
-    """Whether points enough agree, and lie so that a pixel's error turns the camera little."""
-    if agrees.sum() < config.min_tracked:
-        return False
+def is_sure(refined: RefinedPose, agrees: np.ndarray, config: SlamConfig) -> bool:
+    """Whether points are many, or the few lie so that a pixel's error turns the camera little."""
+    if agrees.sum() >= FEW * config.min_tracked:
+        return True
     variance = np.linalg.eigvalsh(refined.covariance()[3:, 3:])[-1]
     return bool(variance <= np.radians(LARGEST_TURN_DEG) ** 2)
