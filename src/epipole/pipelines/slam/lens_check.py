@@ -151,7 +151,7 @@ def _observations(views: list[Keyframe], model: SlamMap, camera: Camera) -> _See
         return None
     parts = []
     for row, own in enumerate(views):
-        rays = camera.unproject(own.pixels)
+        rays = camera.unproject(own.straight_px)
         with np.errstate(divide="ignore", invalid="ignore"):
             at = rays[:, :2] / rays[:, 2:]
         used = model.has_place(own.point) & (rays[:, 2] > 0) & (np.abs(at) < WIDEST).all(axis=1)

@@ -15,6 +15,7 @@ from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.revisiting import find_again, tie_together
+from epipole.pipelines.slam.shutter import at_middle, refine_while_moving, shutter_shifts
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
@@ -74,7 +75,11 @@ class LocalMapper:
         lacking = ~self.map.has_place(points) & ~fresh
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
-        self.map.keyframes.append(Keyframe(number, frame.timestamp_s, frame.grey, place, seen))
+        keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
+        shutter = self.camera, self.config.readout_s
+        keyframe.motion = self.map.motion
+        keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, *shutter)
+        self.map.keyframes.append(keyframe)
         anew = np.isin(points, stale)
         self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
         return Tracks(pixels.copy(), points.copy(), pixels.copy())
@@ -96,6 +101,7 @@ class LocalMapper:
         most = self.config.max_depth_baselines
         disparity = disparity + self.map.right_shift_px
         in_cam = points_by_disparity(pixels, disparity, self.camera, self.focal_baseline, most)
+        in_cam = at_middle(in_cam, pixels, self.map.motion, self.camera, self.config.readout_s)
         return place.inverse().apply(in_cam)
 
     def triangulate(self, newest: int) -> int:
@@ -115,7 +121,7 @@ class LocalMapper:
         for v, k in enumerate(views):
             own = self.map.keyframes[k]
             seen = column[own.point]
-            pixels[v, seen[seen >= 0]] = own.pixels[seen >= 0]
+            pixels[v, seen[seen >= 0]] = own.straight_px[seen >= 0]
         if len(views) < 2:
             return 0
         found = triangulate_points(
@@ -134,6 +140,8 @@ class LocalMapper:
 
         The next keyframe is too late for them: a fast camera would have run out of points until then.
         """
+        if self.config.readout_s:
+            return 0
         lacking = np.flatnonzero(~self.map.has_place(points))
         anchors, count = self.map.anchor[points[lacking]], 0
         for k in np.unique(anchors):
@@ -217,22 +225,17 @@ class LocalMapper:
         if len(window) < 2:
             return
         views = [*window, *fixed]
-        is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
-        frame, point, pixels, disparity = self._observations(views, is_seen)
-        enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
-        kept = enough[point]
-        frame, point, pixels, disparity = frame[kept], point[kept], pixels[kept], disparity[kept]
-        if not len(point):
+        if self.config.readout_s:
+            self._straighten(window)
+        rows, held = self._built(window, views)
+        if not len(rows):
             return
-        rows, local = np.unique(point, return_inverse=True)
-        problem = self._problem(views, len(window), rows, (frame, local, pixels, disparity))
         config = BundleConfig(
             loss=Loss.CAUCHY,
             loss_scale_px=loss_scale_px,
             max_iterations=max_iterations,
             function_tolerance=1e-3,
         )
-        held = self._held(problem)
         result = adjust_bundle(held, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
@@ -243,6 +246,36 @@ class LocalMapper:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
         self.map.xyz[rows] = result.points_in_world
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
+
+    def cost_of(self, window: list[int]) -> float:
+        """What is left over after an adjustment of keyframes, which the map does not learn of."""
+        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        rows, held = self._built(window, window)
+        if not len(rows):
+            return 0.0
+        config = BundleConfig(loss=Loss.CAUCHY, max_iterations=15, function_tolerance=1e-4)
+        return adjust_bundle(held, config).final_cost
+
+    def _built(self, window: list[int], views: list[int]) -> tuple[np.ndarray, BundleProblem]:
+        """Rows of the points that take part, and the problem of the views, of which the first are free."""
+        is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
+        frame, point, pixels, disparity = self._observations(views, is_seen)
+        enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
+        kept = enough[point]
+        rows, local = np.unique(point[kept], return_inverse=True)
+        seen = frame[kept], local, pixels[kept], disparity[kept]
+        return rows, self._held(self._problem(views, len(window), rows, seen))
+
+    def _straighten(self, window: list[int]) -> None:
+        """Where a shutter of one instant would have seen the points, by the keyframes' motion with the map as it is."""
+        readout = self.config.readout_s
+        for keyframe in (self.map.keyframes[k] for k in window):
+            placed = self.map.has_place(keyframe.point)
+            if placed.sum() >= self.config.min_tracked:
+                xyz, pixels = self.map.xyz[keyframe.point[placed]], keyframe.pixels[placed]
+                known = keyframe.cam_from_world, keyframe.motion, readout
+                _, keyframe.motion, _ = refine_while_moving(xyz, pixels, self.camera, *known)
+            keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.camera, readout)
 
     def _held(self, problem: BundleProblem) -> BundleProblem:
         """With what the pictures leave open held: one place, and the scale where nothing tells it."""
@@ -261,7 +294,12 @@ class LocalMapper:
             own = self.map.keyframes[k]
             mask = is_wanted[own.point]
             parts.append(
-                (np.full(int(mask.sum()), place), own.point[mask], own.pixels[mask], own.disparity_px[mask])
+                (
+                    np.full(int(mask.sum()), place),
+                    own.point[mask],
+                    own.straight_px[mask],
+                    own.disparity_px[mask],
+                )
             )
         return tuple(np.concatenate(column) for column in zip(*parts))  # type: ignore[return-value]
 
@@ -331,7 +369,7 @@ class LocalMapper:
             placed = self.map.has_place(own.point)
             at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
             off = np.zeros(len(own.point), bool)
-            off[placed] = ~(np.linalg.norm(at - own.pixels[placed], axis=1) <= max_error_px)
+            off[placed] = ~(np.linalg.norm(at - own.straight_px[placed], axis=1) <= max_error_px)
             if off.any():
                 own.keep(~off)
 

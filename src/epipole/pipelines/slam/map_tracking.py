@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from epipole.geometry import Rigid3
@@ -14,10 +16,13 @@ from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
+from epipole.pipelines.slam.shutter import refine_while_moving
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import SlamMap
 from epipole.pipelines.slam.tracking import Tracks, is_sure, locate, predict_pixels
 
+LONGEST_STEP_S, FASTEST = 0.5, 10.0
+"""Between two frames of which the motion is told; depths of the scene, or radians, per second: faster is a jump of the map."""
 PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
 
@@ -40,6 +45,7 @@ class MapTracker:
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
         self._num_at_start = 1
+        self._last: tuple[float, Rigid3] | None = None
 
     def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
         """The pose of the next frame and the number of points that agree; None if too few do.
@@ -102,6 +108,8 @@ class MapTracker:
         if found is None or not is_sure(*found, self.config):
             return None
         refined, agrees = found
+        if self.config.readout_s:
+            refined, agrees = self._while_moving(frame, refined, rows, pixels)
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
         self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
@@ -110,6 +118,23 @@ class MapTracker:
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
+
+    def _while_moving(
+        self, frame: Frame, refined: RefinedPose, points: np.ndarray, pixels: np.ndarray
+    ) -> tuple[RefinedPose, np.ndarray]:
+        """The pose in the middle of the readout, found with the motion; and which points agree then."""
+        place, given = refined.cam_from_world, self.map.motion
+        if self._last is not None and 0 < frame.timestamp_s - self._last[0] < LONGEST_STEP_S:
+            speed = (place @ self._last[1].inverse()).log() / (frame.timestamp_s - self._last[0])
+            depth = float(np.median(place.apply(self.map.xyz[points])[:, 2]))
+            if np.abs(speed / np.repeat([depth, 1.0], 3)).max() < FASTEST:
+                given = np.concatenate([speed, np.zeros(6)])
+        found = refine_while_moving(
+            self.map.xyz[points], pixels, self.camera, place, given, self.config.readout_s
+        )
+        place, self.map.motion, error_sq = found
+        self._last = frame.timestamp_s, place
+        return replace(refined, cam_from_world=place), error_sq <= self.config.max_error_px**2
 
     def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
         fresh = self.map.anchor[points] == len(self.map.keyframes) - 1

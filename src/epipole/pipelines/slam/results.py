@@ -24,10 +24,12 @@ from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
+from epipole.pipelines.slam.local_mapping import LocalMapper
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
+from epipole.pipelines.slam.shutter_check import find_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
 from epipole.pipelines.slam.truth import Truth, truth_at_frames, truth_summary
@@ -131,9 +133,14 @@ def write_results(
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
     """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
     with run.stage("check"):
-        lens = check_lens(system.maps[0], system.camera.camera)
-        run.warnings += [*lens_warnings(lens, system.maps[0].right_shift_px), *doubts(tracked, path)]
+        model, config = system.maps[0], system.config
+        mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
+        shutter = None if config.readout_s else find_readout(mapper, system.trajectory())
+        lens = check_lens(model, system.camera.camera)
+        bent = lens_warnings(lens, model.right_shift_px) if shutter is None else [shutter.warning()]
+        run.warnings += [*bent, *doubts(tracked, path)]
         return {
+            "readout_s": config.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),

@@ -27,6 +27,8 @@ class Keyframe:
         cam_from_world: its place, which adjustments change.
         pixels: (n, 2) of its observations.
         disparity_px: (n,) of them, NaN for none.
+        motion: (12,) the camera's speed and its change, where it has a rolling shutter.
+        shift_px: (n, 2) from there to where a shutter of one instant would have seen them; zero where it is one.
         point: (n,) rows of the map's points, each at most once.
         descriptors: (n, 128) of them, zeros where none was made.
         look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
@@ -40,21 +42,30 @@ class Keyframe:
         self.number, self.timestamp_s, self.grey = number, timestamp_s, grey
         self.cam_from_world = cam_from_world
         self.pixels, self.disparity_px, self.point = seen
+        self.shift_px = np.zeros((len(self.point), 2))
+        self.motion = np.zeros(12)
         self.descriptors = np.zeros((len(self.point), 128), np.uint8)
         self.look: np.ndarray | None = None
         self.unit = 1.0
         self.covariance = np.zeros((6, 6))
 
+    @property
+    def straight_px(self) -> np.ndarray:
+        """(n, 2) where a shutter of one instant would have seen the points."""
+        return self.pixels + self.shift_px
+
     def keep(self, mask: np.ndarray) -> None:
         """Forget the other observations."""
         self.pixels, self.disparity_px = self.pixels[mask], self.disparity_px[mask]
         self.point, self.descriptors = self.point[mask], self.descriptors[mask]
+        self.shift_px = self.shift_px[mask]
 
     def add(self, pixels: np.ndarray, disparity_px: np.ndarray, point: np.ndarray) -> None:
         """Add observations."""
         self.pixels = np.concatenate([self.pixels, pixels])
         self.disparity_px = np.concatenate([self.disparity_px, disparity_px])
         self.point = np.concatenate([self.point, point])
+        self.shift_px = np.concatenate([self.shift_px, np.zeros((len(point), 2))])
         none = np.zeros((len(point), 128), np.uint8)
         self.descriptors = np.concatenate([self.descriptors, none])
 
@@ -69,6 +80,8 @@ class SlamMap:
         self._anchor_px = np.empty((4096, 2))
         self._num_agreed = np.empty(4096, np.int64)
         self.num_points = 0
+        self.motion = np.zeros(12)
+        """Speed of the camera in the last frame, and its change, where it has a rolling shutter."""
         self.right_shift_px = 0.0
         """By how much further to the right than it was said the principal point of a pair's second camera lies."""
 
@@ -134,9 +147,12 @@ class SlamMap:
     def move(self, new_from_old: Similarity3) -> None:
         """Tell everything in another world's coordinates."""
         self.xyz[:] = new_from_old.apply(self.xyz)
+        grown = np.tile(np.repeat([float(new_from_old.scale), 1.0], 3), 2)
         for keyframe in self.keyframes:
             keyframe.cam_from_world = new_from_old.move_cam_from_source(keyframe.cam_from_world)
             keyframe.unit *= float(new_from_old.scale)
+            keyframe.motion = keyframe.motion * grown
+        self.motion = self.motion * grown
 
     def absorb(self, other: SlamMap) -> int:
         """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows.

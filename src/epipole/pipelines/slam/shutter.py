@@ -1,0 +1,154 @@
+"""Pictures that are read out row by row: what the motion did to them, and how long the readout takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3, skew
+from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
+from epipole.scene import Trajectory
+
+SPEED_SIGMA, CHANGE_SIGMA = 0.5, 15.0
+"""Of a frame's speed against that since the frame before, and of its change: radians, or depths of the scene, per second (squared)."""
+STEPS, SETTLED = 8, 1e-7
+LONGEST_GAP = 3.0
+"""Between a keyframe and the frames beside it, in median gaps: over a longer one its motion is not known."""
+
+
+def twists_at(path: Trajectory, keyframes: Sequence[Keyframe]) -> np.ndarray:
+    """(k, 6) of keyframes' motions per second, cam(t + dt)_from_world = exp(xi dt) cam(t)_from_world; NaN if unknown.
+
+    Of the frames before and after, on which a row of a picture lies between the two.
+
+    Args:
+        path: of all frames.
+        keyframes: some of them.
+    """
+    out = np.full((len(keyframes), 6), np.nan)
+    if len(path) < 3:
+        return out
+    times, cams = path.timestamp_s, path.world_from_body.inverse()
+    gap = LONGEST_GAP * float(np.median(np.diff(times)))
+    at = np.searchsorted(times, [k.timestamp_s for k in keyframes])
+    inner = (at > 0) & (at < len(times) - 1)
+    before, after = np.clip(at - 1, 0, None), np.clip(at + 1, None, len(times) - 1)
+    seconds = times[after] - times[before]
+    known = inner & (seconds <= 2.0 * gap) & (seconds > 0)
+    motion = (cams[after] @ cams[before].inverse()).log()
+    out[known] = motion[known] / seconds[known, None]
+    return out
+
+
+def shutter_shifts(
+    model: SlamMap, keyframe: Keyframe, motion: np.ndarray, camera: Camera, readout_s: float
+) -> np.ndarray:
+    """(n, 2) from where a keyframe's points were seen to where a shutter of one instant would have seen them.
+
+    Points without a place are taken to be as far as the others (median).
+
+    A row is read at readout (v / height - 1 / 2) after the frame's time, by when the camera has moved on.
+
+    Args:
+        model: the map.
+        keyframe: one of it.
+        motion: (12,) its speed and the change of it, per second and second squared.
+        camera: any model.
+        readout_s: from the first row to the one after the last.
+    """
+    if readout_s == 0 or not len(keyframe.point):
+        return np.zeros((len(keyframe.point), 2))
+    in_cam = keyframe.cam_from_world.apply(model.xyz[keyframe.point])
+    placed = in_cam[:, 2] > 0
+    rays = camera.unproject(keyframe.pixels)
+    far = rays / rays[:, 2:] * (np.median(in_cam[placed, 2]) if placed.any() else 1.0)
+    in_cam = np.where(placed[:, None], in_cam, far)
+    moved = Rigid3.exp(_moved(motion, _late(keyframe.pixels, camera, readout_s))).apply(in_cam)
+    shift = camera.project(in_cam) - camera.project(moved)
+    return np.where(np.isfinite(shift).all(axis=1, keepdims=True), shift, 0.0)
+
+
+def at_middle(
+    in_cam: np.ndarray, pixels: np.ndarray, motion: np.ndarray, camera: Camera, readout_s: float
+) -> np.ndarray:
+    """(n, 3) points by depth, seen when their rows were read, in the camera in the middle of the readout."""
+    if readout_s == 0 or not motion.any():
+        return in_cam
+    late = _late(pixels, camera, readout_s)
+    return Rigid3.exp(_moved(motion, late)).inverse().apply(in_cam)
+
+
+def refine_while_moving(
+    points_in_world: np.ndarray,
+    pixels: np.ndarray,
+    camera: Camera,
+    start: Rigid3,
+    motion: np.ndarray,
+    readout_s: float,
+) -> tuple[Rigid3, np.ndarray, np.ndarray]:
+    """Pose and motion of a frame whose rows were read one after another, by robust least squares of both.
+
+    With X' = exp(late xi) T X both change the projection alike, the motion by how late a row is: J = (A, late A) with A the
+    derivative by the pose. Where the points tell the motion badly it stays near the one given.
+
+    Args:
+        points_in_world: (n, 3).
+        pixels: (n, 2) where they are seen.
+        camera: any model.
+        start: cam_from_world thought likely.
+        motion: (12,) speed and its change thought likely.
+        readout_s: from the first row to the one after the last.
+
+    Returns:
+        cam_from_world in the middle of the readout, the motion, and the squared errors (n,).
+    """
+    late = _late(pixels, camera, readout_s)
+    place, given, motion = start, motion, motion.copy()
+    depth = max(float(np.median(start.apply(points_in_world)[:, 2])), 1e-6)
+    unit = np.array([depth, depth, depth, 1.0, 1.0, 1.0])
+    sigma = np.concatenate([SPEED_SIGMA * unit, CHANGE_SIGMA * unit])
+    error_sq = np.full(len(pixels), np.inf)
+    for _ in range(STEPS):
+        moved = Rigid3.exp(_moved(motion, late)).apply(place.apply(points_in_world))
+        off = camera.project(moved) - pixels
+        error_sq = (off**2).sum(axis=1)
+        seen = np.isfinite(error_sq) & (moved[:, 2] > 0)
+        weight = np.where(seen, 1.0 / (1.0 + np.where(seen, error_sq, 0.0)), 0.0)  # Cauchy's, of a pixel
+        by_pose = _by_pose(camera, np.where(seen[:, None], moved, [0.0, 0.0, depth]))
+        when = late[:, None, None]
+        jacobian = np.concatenate([by_pose, when * by_pose, 0.5 * when**2 * by_pose], axis=2)
+        weighted = jacobian * weight[:, None, None]
+        normal = np.einsum("nri,nrj->ij", weighted, jacobian)
+        gradient = np.einsum("nri,nr->i", weighted, np.where(seen[:, None], off, 0.0))
+        normal[range(6, 18), range(6, 18)] += 1.0 / sigma**2
+        gradient[6:] += (motion - given) / sigma**2
+        step = -np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), gradient)
+        place, motion = Rigid3.exp(step[:6]) @ place, motion + step[6:]
+        if np.abs(step[:6]).max() < SETTLED:
+            break
+    return place, motion, np.where(np.isfinite(error_sq), error_sq, np.inf)
+
+
+def _late(pixels: np.ndarray, camera: Camera, readout_s: float) -> np.ndarray:
+    """(n,) seconds after the middle of the readout at which rows are read."""
+    return readout_s * ((pixels[:, 1] + 0.5) / camera.height - 0.5)
+
+
+def _moved(motion: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """(n, 6) tangents of the motion by then: speed, and half its change."""
+    return late[:, None] * motion[:6] + 0.5 * late[:, None] ** 2 * motion[6:]
+
+
+def _by_pose(camera: Camera, in_cam: np.ndarray) -> np.ndarray:
+    """(n, 2, 6) derivative of pixels by exp(xi), through that by the point, by differences."""
+    size = 1e-6 * in_cam[:, 2:]
+    by_point = np.stack(
+        [
+            (camera.project(in_cam + size * axis) - camera.project(in_cam - size * axis)) / (2.0 * size)
+            for axis in np.eye(3)
+        ],
+        axis=2,
+    )
+    return np.concatenate([by_point, -by_point @ skew(in_cam)], axis=2)
