@@ -151,13 +151,17 @@ def _drawn(trial: Trial, things: list[Any], rows: np.ndarray) -> AnchorViews:
     return replace(views, cameras=lenses)
 
 
+def _vector(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
 def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     """Three AprilTags in rendered pictures, one printed 10 % too large; the sides are stated 0.3 % wrong."""
     right, down, _, rows = _facing(trial)
     side, things = 0.25, []
     for n, (aside, size) in enumerate(((-0.5, side), (0.0, side), (0.5, 1.1 * side))):
-        center = tuple(float(v) for v in aside * right)
-        things += tag_sheet(7 + n, size, center, tuple(map(float, right)), tuple(map(float, down)))  # type: ignore[arg-type]
+        things += tag_sheet(7 + n, size, _vector(aside * right), _vector(right), _vector(down))
     stated = side * (1.0 + 0.003 * trial.rng.normal())
     return _drawn(trial, things, rows), AnchorOptions(tag_size_m=stated)
 
@@ -165,8 +169,7 @@ def tags(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
 def board(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     """A chessboard in rendered pictures; the side of its squares is stated 0.3 % wrong."""
     right, down, _, rows = _facing(trial)
-    axes = tuple(map(float, right)), tuple(map(float, down))
-    things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), *axes)  # type: ignore[arg-type]
+    things = chessboard_sheet(8, 5, 0.1, (0.0, 0.0, 0.0), _vector(right), _vector(down))
     stated = 0.1 * (1.0 + 0.003 * trial.rng.normal())
     return _drawn(trial, things, rows), AnchorOptions(board="8x5", square_m=stated)
 

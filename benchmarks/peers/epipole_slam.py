@@ -37,6 +37,7 @@ def main() -> None:
     """Track every frame, then adjust the map; write the path as it was known then, and the final one."""
     folder, sensor, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
     from epipole.io.trajectories import write_trajectory
+    from epipole.pipelines.slam.shutter_check import find_readout
     from epipole.pipelines.slam.slam import Slam
 
     frames = load_frames(folder)
@@ -60,6 +61,7 @@ def main() -> None:
     slam.finish()
     finish_s = time.perf_counter() - begin
     path = slam.trajectory()
+    readout = None if camera.readout_s else find_readout(slam.mapper, path)
     if len(path):
         write_trajectory(path, out / "final.txt")
     more = {
@@ -67,6 +69,7 @@ def main() -> None:
         "reasons": reasons,
         "finish_s": finish_s,
         "num_keyframes": len(slam.map.keyframes),
+        "readout_found_s": None if readout is None else readout.readout_s,
     }
     save_answers(out, ms, causal, **more)
 
@@ -80,17 +83,16 @@ def camera_of(frames: SlamFrames, sensor: str):
     about = frames.about
     size = (about["width"], about["height"])
     lens = Camera(CameraModel.PINHOLE, *size, np.array(about["params"]))
+    readout_s = about.get("readout_s", 0.0)
     if sensor == "stereo":
-        return SlamCamera(lens, about["baseline_m"])
+        return SlamCamera(lens, about["baseline_m"], readout_s=readout_s)
     if sensor == "mono":
-        return SlamCamera(lens)
-    told = about.get("depth_sensor")
-    if told is None:
-        return SlamCamera(lens, None, DepthCamera(lens, Rigid3.identity()))
-    place = Rigid3.from_matrix(np.array(told["depth_from_color"]))
-    return SlamCamera(
-        lens, None, DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(told["params"])), place)
-    )
+        return SlamCamera(lens, readout_s=readout_s)
+    told, depth = about.get("depth_sensor"), DepthCamera(lens, Rigid3.identity())
+    if told is not None:
+        place = Rigid3.from_matrix(np.array(told["depth_from_color"]))
+        depth = DepthCamera(Camera(CameraModel.PINHOLE, *size, np.array(told["params"])), place)
+    return SlamCamera(lens, None, depth, readout_s)
 
 
 def frames_of(frames: SlamFrames, sensor: str, count: int) -> Iterator:

@@ -76,7 +76,7 @@ def _finish(folder: Path, about: dict[str, Any], times: np.ndarray, truths: dict
     (folder / "about.json").write_text(json.dumps(about, indent=1))
 
 
-def _write_ride(make: Callable[[], Ride]) -> Callable[[Path, Path], None]:
+def _write_ride(make: Callable[[], Ride], *, tells_readout: bool = False) -> Callable[[Path, Path], None]:
     def write(_: Path, folder: Path) -> None:
         ride = make()
         camera = ride.camera
@@ -89,6 +89,7 @@ def _write_ride(make: Callable[[], Ride]) -> Callable[[Path, Path], None]:
             **_lens(camera.width, camera.height, camera.params),
             "baseline_m": ride.baseline,
             "depth_factor": DEPTH_FACTOR,
+            "readout_s": ride.shutter.readout_s if tells_readout else 0.0,
         }
         _finish(folder, about, ride.timestamp_s, {"exact": ride.truth()})
 
@@ -182,5 +183,6 @@ TASKS = {
     "tiled_room": SlamTask(ALL, _write_ride(rides.tiled_room)),
     "walking_box": SlamTask(ALL, _write_ride(rides.walking_box)),
     "shuttered": SlamTask(ALL, _write_ride(rides.shuttered)),
+    "shuttered_told": SlamTask(ALL, _write_ride(rides.shuttered, tells_readout=True)),
     "unshuttered": SlamTask(ALL, _write_ride(lambda: rides.shuttered(readout_s=0.0))),
 }

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise, align_path_to_imu, preintegrate
 from epipole.inertial._inertial_problem import InertialProblem, States
@@ -55,6 +55,9 @@ def test_another_units_log_is_refused():
         align_path_to_imu(path.timestamp_s, still, path.log, path.camera_from_imu)
     with pytest.raises(DegenerateGeometryError, match="8 are needed"):
         align_path_to_imu(path.timestamp_s[:5], path.world_from_camera[:5], path.log, path.camera_from_imu)
+    rows = np.zeros(250, np.int64)
+    with pytest.raises(ConfigError, match="250 poses"):
+        align_path_to_imu(np.arange(250) * 0.05, path.world_from_camera[rows], path.log, path.camera_from_imu)
     with pytest.raises(ShapeError, match="times"):
         align_path_to_imu(path.timestamp_s[:5], path.world_from_camera, path.log, path.camera_from_imu)
 

@@ -1,5 +1,7 @@
 """Pictures that are read out row by row: shifts undo the motion, the readout is found, and the path is straight with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from slam_rides import drawn, errors
@@ -7,7 +9,7 @@ from slam_rides import drawn, errors
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.shutter import at_middle, refine_while_moving, shutter_shifts
 from epipole.pipelines.slam.shutter_check import find_readout
 from epipole.pipelines.slam.slam import Slam
@@ -63,7 +65,7 @@ def test_pose_and_motion_are_found_together(seen, rng):
 @pytest.mark.usefixtures("unchecked_module")
 def test_the_readout_is_found_and_the_path_straight_with_it():
     ride = drawn("shuttered", 75, 1)
-    bent, straight = (Slam(ride.sensor("rgbd"), SlamConfig(readout_s=s)) for s in (0.0, BY_THE_FRAMES))
+    bent, straight = (Slam(replace(ride.sensor("rgbd"), readout_s=s)) for s in (0.0, BY_THE_FRAMES))
     for frame in ride.frames("rgbd"):
         bent.track(frame)
         straight.track(frame)
@@ -73,7 +75,7 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
     before, after = (errors(one, ride.truth(), "none").position.rmse for one in (bent, straight))
     assert after < 0.5 * before
     with pytest.raises(ConfigError, match="readout_s"):
-        SlamConfig(readout_s=-0.1)
+        CameraOptions(readout_s=-0.1)
 
 
 @pytest.mark.usefixtures("unchecked_module")

@@ -94,10 +94,11 @@ def _by_edges(grey: np.ndarray, corners: np.ndarray, cell_px: float) -> np.ndarr
     """
     found, half = corners, float(np.clip(_CELL_SHARE * cell_px, *_HALF_PX))
     for _ in range(_ROUNDS):
-        lines = [_edge(grey, found[k], found[(k + 1) % 4], half) for k in range(4)]
-        if any(line is None for line in lines):
+        edges = (_edge(grey, found[k], found[(k + 1) % 4], half) for k in range(4))
+        lines = [line for line in edges if line is not None]
+        if len(lines) < 4:
             return None
-        meets = [np.cross(lines[k - 1], lines[k]) for k in range(4)]  # type: ignore[arg-type]
+        meets = [np.cross(lines[k - 1], lines[k]) for k in range(4)]
         if any(abs(m[2]) < 1e-9 for m in meets):
             return None
         found = np.stack([m[:2] / m[2] for m in meets])

@@ -16,7 +16,8 @@ from epipole.inertial.log import ImuLog, ImuNoise
 from epipole.inertial.preintegration import Preintegrated, preintegrate
 
 GRAVITY = 9.81
-LEAST_POSES = 8
+LEAST_POSES, MOST_POSES = 8, 200
+"""The second: variances are found with a dense inverse of 15 numbers a pose."""
 MOST_STEPS, SETTLED = 30, 1e-6
 LARGEST_SIGMA = 0.05
 """Of the scale's logarithm: known worse than this it is not named."""
@@ -84,7 +85,7 @@ def align_path_to_imu(
     Raises:
         DegenerateGeometryError: scale and gravity cannot be told; the message says why.
         ShapeError: the arrays do not fit, or the times do not rise.
-        ConfigError: a deviation is not positive.
+        ConfigError: a deviation is not positive, or there are more than 200 poses.
     """
     noise = ImuNoise() if noise is None else noise
     _check(timestamp_s, world_from_camera, place_sigma, turn_sigma_rad)
@@ -141,6 +142,10 @@ def _check(times: np.ndarray, poses: Rigid3, place_sigma: float | None, turn_sig
         raise ShapeError("poses must be finite")
     if (place_sigma is not None and not 0 < place_sigma < np.inf) or not 0 < turn_sigma < np.inf:
         raise ConfigError("place_sigma and turn_sigma_rad must be positive and finite")
+    if len(times) > MOST_POSES:
+        raise ConfigError(
+            f"{len(times)} poses are given, at most {MOST_POSES} are aligned together: fit_scale_to_imu cuts a longer path"
+        )
     if len(times) < LEAST_POSES:
         raise DegenerateGeometryError(f"{len(times)} poses have a place, {LEAST_POSES} are needed for an IMU")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -74,7 +75,7 @@ def scale_evidence(
     everywhere = views if path is None else path
     if options.lengths is not None:
         for known in read_lengths(options.lengths):
-            found.try_one(known.name, lambda known=known: _of_length(everywhere, known, options))  # type: ignore[misc]
+            found.try_one(known.name, partial(_of_length, everywhere, known, options))
     if options.tag_size_m is not None:
         _add_tags(views, options, found)
     board = options.board_config()

@@ -59,8 +59,6 @@ class SlamConfig:
     """Depth sensor: the baseline that its errors grow as of."""
     max_depth_baselines: float = 120.0
     """Points that are further than so many baselines get no depth from a single frame."""
-    readout_s: float = 0.0
-    """Of a rolling shutter: from the first row to the one after the last; 0: all rows at once."""
     seed: int = 0
     """Of all that is drawn at random: the same seed, the same path."""
 
@@ -71,8 +69,6 @@ class SlamConfig:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
-        if not 0 <= self.readout_s < 1:
-            raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
         if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
             raise ConfigError(
                 "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
@@ -95,6 +91,18 @@ class CameraOptions:
     from the picture's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
     calibration: Path | None = None
     """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
+    readout_s: float = 0.0
+    """Of a rolling shutter: seconds from the first row to the one after the last; 0: all rows at once."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if not 0 <= self.readout_s < 1:
+            raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 
     def camera(self, size: tuple[int, int]) -> Camera | None:
         """The camera for pictures of this size; None where nothing is given.

@@ -46,18 +46,22 @@ class SlamCamera:
     baseline: float | None = None
     """Of a rectified pair, in metres; the right picture has the left one's rows and camera matrix."""
     depth: DepthCamera | None = None
+    readout_s: float = 0.0
+    """Of a rolling shutter: from the first row to the one after the last; 0: all rows at once."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ConfigError: the baseline is not positive, or there are two sources of depth.
+            ConfigError: the baseline is not positive, the readout negative, or there are two sources of depth.
         """
         check_fields(self)
         if self.baseline is not None and not 0 < self.baseline < np.inf:
             raise ConfigError(f"baseline must be positive and finite, got {self.baseline}")
         if self.baseline is not None and self.depth is not None:
             raise ConfigError("give a baseline or depth, not both")
+        if not 0 <= self.readout_s < 1:
+            raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 
     @property
     def tells_depth(self) -> bool:

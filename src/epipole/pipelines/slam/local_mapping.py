@@ -76,7 +76,7 @@ class LocalMapper:
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
         keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
-        shutter = self.camera, self.config.readout_s
+        shutter = self.camera, self.sensor.readout_s
         keyframe.motion = self.map.motion
         keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, *shutter)
         self.map.keyframes.append(keyframe)
@@ -101,7 +101,7 @@ class LocalMapper:
         most = self.config.max_depth_baselines
         disparity = disparity + self.map.right_shift_px
         in_cam = points_by_disparity(pixels, disparity, self.camera, self.focal_baseline, most)
-        in_cam = at_middle(in_cam, pixels, self.map.motion, self.camera, self.config.readout_s)
+        in_cam = at_middle(in_cam, pixels, self.map.motion, self.camera, self.sensor.readout_s)
         return place.inverse().apply(in_cam)
 
     def triangulate(self, newest: int) -> int:
@@ -140,7 +140,9 @@ class LocalMapper:
 
         The next keyframe is too late for them: a fast camera would have run out of points until then.
         """
-        if self.config.readout_s:
+        if (
+            self.sensor.readout_s
+        ):  # where a shutter of one instant would have seen them is known in keyframes alone
             return 0
         lacking = np.flatnonzero(~self.map.has_place(points))
         anchors, count = self.map.anchor[points[lacking]], 0
@@ -225,7 +227,7 @@ class LocalMapper:
         if len(window) < 2:
             return
         views = [*window, *fixed]
-        if self.config.readout_s:
+        if self.sensor.readout_s:
             self._straighten(window)
         rows, held = self._built(window, views)
         if not len(rows):
@@ -268,7 +270,7 @@ class LocalMapper:
 
     def _straighten(self, window: list[int]) -> None:
         """Where a shutter of one instant would have seen the points, by the keyframes' motion with the map as it is."""
-        readout = self.config.readout_s
+        readout = self.sensor.readout_s
         for keyframe in (self.map.keyframes[k] for k in window):
             placed = self.map.has_place(keyframe.point)
             if placed.sum() >= self.config.min_tracked:

@@ -108,8 +108,8 @@ class MapTracker:
         if found is None or not is_sure(*found, self.config):
             return None
         refined, agrees = found
-        if self.config.readout_s:
-            refined, agrees = self._while_moving(frame, refined, rows, pixels)
+        if self.sensor.readout_s:
+            refined, agrees = self._while_moving(frame, found, rows, pixels)
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
         self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
@@ -120,9 +120,14 @@ class MapTracker:
         return refined, int(agrees.sum())
 
     def _while_moving(
-        self, frame: Frame, refined: RefinedPose, points: np.ndarray, pixels: np.ndarray
+        self,
+        frame: Frame,
+        located: tuple[RefinedPose, np.ndarray],
+        points: np.ndarray,
+        pixels: np.ndarray,
     ) -> tuple[RefinedPose, np.ndarray]:
-        """The pose in the middle of the readout, found with the motion; and which points agree then."""
+        """The pose in the middle of the readout, found with the motion, and which points agree then; as before if too few."""
+        refined, agreed = located
         place, given = refined.cam_from_world, self.map.motion
         if self._last is not None and 0 < frame.timestamp_s - self._last[0] < LONGEST_STEP_S:
             speed = (place @ self._last[1].inverse()).log() / (frame.timestamp_s - self._last[0])
@@ -130,11 +135,15 @@ class MapTracker:
             if np.abs(speed / np.repeat([depth, 1.0], 3)).max() < FASTEST:
                 given = np.concatenate([speed, np.zeros(6)])
         found = refine_while_moving(
-            self.map.xyz[points], pixels, self.camera, place, given, self.config.readout_s
+            self.map.xyz[points], pixels, self.camera, place, given, self.sensor.readout_s
         )
-        place, self.map.motion, error_sq = found
-        self._last = frame.timestamp_s, place
-        return replace(refined, cam_from_world=place), error_sq <= self.config.max_error_px**2
+        place, motion, error_sq = found
+        agrees = error_sq <= self.config.max_error_px**2
+        if agrees.sum() < self.config.min_tracked:
+            self._last = None
+            return refined, agreed
+        self.map.motion, self._last = motion, (frame.timestamp_s, place)
+        return replace(refined, cam_from_world=place), agrees
 
     def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
         fresh = self.map.anchor[points] == len(self.map.keyframes) - 1

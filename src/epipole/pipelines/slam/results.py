@@ -135,12 +135,12 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
     with run.stage("check"):
         model, config = system.maps[0], system.config
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
-        shutter = None if config.readout_s else find_readout(mapper, system.trajectory())
+        shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
         lens = check_lens(model, system.camera.camera)
         bent = lens_warnings(lens, model.right_shift_px) if shutter is None else [shutter.warning()]
         run.warnings += [*bent, *doubts(tracked, path)]
         return {
-            "readout_s": config.readout_s if shutter is None else shutter.readout_s,
+            "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),

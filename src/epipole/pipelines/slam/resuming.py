@@ -67,7 +67,14 @@ def key_of(
     """
     camera = source.camera
     lens, depth = camera.camera, camera.depth
-    seen: list[Any] = [int(lens.model), lens.width, lens.height, lens.params, camera.baseline]
+    seen: list[Any] = [
+        int(lens.model),
+        lens.width,
+        lens.height,
+        lens.params,
+        camera.baseline,
+        camera.readout_s,
+    ]
     if depth is not None:
         other, there = depth.camera, depth.depth_from_color
         seen += [int(other.model), other.width, other.height, other.params, depth.scale]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -78,6 +78,8 @@ def slam(
     config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
     frames = _open(source, wanted, given)
+    if given.readout_s:
+        frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
