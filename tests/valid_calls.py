@@ -521,6 +521,7 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), swing)
     given = {"world_from_camera": path, "log": _imu_log(), "camera_from_imu": geometry.Rigid3.identity()}
     yield _row(mapping.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
+    yield _row(mapping.check_anchor_files, options=AnchorOptions())
     estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}
     yield _row(mapping.ScaleEstimate, **estimate)
     known = mapping.ScaleEstimate(**estimate)

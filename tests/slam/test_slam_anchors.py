@@ -116,6 +116,15 @@ def test_places_that_tell_nothing_leave_the_path_up_to_scale(pictures, tmp_path)
     assert any("stays up to scale" in w for w in result.warnings)
 
 
+@pytest.mark.parametrize("name", ["positions", "lengths", "odometry"])
+def test_files_that_cannot_be_read_are_told_before_any_frame(pictures, tmp_path, name):
+    (tmp_path / "damaged.txt").write_text("not a number\n")
+    for path in (tmp_path / "damaged.txt", tmp_path / "missing.txt"):
+        with pytest.raises(FileFormatError, match=path.name):
+            run_slam(pictures, tmp_path / "out", camera=LENS, **{name: path})
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -30,4 +30,5 @@ from epipole.mapping.resection import resect_image as resect_image
 from epipole.mapping.scale_agreement import MetricScale as MetricScale
 from epipole.mapping.scale_agreement import ScaleEstimate as ScaleEstimate
 from epipole.mapping.scale_agreement import agreed_scale as agreed_scale
+from epipole.mapping.scale_evidence import check_anchor_files as check_anchor_files
 from epipole.mapping.travelled_scale import fit_scale_to_distances as fit_scale_to_distances

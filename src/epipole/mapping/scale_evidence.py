@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from epipole._declared import Declared, checked
-from epipole.config import AnchorOptions, BoardConfig
-from epipole.errors import DegenerateGeometryError
+from epipole.config import ANCHOR_FILES, AnchorOptions, BoardConfig
+from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.features.boards import corners_on_board, find_board
 from epipole.features.tags import find_tags
 from epipole.geometry import Rigid3
-from epipole.io.anchor_files import KnownLength, read_lengths, read_odometry
+from epipole.io.anchor_files import KnownLength, read_lengths, read_odometry, read_places
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.mapping.anchor_views import AnchorViews, joined_words
 from epipole.mapping.inertial_scale import fit_scale_to_imu
@@ -58,10 +59,32 @@ class _Gathered:
 
 
 @checked
+def check_anchor_files(options: AnchorOptions) -> None:
+    """Read every file that is named: one that cannot be is told before any work, not after it.
+
+    Raises:
+        FileFormatError: a file is not there, or is not of its kind.
+    """
+    readers: dict[str, Callable[[Path], object]] = {
+        "positions": read_places,
+        "lengths": read_lengths,
+        "odometry": read_odometry,
+        "imu": read_imu,
+        "imu_mounting": read_camera_from_imu,
+    }
+    for name in ANCHOR_FILES:
+        path = getattr(options, name)
+        if path is not None:
+            if not path.exists():
+                raise FileFormatError(path, f"no such file ({name})")
+            readers[name](path)
+
+
+@checked
 def scale_evidence(
     views: AnchorViews, options: AnchorOptions, path: AnchorViews | None = None
 ) -> ScaleEvidence:
-    """What lengths, tags, boards and odometry say of a model's scale; measured places are `fit_scale_to_positions`'.
+    """What lengths, tags, boards, odometry and an IMU say of a model's scale; measured places are `fit_scale_to_positions`'.
 
     Args:
         views: pictures with a place, in which tags and boards are looked for.
@@ -69,7 +92,7 @@ def scale_evidence(
         path: all pictures with a place, for lengths and odometry; None: the same.
 
     Raises:
-        FileFormatError: a file of lengths or odometry cannot be read.
+        FileFormatError: a file that was named cannot be read.
     """
     found = _Gathered()
     everywhere = views if path is None else path

@@ -11,8 +11,9 @@ import numpy as np
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.config import ANCHOR_FILES, options_of
+from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.mapping import check_anchor_files
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
@@ -119,10 +120,10 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
         what = "is a file" if config.masks.exists() else "does not exist"
         raise ConfigError(f"masks must be a folder of masks: {config.masks} {what}")
     named = {name: getattr(config, name) for name in ("calibration", "pairs", "database")}
-    named |= {name: getattr(config.anchors, name) for name in ANCHOR_FILES}
     for name, path in named.items():
         if path is not None and not path.exists():
             raise FileFormatError(path, f"no such file ({name})")
+    check_anchor_files(config.anchors)
 
 
 def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:

@@ -54,7 +54,7 @@ def reconstruction_of(model: SlamMap, camera: Camera, names: Sequence[str]) -> R
             np.arange(n, dtype=np.int32),
             np.zeros(n, np.int32),
             np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),
-            np.concatenate([k.pixels for k in keyframes] or [np.zeros((0, 2))]),
+            np.concatenate([k.straight_px for k in keyframes] or [np.zeros((0, 2))]),
         ),
         Points(model.xyz[rows].copy(), np.repeat(grey[:, None], 3, axis=1), np.zeros(len(rows))),
         Tracks(offsets.astype(np.int64), image[order].astype(np.int32), keypoint[order].astype(np.int32)),

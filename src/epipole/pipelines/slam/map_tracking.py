@@ -112,9 +112,7 @@ class MapTracker:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
-        self.moving = self._second_motion(rows[~agrees], pixels[~agrees], refined.cam_from_world)
-        if self.moving is None and self.focal_baseline is None:
-            self.moving = self._motion_in_picture(rows[agrees], refined.cam_from_world)
+        self.moving = self._what_moves(rows, pixels, agrees, refined.cam_from_world)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
@@ -145,9 +143,17 @@ class MapTracker:
         self.map.motion, self._last = motion, (frame.timestamp_s, place)
         return replace(refined, cam_from_world=place), agrees
 
-    def _second_motion(self, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> MovingThing | None:
-        fresh = self.map.anchor[points] == len(self.map.keyframes) - 1
-        return second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+    def _what_moves(
+        self, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
+    ) -> MovingThing | None:
+        """A thing that moves besides the camera; not told where rows are read one after another, which bends all that is near."""
+        if self.sensor.readout_s:
+            return None
+        fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
+        found = second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+        if found is None and self.focal_baseline is None:
+            return self._motion_in_picture(points[agrees], place)
+        return found
 
     def _motion_in_picture(self, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1

@@ -17,7 +17,7 @@ from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video
-from epipole.mapping import Anchoring
+from epipole.mapping import Anchoring, check_anchor_files
 from epipole.pipelines.slam.anchors import anchor_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
@@ -71,7 +71,7 @@ def slam(
     Raises:
         NoModelError: no frame got a place; the message says why.
         ConfigError: options do not fit the frames.
-        FileFormatError: the source cannot be read.
+        FileFormatError: the source, or a file that is named, cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
     wanted = _job_of(job, options)
@@ -84,6 +84,7 @@ def slam(
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
+    check_anchor_files(wanted.anchors)
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
