@@ -51,7 +51,7 @@ def frame_charts(records: Sequence[FrameRecord], unit: str) -> list[tuple[str, M
             "How sure the place is",
             Line("", numbers, sigma),
             f"1 sigma of the position ({unit})",
-            "From the frame's own points and their noise alone: drift of the map is not in it.",
+            "With depth, by the frame's points and the map's own error; of one camera by the frame's points alone, without drift.",
         ),
         ("Time for a frame", Line("", numbers, ms), "ms", _time_words(ms)),
     )
@@ -65,7 +65,7 @@ def _time_words(ms: np.ndarray) -> str:
     told = ", ".join(f"{name} {value:.1f}" for name, value in zip(names, np.percentile(ms, PERCENTILES)))
     return (
         f"{told} ms. To follow a frame, with the keyframe and the local adjustment that it may bring; not to read its"
-        " file. The first frames of a first run include the compiling of kernels."
+        " file, nor to compile what a first run has to."
     )
 
 
