@@ -45,8 +45,11 @@ def test_one_camera_gives_the_path_up_to_scale(rides):
     slam.finish()
     path = slam.trajectory()
     assert len(path) == 30  # the frames before the begin have their places, too
-    found = absolute_error(path.world_from_body, ride().truth(), "similarity")
-    assert found.position.rmse < 0.015 and found.rotation_deg.rmse < 0.6
+    truth = ride().truth()
+    assert absolute_error(path.world_from_body, truth, "similarity").position.rmse < 0.006
+    # The path is nearly a line, about which places tell no orientation: turns are compared from the first frame on.
+    told, true = (all_.rotation[0].T @ all_.rotation for all_ in (path.world_from_body, truth))
+    assert np.degrees(np.linalg.norm(Rotation3(np.swapaxes(told, 1, 2) @ true).log(), axis=1)).max() < 0.3
 
 
 def test_keyframes_go_out_as_a_model(rides):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
-from epipole.pipelines.slam.tracking import Tracks
 
 MOST_IN_SIGHT = 40
 """Keyframes that share points with the newest; of more the one that tells least is forgotten."""
@@ -22,16 +22,17 @@ SPARE_ROWS = 2.0
 """Rows of points are put together when there are so many times more than points in use."""
 
 
-def forget(model: SlamMap, path: Path, tracks: Tracks) -> None:
+def forget(model: SlamMap, path: Path, tracker: MapTracker) -> None:
     """Let go of what tells nothing new; frames and followed points are told from what stays."""
     for _ in range(MOST_TAKEN):
         taken = forget_redundant(model)
         if taken is None:
             break
         path.retell(*taken)
-    into = put_together(model, tracks.point)
+    seen = [tracker.tracks.point, *(one.point for one in tracker.waiting)]
+    into = put_together(model, np.concatenate(seen))
     if into is not None:
-        tracks.point = into[tracks.point]
+        tracker.move_rows(into)
 
 
 def forget_redundant(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:

@@ -15,7 +15,7 @@ from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.revisiting import find_again, tie_together
-from epipole.pipelines.slam.shutter import at_middle, refine_while_moving, shutter_shifts
+from epipole.pipelines.slam.shutter import SETTLED_SIGMA, at_middle, refine_while_moving, shutter_shifts
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
@@ -135,15 +135,14 @@ class LocalMapper:
         self.map.xyz[points[good]] = found.points_in_world[good]
         return int(good.sum())
 
-    def place_from(self, cam_from_world: Rigid3, points: np.ndarray, pixels: np.ndarray) -> int:
+    def place_from(self, cam_from_world: Rigid3, tracks: Tracks) -> int:
         """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
 
         The next keyframe is too late for them: a fast camera would have run out of points until then.
         """
-        if (
-            self.sensor.readout_s
-        ):  # where a shutter of one instant would have seen them is known in keyframes alone
-            return 0
+        if self.sensor.readout_s:
+            return 0  # where a shutter of one instant would have seen them is known in keyframes alone
+        points, pixels = tracks.point, tracks.pixels
         lacking = np.flatnonzero(~self.map.has_place(points))
         anchors, count = self.map.anchor[points[lacking]], 0
         for k in np.unique(anchors):
@@ -228,7 +227,7 @@ class LocalMapper:
             return
         views = [*window, *fixed]
         if self.sensor.readout_s:
-            self._straighten(window)
+            self._straighten(views)
         rows, held = self._built(window, views)
         if not len(rows):
             return
@@ -268,16 +267,16 @@ class LocalMapper:
         seen = frame[kept], local, pixels[kept], disparity[kept]
         return rows, self._held(self._problem(views, len(window), rows, seen))
 
-    def _straighten(self, window: list[int]) -> None:
-        """Where a shutter of one instant would have seen the points, by the keyframes' motion with the map as it is."""
-        readout = self.sensor.readout_s
-        for keyframe in (self.map.keyframes[k] for k in window):
+    def _straighten(self, views: list[int]) -> None:
+        """What a shutter of one instant would have seen, by the keyframes' motions with the map as it is."""
+        for keyframe in (self.map.keyframes[k] for k in views):
+            lens, motion = (self.camera, self.sensor.readout_s), keyframe.motion
             placed = self.map.has_place(keyframe.point)
-            if placed.sum() >= self.config.min_tracked:
+            if placed.sum() >= self.config.min_tracked and motion.any():
                 xyz, pixels = self.map.xyz[keyframe.point[placed]], keyframe.pixels[placed]
-                known = keyframe.cam_from_world, keyframe.motion, readout
-                _, keyframe.motion, _ = refine_while_moving(xyz, pixels, self.camera, *known)
-            keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, self.camera, readout)
+                known = self.camera, keyframe.cam_from_world, motion, self.sensor.readout_s
+                _, motion, _ = refine_while_moving(xyz, pixels, *known, sigma=SETTLED_SIGMA)
+            keyframe.shift_px = shutter_shifts(self.map, keyframe, motion, *lens)
 
     def _held(self, problem: BundleProblem) -> BundleProblem:
         """With what the pictures leave open held: one place, and the scale where nothing tells it."""
@@ -300,7 +299,7 @@ class LocalMapper:
                     np.full(int(mask.sum()), place),
                     own.point[mask],
                     own.straight_px[mask],
-                    own.disparity_px[mask],
+                    own.straight_disparity_px[mask],
                 )
             )
         return tuple(np.concatenate(column) for column in zip(*parts))  # type: ignore[return-value]

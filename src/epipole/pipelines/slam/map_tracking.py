@@ -13,16 +13,23 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
+from epipole.pipelines.slam.recent_motion import RecentMotion
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
-from epipole.pipelines.slam.shutter import refine_while_moving
-from epipole.pipelines.slam.single_depth import disparities_of
+from epipole.pipelines.slam.shutter import (
+    FORETOLD_SIGMA,
+    at_middle,
+    refine_while_moving,
+    shutter_shifts,
+    straighten_recent,
+)
+from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import SlamMap
-from epipole.pipelines.slam.tracking import Tracks, is_sure, locate, predict_pixels
+from epipole.pipelines.slam.tracking import SeenFrame, Tracks, is_sure, locate, predict_pixels
 
-LONGEST_STEP_S, FASTEST = 0.5, 10.0
-"""Between two frames of which the motion is told; depths of the scene, or radians, per second: faster is a jump of the map."""
+SHUTTER_ROUNDS = 3
+"""A frame's motion follows from its place, and its place from the motion."""
 PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
 
@@ -34,6 +41,7 @@ class MapTracker:
         tracks: the points that are followed.
         stale: rows of those that look otherwise than when they were first seen.
         moving: what moves in the last frame besides the camera.
+        waiting: frames that are to be placed again when the map has settled.
     """
 
     def __init__(
@@ -45,7 +53,9 @@ class MapTracker:
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
         self._num_at_start = 1
-        self._last: tuple[float, Rigid3] | None = None
+        self._place_before: Rigid3 | None = None
+        self.waiting: list[SeenFrame] = []
+        self._seen: SeenFrame | None = None
 
     def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
         """The pose of the next frame and the number of points that agree; None if too few do.
@@ -54,6 +64,7 @@ class MapTracker:
         velocity such a share of the error came back enlarged, from frame to frame.
         """
         tracks, followed = self.tracks, self.tracks.point
+        self._place_before, self.map.recent = place, self.map.recent.begin_at(before.timestamp_s)
         if not shows_something(before.grey):
             tracks.keep(np.zeros(len(tracks), bool))
             return self._find_again((before, frame), place, followed)
@@ -90,6 +101,7 @@ class MapTracker:
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """The pose of a frame that was recognised; its points are followed from here on."""
+        self._place_before = None
         self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
         return self.locate(frame, recognized.cam_from_world)
 
@@ -99,7 +111,7 @@ class MapTracker:
         tracks.keep(frame.is_used(tracks.pixels))
         placed = np.flatnonzero(self.map.has_place(tracks.point))
         rows, pixels = tracks.point[placed], tracks.pixels[placed]
-        deep = None
+        deep, measured = None, None
         if frame.depth is not None and self.focal_baseline is not None:
             measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.sensor, self.config)
             deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
@@ -110,6 +122,8 @@ class MapTracker:
         refined, agrees = found
         if self.sensor.readout_s:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
+        measured = None if measured is None else measured[agrees]
+        self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
         self.moving = self._what_moves(rows, pixels, agrees, refined.cam_from_world)
@@ -126,22 +140,47 @@ class MapTracker:
     ) -> tuple[RefinedPose, np.ndarray]:
         """The pose in the middle of the readout, found with the motion, and which points agree then; as before if too few."""
         refined, agreed = located
-        place, given = refined.cam_from_world, self.map.motion
-        if self._last is not None and 0 < frame.timestamp_s - self._last[0] < LONGEST_STEP_S:
-            speed = (place @ self._last[1].inverse()).log() / (frame.timestamp_s - self._last[0])
-            depth = float(np.median(place.apply(self.map.xyz[points])[:, 2]))
-            if np.abs(speed / np.repeat([depth, 1.0], 3)).max() < FASTEST:
-                given = np.concatenate([speed, np.zeros(6)])
-        found = refine_while_moving(
-            self.map.xyz[points], pixels, self.camera, place, given, self.sensor.readout_s
-        )
-        place, motion, error_sq = found
+        readout, place = self.sensor.readout_s, refined.cam_from_world
+        for _ in range(SHUTTER_ROUNDS):
+            recent = self._recent_at(frame, place, self.map.xyz[points])
+            place, motion, error_sq = refine_while_moving(
+                *(self.map.xyz[points], pixels, self.camera, place),
+                *(recent.newest(), readout),
+                sigma=FORETOLD_SIGMA if recent.steps else (0.5, 15.0),
+            )
+            self._straighten_begin(recent)
         agrees = error_sq <= self.config.max_error_px**2
         if agrees.sum() < self.config.min_tracked:
-            self._last = None
+            self.map.recent = RecentMotion()
             return refined, agreed
-        self.map.motion, self._last = motion, (frame.timestamp_s, place)
+        self.map.recent = self._recent_at(frame, place, self.map.xyz[points])
+        straighten_recent(self.map, self.camera, readout)
+        motions = self.map.recent.settled()
+        for one in self.waiting:
+            one.motion = motions.get(one.timestamp_s, one.motion)
+        self.map.motion = motion
         return replace(refined, cam_from_world=place), agrees
+
+    def _straighten_begin(self, recent: RecentMotion) -> None:
+        """Place the first keyframe's points anew: nothing was known of its motion when they were made."""
+        first, motions = self.map.keyframes[0], recent.settled()
+        if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
+            return
+        lens = self.camera, self.sensor.readout_s
+        first.motion = motions[first.timestamp_s]
+        disparity = first.disparity_px + self.map.right_shift_px
+        most = self.config.max_depth_baselines
+        in_cam = points_by_disparity(first.pixels, disparity, self.camera, self.focal_baseline, most)
+        in_cam = at_middle(in_cam, first.pixels, first.motion, *lens)
+        self.map.xyz[first.point] = first.cam_from_world.inverse().apply(in_cam)
+        first.shift_px = shutter_shifts(self.map, first, first.motion, *lens)
+
+    def _recent_at(self, frame: Frame, place: Rigid3, points: np.ndarray) -> RecentMotion:
+        """The motion up to a frame that is at this place."""
+        if self._place_before is None:
+            return RecentMotion().begin_at(frame.timestamp_s)
+        step, depth = place @ self._place_before.inverse(), float(np.median(place.apply(points)[:, 2]))
+        return self.map.recent.with_step(frame.timestamp_s, step, depth)
 
     def _what_moves(
         self, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
@@ -163,6 +202,24 @@ class MapTracker:
         depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
         then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
         return second_motion_in_picture(then, now, self.camera, now_from_then, depth, self.config.seed)
+
+    def remember(self, number: int) -> None:
+        """The frame that was placed last has this number, and is to be placed again later."""
+        if self._seen is not None:
+            self._seen.number = number
+            self.waiting.append(self._seen)
+            self._seen = None
+
+    def rename(self, into: np.ndarray) -> None:
+        """Points that have become others; of two that are one now, one is followed on."""
+        self.move_rows(into)
+        self.tracks.keep_first()
+
+    def move_rows(self, into: np.ndarray) -> None:
+        """Points have other rows from here on."""
+        self.tracks.point = into[self.tracks.point]
+        for seen in self.waiting:
+            seen.point = into[seen.point]
 
     def start_from(self, tracks: Tracks) -> None:
         """Follow these from here on."""

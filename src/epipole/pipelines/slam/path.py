@@ -52,6 +52,19 @@ class Path:
         else:
             self._open[place_in_block] = row
 
+    def told(self, number: int) -> tuple[Keyframe, Rigid3, np.ndarray] | None:
+        """A frame's keyframe, cam_from_keyframe and its covariance, in the unit of now; None for one without a place."""
+        block, place_in_block = divmod(number - self.first, BLOCK)
+        if not 0 <= block <= len(self._full):
+            return None
+        row = (self._full[block] if block < len(self._full) else self._open)[place_in_block]
+        keyframe = self._keyframes[int(row[_KEYFRAME])] if row[_KEYFRAME] >= 0 else None
+        if keyframe is None:
+            return None
+        grown = keyframe.unit / row[_UNIT]
+        relative = Rigid3(row[_ROTATION].reshape(3, 3).copy(), row[_TRANSLATION] * grown)
+        return keyframe, relative, _scaled(row[_COVARIANCE].reshape(1, 6, 6), np.array([grown]))[0]
+
     def retell(self, gone: Keyframe, heir: Keyframe) -> None:
         """Frames that were told from a keyframe are told from another one from here on."""
         old = next((k for k, one in enumerate(self._keyframes) if one is gone), None)

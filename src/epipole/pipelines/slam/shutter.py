@@ -8,44 +8,45 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, skew
+from epipole.pipelines.slam.recent_motion import AROUND, motion_among
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.scene import Trajectory
 
 SPEED_SIGMA, CHANGE_SIGMA = 0.5, 15.0
-"""Of a frame's speed against that since the frame before, and of its change: radians, or depths of the scene, per second (squared)."""
+"""Of a frame's speed, and of its change, where nothing is known: radians, or depths of the scene, per second (squared)."""
+FORETOLD_SIGMA = (0.3, 8.0)
+SETTLED_SIGMA = (0.03, 1.0)
+"""The same against that by the frames around: a looser one lets a bent map, and motions that undo it, agree with each other."""
 STEPS, SETTLED = 8, 1e-7
 LONGEST_GAP = 3.0
 """Between a keyframe and the frames beside it, in median gaps: over a longer one its motion is not known."""
 
 
-def twists_at(path: Trajectory, keyframes: Sequence[Keyframe]) -> np.ndarray:
-    """(k, 6) of keyframes' motions per second, cam(t + dt)_from_world = exp(xi dt) cam(t)_from_world; NaN if unknown.
-
-    Of the frames before and after, on which a row of a picture lies between the two.
+def motions_at(path: Trajectory, keyframes: Sequence[Keyframe]) -> np.ndarray:
+    """(k, 12) of keyframes' motions by the frames around; NaN where these are too far in time.
 
     Args:
         path: of all frames.
         keyframes: some of them.
     """
-    out = np.full((len(keyframes), 6), np.nan)
-    if len(path) < 3:
+    out = np.full((len(keyframes), 12), np.nan)
+    if len(path) < AROUND:
         return out
     times, cams = path.timestamp_s, path.world_from_body.inverse()
     gap = LONGEST_GAP * float(np.median(np.diff(times)))
-    at = np.searchsorted(times, [k.timestamp_s for k in keyframes])
-    inner = (at > 0) & (at < len(times) - 1)
-    before, after = np.clip(at - 1, 0, None), np.clip(at + 1, None, len(times) - 1)
-    seconds = times[after] - times[before]
-    known = inner & (seconds <= 2.0 * gap) & (seconds > 0)
-    motion = (cams[after] @ cams[before].inverse()).log()
-    out[known] = motion[known] / seconds[known, None]
+    for k, keyframe in enumerate(keyframes):
+        at = int(np.searchsorted(times, keyframe.timestamp_s))
+        first = min(max(at - AROUND // 2, 0), len(times) - AROUND)
+        near = slice(first, first + AROUND)
+        if np.diff(times[near]).max() <= gap and 0 <= at - first < AROUND:
+            out[k] = motion_among(times[near], cams[near], at - first)
     return out
 
 
 def shutter_shifts(
     model: SlamMap, keyframe: Keyframe, motion: np.ndarray, camera: Camera, readout_s: float
 ) -> np.ndarray:
-    """(n, 2) from where a keyframe's points were seen to where a shutter of one instant would have seen them.
+    """(n, 3) from where, and at what disparity, a keyframe's points were seen to what a shutter of one instant would have seen.
 
     Points without a place are taken to be as far as the others (median).
 
@@ -59,14 +60,16 @@ def shutter_shifts(
         readout_s: from the first row to the one after the last.
     """
     if readout_s == 0 or not len(keyframe.point):
-        return np.zeros((len(keyframe.point), 2))
+        return np.zeros((len(keyframe.point), 3))
     in_cam = keyframe.cam_from_world.apply(model.xyz[keyframe.point])
     placed = in_cam[:, 2] > 0
     rays = camera.unproject(keyframe.pixels)
     far = rays / rays[:, 2:] * (np.median(in_cam[placed, 2]) if placed.any() else 1.0)
     in_cam = np.where(placed[:, None], in_cam, far)
     moved = Rigid3.exp(_moved(motion, _late(keyframe.pixels, camera, readout_s))).apply(in_cam)
-    shift = camera.project(in_cam) - camera.project(moved)
+    nearer = keyframe.disparity_px * (moved[:, 2] / in_cam[:, 2] - 1.0)
+    shift = np.column_stack([camera.project(in_cam) - camera.project(moved), nearer])
+    shift[:, 2][~np.isfinite(nearer)] = 0.0
     return np.where(np.isfinite(shift).all(axis=1, keepdims=True), shift, 0.0)
 
 
@@ -80,6 +83,16 @@ def at_middle(
     return Rigid3.exp(_moved(motion, late)).inverse().apply(in_cam)
 
 
+def straighten_recent(model: SlamMap, camera: Camera, readout_s: float) -> None:
+    """Tell the last keyframes' motions by the frames around them."""
+    motions = model.recent.settled()
+    for keyframe in model.keyframes[-AROUND:]:
+        motion = motions.get(keyframe.timestamp_s)
+        if motion is not None and motion.any():
+            keyframe.motion = motion
+            keyframe.shift_px = shutter_shifts(model, keyframe, motion, camera, readout_s)
+
+
 def refine_while_moving(
     points_in_world: np.ndarray,
     pixels: np.ndarray,
@@ -87,6 +100,8 @@ def refine_while_moving(
     start: Rigid3,
     motion: np.ndarray,
     readout_s: float,
+    *,
+    sigma: tuple[float, float] = (SPEED_SIGMA, CHANGE_SIGMA),
 ) -> tuple[Rigid3, np.ndarray, np.ndarray]:
     """Pose and motion of a frame whose rows were read one after another, by robust least squares of both.
 
@@ -100,6 +115,7 @@ def refine_while_moving(
         start: cam_from_world thought likely.
         motion: (12,) speed and its change thought likely.
         readout_s: from the first row to the one after the last.
+        sigma: of the motion's speed, and of its change, in radians, or depths of the scene, per second (squared).
 
     Returns:
         cam_from_world in the middle of the readout, the motion, and the squared errors (n,).
@@ -108,7 +124,7 @@ def refine_while_moving(
     place, given, motion = start, motion, motion.copy()
     depth = max(float(np.median(start.apply(points_in_world)[:, 2])), 1e-6)
     unit = np.array([depth, depth, depth, 1.0, 1.0, 1.0])
-    sigma = np.concatenate([SPEED_SIGMA * unit, CHANGE_SIGMA * unit])
+    deviation = np.concatenate([sigma[0] * unit, sigma[1] * unit])
     error_sq = np.full(len(pixels), np.inf)
     for _ in range(STEPS):
         moved = Rigid3.exp(_moved(motion, late)).apply(place.apply(points_in_world))
@@ -122,8 +138,8 @@ def refine_while_moving(
         weighted = jacobian * weight[:, None, None]
         normal = np.einsum("nri,nrj->ij", weighted, jacobian)
         gradient = np.einsum("nri,nr->i", weighted, np.where(seen[:, None], off, 0.0))
-        normal[range(6, 18), range(6, 18)] += 1.0 / sigma**2
-        gradient[6:] += (motion - given) / sigma**2
+        normal[range(6, 18), range(6, 18)] += 1.0 / deviation**2
+        gradient[6:] += (motion - given) / deviation**2
         step = -np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), gradient)
         place, motion = Rigid3.exp(step[:6]) @ place, motion + step[6:]
         if np.abs(step[:6]).max() < SETTLED:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from epipole.pipelines.slam.local_mapping import LocalMapper
-from epipole.pipelines.slam.shutter import shutter_shifts, twists_at
+from epipole.pipelines.slam.shutter import motions_at, shutter_shifts
 from epipole.scene import Trajectory
 
 LEAST_KEYFRAMES, MOST_KEYFRAMES = 10, 60
@@ -52,7 +52,7 @@ def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
         return None
     numbers = [n for n, k in enumerate(mapper.map.keyframes) if any(k is own for own in keyframes)]
     interval = float(np.median(np.diff(path.timestamp_s)))
-    motions = np.concatenate([twists_at(path, keyframes), np.zeros((len(keyframes), 6))], axis=1)
+    motions = motions_at(path, keyframes)
     kept = [k.shift_px for k in keyframes]
 
     def cost(share: float) -> float:

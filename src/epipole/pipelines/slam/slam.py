@@ -20,7 +20,9 @@ from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.picture_watch import Look, PictureWatch
 from epipole.pipelines.slam.place_recognition import describe_keyframe
+from epipole.pipelines.slam.placing_again import place_again
 from epipole.pipelines.slam.relocalizing import relocalize
+from epipole.pipelines.slam.settling_start import settle_start
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
 from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
@@ -152,14 +154,11 @@ class Slam:
         self.map.absorb(begun.model)
         self.tracker.tracks, self._cam_from_world = begun.tracks, place
         self._insert_keyframe(frame)
-        self.mapper.adjust_all()
-        depth = first.cam_from_world.apply(self.map.xyz[begun.tracks.point])[:, 2]
-        self.map.rescale(1.0 / float(np.nanmedian(depth)))
-        newest = self.map.keyframes[-1]
-        start = self._cam_from_world = newest.cam_from_world
-        for one, keyframe, then, covariance in begun.place_waiting(self.map, lens, self.config):
-            self._path.add(one.number, one.frame.timestamp_s, keyframe, then, covariance)
-        here = place_in_map(self.map, newest.point, newest.pixels, start, lens, self.config)
+        for told in settle_start(self.mapper, begun):
+            self._path.add(*told)
+        now = self.map.keyframes[-1]
+        self._cam_from_world = now.cam_from_world
+        here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
         self._start, self._turns = OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
@@ -191,9 +190,9 @@ class Slam:
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         self._cam_from_world = refined.cam_from_world
-        tracks = self.tracker.tracks
         if not self.is_map_fixed:
-            self.mapper.place_from(self._cam_from_world, tracks.point, tracks.pixels)
+            self.tracker.remember(self._num_frames)
+            self.mapper.place_from(self._cam_from_world, self.tracker.tracks)
         age = self._num_frames - self._newest().number
         reason = self.tracker.why_keyframe(num_agreeing, age) if self._look.is_usable else ""
         if reason and self.is_map_fixed:
@@ -202,7 +201,8 @@ class Slam:
         elif reason:
             self._extend(frame, refined)
             reason = self._close_loop() or reason
-            forget(self.map, self._path, self.tracker.tracks)
+            place_again(self._path, self.tracker)
+            forget(self.map, self._path, self.tracker)
         own = own_covariance(refined, self.map, self._num_frames)
         return self._told_from(self._newest(), frame, own, num_agreeing, reason)
 
@@ -312,7 +312,7 @@ class Slam:
         into = fuse(self.map, window[::-1], self.camera.camera)
         self.mapper.adjust_around(newest)
         self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
-        self.tracker.tracks.rename(into)
+        self.tracker.rename(into)
         self.tracker.forget_mistakes()
         self._cam_from_world = self.map.keyframes[-1].cam_from_world
 
@@ -383,6 +383,7 @@ class Slam:
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
         """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it."""
         here = self.map
+        place_again(self._path, self.tracker, is_last=True)
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
             if not self.mapper.adjust_for_good(number, len(self.maps), goes_on):
@@ -395,6 +396,5 @@ class Slam:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        return snapshot_of(
-            self.map, self.state, (self.tracker if self.map.num_points else self._start).tracks
-        )
+        tracks = (self.tracker if self.map.num_points else self._start).tracks
+        return snapshot_of(self.map, self.state, tracks)

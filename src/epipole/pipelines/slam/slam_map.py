@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole.geometry import Rigid3, Similarity3
+from epipole.pipelines.slam.recent_motion import NO_MOTION, RecentMotion
 
 
 class Observations(NamedTuple):
@@ -28,7 +29,7 @@ class Keyframe:
         pixels: (n, 2) of its observations.
         disparity_px: (n,) of them, NaN for none.
         motion: (12,) the camera's speed and its change, where it has a rolling shutter.
-        shift_px: (n, 2) from there to where a shutter of one instant would have seen them; zero where it is one.
+        shift_px: (n, 3) from pixels and disparities to what a shutter of one instant would have seen; zero where it is one.
         point: (n,) rows of the map's points, each at most once.
         descriptors: (n, 128) of them, zeros where none was made.
         look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
@@ -42,7 +43,7 @@ class Keyframe:
         self.number, self.timestamp_s, self.grey = number, timestamp_s, grey
         self.cam_from_world = cam_from_world
         self.pixels, self.disparity_px, self.point = seen
-        self.shift_px = np.zeros((len(self.point), 2))
+        self.shift_px = np.zeros((len(self.point), 3))
         self.motion = np.zeros(12)
         self.descriptors = np.zeros((len(self.point), 128), np.uint8)
         self.look: np.ndarray | None = None
@@ -52,7 +53,12 @@ class Keyframe:
     @property
     def straight_px(self) -> np.ndarray:
         """(n, 2) where a shutter of one instant would have seen the points."""
-        return self.pixels + self.shift_px
+        return self.pixels + self.shift_px[:, :2]
+
+    @property
+    def straight_disparity_px(self) -> np.ndarray:
+        """(n,) disparities that it would have seen."""
+        return self.disparity_px + self.shift_px[:, 2]
 
     def keep(self, mask: np.ndarray) -> None:
         """Forget the other observations."""
@@ -65,7 +71,7 @@ class Keyframe:
         self.pixels = np.concatenate([self.pixels, pixels])
         self.disparity_px = np.concatenate([self.disparity_px, disparity_px])
         self.point = np.concatenate([self.point, point])
-        self.shift_px = np.concatenate([self.shift_px, np.zeros((len(point), 2))])
+        self.shift_px = np.concatenate([self.shift_px, np.zeros((len(point), 3))])
         none = np.zeros((len(point), 128), np.uint8)
         self.descriptors = np.concatenate([self.descriptors, none])
 
@@ -80,8 +86,8 @@ class SlamMap:
         self._anchor_px = np.empty((4096, 2))
         self._num_agreed = np.empty(4096, np.int64)
         self.num_points = 0
-        self.motion = np.zeros(12)
-        """Speed of the camera in the last frame, and its change, where it has a rolling shutter."""
+        self.motion, self.recent = NO_MOTION, RecentMotion()
+        """Of the camera in the last frame, and before it, where it has a rolling shutter."""
         self.right_shift_px = 0.0
         """By how much further to the right than it was said the principal point of a pair's second camera lies."""
 
@@ -138,6 +144,7 @@ class SlamMap:
     def clear(self) -> None:
         """Forget everything."""
         self.keyframes.clear()
+        self.recent = RecentMotion()
         self.num_points = 0
 
     def rescale(self, factor: float) -> None:
@@ -153,6 +160,7 @@ class SlamMap:
             keyframe.unit *= float(new_from_old.scale)
             keyframe.motion = keyframe.motion * grown
         self.motion = self.motion * grown
+        self.recent.grow(float(new_from_old.scale))
 
     def absorb(self, other: SlamMap) -> int:
         """Take over keyframes and points of a map in the same coordinates; returns what to add to its points' rows.

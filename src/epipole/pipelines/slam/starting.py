@@ -104,6 +104,11 @@ class Begun:
     row_of_track: np.ndarray
     """Of each track the map's point, -1 for none."""
 
+    def seen_by(self, one: WaitingFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Where a frame before the begin saw the map's points: pixels (n, 2) and rows (n,) of the points."""
+        rows = self.row_of_track[one.track]
+        return one.pixels[rows >= 0], rows[rows >= 0]
+
     def place_waiting(
         self, model: SlamMap, camera: Camera, config: SlamConfig
     ) -> list[tuple[WaitingFrame, Keyframe, Rigid3, np.ndarray]]:
@@ -118,8 +123,7 @@ class Begun:
         numbers = [k.number for k in keyframes]
         for one in self.waiting:
             keyframe = keyframes[int(np.searchsorted(numbers, one.number, side="right")) - 1]
-            rows = self.row_of_track[one.track]
-            pixels, rows = one.pixels[rows >= 0], rows[rows >= 0]
+            pixels, rows = self.seen_by(one)
             found = place_in_map(model, rows, pixels, keyframe.cam_from_world, camera, config)
             if found is not None:
                 is_keyframe = keyframe.number == one.number

@@ -12,7 +12,7 @@ from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
-from epipole.pipelines.slam.tracking import Tracks
+from epipole.pipelines.slam.tracking import SeenFrame, Tracks
 
 
 def problem_of_state(held: dict[str, Any], lens: Camera) -> str:
@@ -37,6 +37,8 @@ def _problems(held: dict[str, Any], lens: Camera) -> Iterator[str]:
     tracks = tracker.tracks
     if held["map"].num_points:
         yield from _of_tracks(tracks, held["map"].num_points)
+    for seen in tracker.waiting:
+        yield from _of_seen(seen, tracker.map.num_points)
     if not _is(tracker.stale, np.integer, (None,)):
         yield "an array of points is none"
     before = held["_before"]
@@ -90,6 +92,24 @@ def _of_tracks(tracks: Tracks, num_points: int) -> Iterator[str]:
         yield "the arrays of the points that are followed do not fit each other"
     elif n and not (tracks.point.min() >= 0 and tracks.point.max() < num_points):
         yield "a point is followed that is not there"
+
+
+def _of_seen(seen: SeenFrame, num_points: int) -> Iterator[str]:
+    n = len(seen.point)
+    fits = (
+        _is(seen.point, np.integer, (n,))
+        and _is(seen.pixels, np.float64, (n, 2))
+        and type(seen.number) is int
+    )
+    deep, motion = seen.disparity_px, seen.motion
+    if not (
+        fits
+        and (deep is None or _is(deep, np.float64, (n,)))
+        and (motion is None or _is(motion, np.float64, (12,)))
+    ):
+        yield "what a frame saw does not fit together"
+    elif n and not (seen.point.min() >= 0 and seen.point.max() < num_points):
+        yield "a frame sees a point that is not there"
 
 
 def _is(array: object, kind: type, shape: tuple[int | None, ...]) -> bool:

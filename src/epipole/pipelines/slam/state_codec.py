@@ -23,6 +23,7 @@ from epipole.pipelines.slam import (
     map_tracking,
     path,
     picture_watch,
+    recent_motion,
     record,
     slam_map,
     starting,
@@ -33,7 +34,7 @@ from epipole.pipelines.slam import (
 Json = Any
 _MODULES: tuple[ModuleType, ...] = (
     *(frames, local_mapping, loop_closing, map_tracking, path),
-    *(picture_watch, record, slam_map, starting, tracking, turning),
+    *(picture_watch, recent_motion, record, slam_map, starting, tracking, turning),
 )
 KINDS: dict[str, type] = {
     name: kind
@@ -50,6 +51,7 @@ LASTING: dict[type, tuple[str, ...]] = {
     slam_map.Keyframe: ("pixels", "disparity_px", "point", "descriptors", "look"),
     frames.Frame: ("grey", "right_grey", "depth", "ignored_mask"),
     path.Path: ("_full",),
+    tracking.SeenFrame: ("pixels", "point", "disparity_px"),
 }
 """Arrays, and lists of them, that are replaced, some of them soon, and never written to."""
 

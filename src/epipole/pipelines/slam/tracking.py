@@ -52,9 +52,8 @@ class Tracks:
         self.point = np.concatenate([self.point, point])
         self.start_px = np.concatenate([self.start_px, pixels])
 
-    def rename(self, into: np.ndarray) -> None:
-        """Points that have become others; of two that are one now, one is followed on."""
-        self.point = into[self.point]
+    def keep_first(self) -> None:
+        """Follow each point once."""
         _, first = np.unique(self.point, return_index=True)
         self.keep(np.isin(np.arange(len(self.point)), first))
 
@@ -71,6 +70,26 @@ class Tracks:
         return (
             float(np.median(np.linalg.norm(self.pixels - self.start_px, axis=1))) if len(self.pixels) else 0.0
         )
+
+
+class SeenFrame:
+    """What a frame saw of the map.
+
+    Attributes:
+        number: of the frame.
+        timestamp_s: its time.
+        pixels: (n, 2) of the points that agreed.
+        point: (n,) their rows.
+        disparity_px: (n,) by a depth sensor, NaN for none; None without one.
+        motion: (12,) of a camera with a rolling shutter, by the frames around; None before they have come.
+    """
+
+    def __init__(
+        self, timestamp_s: float, pixels: np.ndarray, point: np.ndarray, disparity_px: np.ndarray | None
+    ) -> None:
+        self.number, self.timestamp_s = -1, timestamp_s
+        self.pixels, self.point, self.disparity_px = pixels, point, disparity_px
+        self.motion: np.ndarray | None = None
 
 
 def predict_pixels(

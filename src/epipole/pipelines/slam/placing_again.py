@@ -1,0 +1,51 @@
+"""Frames between keyframes are placed again once the map around them has settled: when they came it had not."""
+
+from __future__ import annotations
+
+from epipole.geometry import Rigid3
+from epipole.mapping import Disparities, refine_pose
+from epipole.pipelines.slam.map_tracking import MapTracker
+from epipole.pipelines.slam.path import Path
+from epipole.pipelines.slam.shutter import SETTLED_SIGMA, refine_while_moving
+from epipole.pipelines.slam.tracking import SeenFrame
+
+KEYFRAMES_LATER = 5
+"""After a frame, when the map around it has settled."""
+
+
+def place_again(path: Path, tracker: MapTracker, *, is_last: bool = False) -> None:
+    """Find the places of frames that have waited long enough, by what they saw, in the map as it is now.
+
+    Args:
+        path: where they are told from their keyframes, and will be.
+        tracker: of the map, with the frames that wait.
+        is_last: none comes after them: all have waited long enough.
+    """
+    if not tracker.waiting:
+        return
+    numbers = [keyframe.number for keyframe in tracker.map.keyframes]
+    settled = numbers[-min(KEYFRAMES_LATER, len(numbers))]
+    done = [seen for seen in tracker.waiting if is_last or seen.number < settled]
+    tracker.waiting = [seen for seen in tracker.waiting if not (is_last or seen.number < settled)]
+    for seen in done:
+        told = path.told(seen.number)
+        if told is not None and told[0].number != seen.number:
+            keyframe, relative, covariance = told
+            place = _place_of(seen, tracker, relative @ keyframe.cam_from_world)
+            path.add(seen.number, seen.timestamp_s, keyframe, place, covariance)
+
+
+def _place_of(seen: SeenFrame, tracker: MapTracker, start: Rigid3) -> Rigid3:
+    placed = tracker.map.has_place(seen.point)
+    points, pixels = tracker.map.xyz[seen.point[placed]], seen.pixels[placed]
+    readout, config = tracker.sensor.readout_s, tracker.config
+    if len(points) < config.min_tracked or (readout and seen.motion is None):
+        return start
+    if readout:
+        assert seen.motion is not None
+        known = tracker.camera, start, seen.motion, readout
+        return refine_while_moving(points, pixels, *known, sigma=SETTLED_SIGMA)[0]
+    deep = None
+    if tracker.focal_baseline is not None and seen.disparity_px is not None:
+        deep = Disparities(seen.disparity_px[placed], tracker.focal_baseline, config.depth_sigma_px)
+    return refine_pose(points, pixels, tracker.camera, start, disparities=deep).cam_from_world
