@@ -113,11 +113,7 @@ class Frame:
 
     def is_used(self, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Which places in the picture are to be used."""
-        if self.ignored_mask is None:
-            return np.ones(len(pixels), bool)
-        height, width = self.ignored_mask.shape
-        column, row = np.rint(pixels).astype(int).T
-        return ~self.ignored_mask[row.clip(0, height - 1), column.clip(0, width - 1)]
+        return is_outside(self.ignored_mask, pixels)
 
     def __post_init__(self) -> None:
         """Check the pictures.
@@ -134,6 +130,15 @@ class Frame:
             ) from None
         if not np.isfinite(self.timestamp_s):
             raise ConfigError(f"timestamp_s must be finite, got {self.timestamp_s}")
+
+
+def is_outside(mask: np.ndarray | None, pixels: np.ndarray) -> np.ndarray:
+    """(n,) which pixels are not under a mask (h, w); None is none."""
+    if mask is None:
+        return np.ones(len(pixels), bool)
+    height, width = mask.shape
+    column, row = np.rint(pixels).astype(int).T
+    return ~mask[row.clip(0, height - 1), column.clip(0, width - 1)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,9 +13,10 @@ from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjus
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.least_move import least_move
 from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.revisiting import find_again, tie_together
-from epipole.pipelines.slam.shutter import SETTLED_SIGMA, at_middle, refine_while_moving, shutter_shifts
+from epipole.pipelines.slam.shutter import at_middle, shutter_shifts, straighten
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
@@ -24,7 +25,8 @@ from epipole.robust import triangulate_points
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
 """Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
-GROWTH = 1.25
+FIRST_SETTLED, GROWTH = 6, 1.25
+"""Keyframes at the begin of a map, and by how much more all of them are adjusted again."""
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
 """Keyframes: those between carry the covariance of the one before on, and their own part."""
@@ -46,7 +48,7 @@ class LocalMapper:
         self.positions: dict[int, np.ndarray] = {}
         """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
         self.position_sigma = 1.0
-        self._num_settled = LEAST_TOGETHER
+        self._num_settled = FIRST_SETTLED
         """Keyframes when all were adjusted last."""
 
     def insert_keyframe(
@@ -76,9 +78,9 @@ class LocalMapper:
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
         keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
-        shutter = self.camera, self.sensor.readout_s
-        keyframe.motion = self.map.motion
-        keyframe.shift_px = shutter_shifts(self.map, keyframe, keyframe.motion, *shutter)
+        keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
+        shutter = keyframe.motion, self.camera, self.sensor.readout_s
+        keyframe.shift_px = shutter_shifts(self.map, keyframe, *shutter)
         self.map.keyframes.append(keyframe)
         anew = np.isin(points, stale)
         self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
@@ -178,11 +180,15 @@ class LocalMapper:
     def adjust_around(self, newest: int) -> None:
         """Adjust the window of the newest keyframe; keyframes outside hold it.
 
-        Each time that the map has grown by a tenth all of it is adjusted: for a keyframe that is ten times its share of
-        the whole, whatever the map's size.
+        Each time that the map has grown by a quarter all of it is adjusted: for a keyframe that is five times its share of
+        the whole, whatever the map's size. One camera's new keyframes are then shown all points in sight: only what is seen
+        from many sides keeps its scale.
         """
         if len(self.map.keyframes) >= GROWTH * self._num_settled:
-            self._num_settled = len(self.map.keyframes)
+            since, self._num_settled = self._num_settled, len(self.map.keyframes)
+            if self.focal_baseline is None:
+                new = self.map.keyframes[since if since > FIRST_SETTLED else 0 :]
+                tie_together(self.map, self.camera, new)
             self.adjust_all(max_iterations=8)
             return
         window, fixed = self.window_of(newest)
@@ -210,7 +216,7 @@ class LocalMapper:
         for loss_scale_px in LAST_SCALES_PX:
             if not goes_on(done, total):
                 return False
-            tie_together(self.map, self.camera)
+            tie_together(self.map, self.camera, self.map.keyframes)
             if not goes_on(done + 1, total):
                 return False
             self.adjust_all(loss_scale_px)
@@ -227,7 +233,8 @@ class LocalMapper:
             return
         views = [*window, *fixed]
         if self.sensor.readout_s:
-            self._straighten(views)
+            for keyframe in (self.map.keyframes[k] for k in views):
+                straighten(self.map, keyframe, self.camera, self.sensor.readout_s, self.config.min_tracked)
         rows, held = self._built(window, views)
         if not len(rows):
             return
@@ -240,12 +247,17 @@ class LocalMapper:
         result = adjust_bundle(held, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
+        places, points = result.rig_from_world[: len(window)], result.points_in_world
+        # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
+        if self.focal_baseline is None and not fixed and not self.positions:
+            back = least_move(places, self._places(window))
+            places, points = back.move_cam_from_source(places), back.apply(points)
         for place, k in enumerate(window):
-            self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+            self.map.keyframes[k].cam_from_world = places[place]
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.focal_baseline is not None and is_due:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
-        self.map.xyz[rows] = result.points_in_world
+        self.map.xyz[rows] = points
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
 
     def cost_of(self, window: list[int]) -> float:
@@ -266,17 +278,6 @@ class LocalMapper:
         rows, local = np.unique(point[kept], return_inverse=True)
         seen = frame[kept], local, pixels[kept], disparity[kept]
         return rows, self._held(self._problem(views, len(window), rows, seen))
-
-    def _straighten(self, views: list[int]) -> None:
-        """What a shutter of one instant would have seen, by the keyframes' motions with the map as it is."""
-        for keyframe in (self.map.keyframes[k] for k in views):
-            lens, motion = (self.camera, self.sensor.readout_s), keyframe.motion
-            placed = self.map.has_place(keyframe.point)
-            if placed.sum() >= self.config.min_tracked and motion.any():
-                xyz, pixels = self.map.xyz[keyframe.point[placed]], keyframe.pixels[placed]
-                known = self.camera, keyframe.cam_from_world, motion, self.sensor.readout_s
-                _, motion, _ = refine_while_moving(xyz, pixels, *known, sigma=SETTLED_SIGMA)
-            keyframe.shift_px = shutter_shifts(self.map, keyframe, motion, *lens)
 
     def _held(self, problem: BundleProblem) -> BundleProblem:
         """With what the pictures leave open held: one place, and the scale where nothing tells it."""

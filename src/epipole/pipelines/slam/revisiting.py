@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from epipole.cameras import Camera
 from epipole.features.patches import find_patches
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.anchoring import hold, warps_between
+from epipole.pipelines.slam.frames import is_outside
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 MOST_KEYFRAMES = 4
@@ -84,19 +86,19 @@ def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_wo
     return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
 
 
-def tie_together(model: SlamMap, camera: Camera) -> int:
-    """Let every keyframe see all points of the map that are in its picture; returns the number of new observations.
+def tie_together(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
+    """Let keyframes see all points of the map that are in its picture; returns the number of new observations.
 
     While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
     """
     count = 0
-    for keyframe in model.keyframes:
+    for keyframe in keyframes:
         place = keyframe.cam_from_world
         pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
         if not len(points):
             continue
         pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
-        good = is_same & ~is_stale
+        good = is_same & ~is_stale & is_outside(keyframe.ignored_mask, pixels)
         keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])
         count += int(good.sum())
     return count

@@ -83,6 +83,22 @@ def at_middle(
     return Rigid3.exp(_moved(motion, late)).inverse().apply(in_cam)
 
 
+def straighten(
+    model: SlamMap, keyframe: Keyframe, camera: Camera, readout_s: float, least_points: int
+) -> None:
+    """What a shutter of one instant would have seen, by a keyframe's motion with the map as it is.
+
+    What the rows tell of the motion refines it, within what the frames around it allow; it is not kept, for a map that bends,
+    and a motion that bends with it, would follow each other.
+    """
+    motion, placed = keyframe.motion, model.has_place(keyframe.point)
+    if placed.sum() >= least_points and motion.any():
+        xyz, pixels = model.xyz[keyframe.point[placed]], keyframe.pixels[placed]
+        known = camera, keyframe.cam_from_world, motion, readout_s
+        _, motion, _ = refine_while_moving(xyz, pixels, *known, sigma=SETTLED_SIGMA)
+    keyframe.shift_px = shutter_shifts(model, keyframe, motion, camera, readout_s)
+
+
 def straighten_recent(model: SlamMap, camera: Camera, readout_s: float) -> None:
     """Tell the last keyframes' motions by the frames around them."""
     motions = model.recent.settled()

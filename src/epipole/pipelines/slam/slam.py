@@ -39,8 +39,8 @@ LEAST_KEYFRAMES = 3
 class Slam:
     """Follows a camera, frame by frame, and makes a map. The same frames give the same answers on any machine's load.
 
-    The world is the first frame's camera; its unit is the metre where the camera tells depth, else the median depth of
-    the first points. After the camera was lost it is sought in the map; meanwhile a new map begins, which is joined to the
+    The world is the first frame's camera (of one camera, near it: nothing holds the map but itself); its unit is the metre
+    where the camera tells depth, else the median depth of the first points. After the camera was lost it is sought in the map; meanwhile a new map begins, which is joined to the
     first when a place is seen again. One camera that turns on the spot keeps its orientation without any depth.
 
     Attributes:

@@ -34,6 +34,7 @@ class Keyframe:
         descriptors: (n, 128) of them, zeros where none was made.
         look: the whole picture as one vector, for finding pictures that look alike; None before it is made.
         unit: by what lengths around it were multiplied since it was made.
+        ignored_mask: where nothing may be seen in its picture, as in `Frame`; None of a map that was read from a file.
         covariance: (6, 6) of xi = (translation, rotation) in exp(xi) @ cam_from_world; zero where it is not known.
     """
 
@@ -48,6 +49,7 @@ class Keyframe:
         self.descriptors = np.zeros((len(self.point), 128), np.uint8)
         self.look: np.ndarray | None = None
         self.unit = 1.0
+        self.ignored_mask: np.ndarray | None = None
         self.covariance = np.zeros((6, 6))
 
     @property

@@ -181,7 +181,9 @@ class OneCameraStart:
             found = place_in_map(model, rows, pixels, place, self.camera, self.config)
             place = found.cam_from_world if found is not None and n > 0 else place
             seen = Observations(pixels, np.full(len(rows), np.nan), rows)
-            model.keyframes.append(Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, place, seen))
+            keyframe = Keyframe(one.number, one.frame.timestamp_s, one.frame.grey, place, seen)
+            keyframe.ignored_mask = one.frame.ignored_mask
+            model.keyframes.append(keyframe)
         tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
         return Begun(model, tracks, started.cam_from_first, waiting, row_of_track)
 

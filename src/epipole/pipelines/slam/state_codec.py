@@ -45,7 +45,7 @@ KINDS: dict[str, type] = {
 """What may be stored."""
 CUT: dict[type, tuple[str, ...]] = {slam_map.SlamMap: ("_xyz", "_anchor", "_anchor_px", "_num_agreed")}
 """Arrays of which only the first `num_points` rows are in use."""
-PICTURES: dict[type, tuple[str, ...]] = {slam_map.Keyframe: ("grey",)}
+PICTURES: dict[type, tuple[str, ...]] = {slam_map.Keyframe: ("grey", "ignored_mask")}
 """Arrays that are never written to, and stay."""
 LASTING: dict[type, tuple[str, ...]] = {
     slam_map.Keyframe: ("pixels", "disparity_px", "point", "descriptors", "look"),

@@ -1,0 +1,17 @@
+"""The gauge of a map that nothing holds: it stays where it was, as near as it can."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.geometry import Rigid3, Similarity3, align_points
+
+
+def least_move(after: Rigid3, before: Rigid3) -> Similarity3:
+    """before_from_after of cameras (n,) that leave place and scale open, by their centres and orientations alike."""
+    marks = []
+    for cams in (after, before):
+        centers = cams.centers()
+        size = max(float(np.sqrt(((centers - centers.mean(axis=0)) ** 2).sum(axis=1).mean())), 1e-9)
+        marks.append(np.concatenate([centers, *(centers + size * cams.rotation[:, k] for k in range(3))]))
+    return align_points(*marks)
