@@ -15,6 +15,7 @@ from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.least_move import least_move
 from epipole.pipelines.slam.map_covariance import learn_covariances
+from epipole.pipelines.slam.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.shutter import at_middle, shutter_shifts, straighten
 from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
@@ -244,7 +245,7 @@ class LocalMapper:
             max_iterations=max_iterations,
             function_tolerance=1e-3,
         )
-        result = adjust_bundle(held, config)
+        held, result = adjust_pair(held, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         places, points = result.rig_from_world[: len(window)], result.points_in_world

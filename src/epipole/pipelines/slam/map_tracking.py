@@ -19,6 +19,7 @@ from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
 from epipole.pipelines.slam.shutter import (
     FORETOLD_SIGMA,
+    UNKNOWN_SIGMA,
     at_middle,
     refine_while_moving,
     shutter_shifts,
@@ -146,7 +147,7 @@ class MapTracker:
             place, motion, error_sq = refine_while_moving(
                 *(self.map.xyz[points], pixels, self.camera, place),
                 *(recent.newest(), readout),
-                sigma=FORETOLD_SIGMA if recent.steps else (0.5, 15.0),
+                sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
             )
             self._straighten_begin(recent)
         agrees = error_sq <= self.config.max_error_px**2

@@ -12,11 +12,9 @@ from epipole.pipelines.slam.recent_motion import AROUND, motion_among
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.scene import Trajectory
 
-SPEED_SIGMA, CHANGE_SIGMA = 0.5, 15.0
-"""Of a frame's speed, and of its change, where nothing is known: radians, or depths of the scene, per second (squared)."""
-FORETOLD_SIGMA = (0.3, 8.0)
-SETTLED_SIGMA = (0.03, 1.0)
-"""The same against that by the frames around: a looser one lets a bent map, and motions that undo it, agree with each other."""
+UNKNOWN_SIGMA, FORETOLD_SIGMA, SETTLED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.03, 1.0)
+"""Of a frame's speed, and of its change, in radians, or depths of the scene, per second (squared): where nothing is known of it,
+against that by the frames before, and by those on both sides. A looser one lets a bent map, and motions that undo it, agree."""
 STEPS, SETTLED = 8, 1e-7
 LONGEST_GAP = 3.0
 """Between a keyframe and the frames beside it, in median gaps: over a longer one its motion is not known."""
@@ -117,7 +115,7 @@ def refine_while_moving(
     motion: np.ndarray,
     readout_s: float,
     *,
-    sigma: tuple[float, float] = (SPEED_SIGMA, CHANGE_SIGMA),
+    sigma: tuple[float, float] = UNKNOWN_SIGMA,
 ) -> tuple[Rigid3, np.ndarray, np.ndarray]:
     """Pose and motion of a frame whose rows were read one after another, by robust least squares of both.
 

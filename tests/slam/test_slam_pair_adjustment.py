@@ -1,0 +1,46 @@
+"""A pair's second principal point: found where it is off, and left alone where patches' own errors would tell as much."""
+
+import numpy as np
+import pytest
+from slam_rides import CAMERA, STEREO
+
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.local_mapping import LEAST_TOGETHER, LocalMapper
+from epipole.pipelines.slam.pair_adjustment import LEAST_SHIFT_PX
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+
+FOCAL_BASELINE = 31.2
+
+
+def scene(rng, shift_px: float) -> tuple[LocalMapper, Rigid3]:
+    """Keyframes of a pair whose second principal point is further right by so much, with noise, and their true places."""
+    points = np.stack([rng.uniform(-2, 2, 200), rng.uniform(-1, 1, 200), rng.uniform(2, 6, 200)], axis=1)
+    places = Rigid3.exp(
+        np.array([[0.1 * k, 0.02 * k, 0.15 * k, 0.01 * k, 0.02 * k, 0] for k in range(LEAST_TOGETHER)])
+    )
+    model = SlamMap()
+    rows = model.add_points(points + 0.02 * rng.normal(size=points.shape), np.zeros((200, 2)), 0)
+    for k in range(LEAST_TOGETHER):
+        in_cam = places[k].apply(points)
+        disparity = FOCAL_BASELINE / in_cam[:, 2] - shift_px + 0.05 * rng.normal(size=200)
+        seen = CAMERA.project(in_cam) + 0.05 * rng.normal(size=(200, 2))
+        keyframe = Keyframe(
+            k, k / 10, np.zeros((240, 320), np.uint8), places[k], Observations(seen, disparity, rows)
+        )
+        model.keyframes.append(keyframe)
+    return LocalMapper(model, STEREO, FOCAL_BASELINE, SlamConfig()), places
+
+
+@pytest.mark.parametrize(("shift_px", "is_told"), [(0.0, False), (0.05, False), (0.25, True), (-0.4, True)])
+def test_only_a_shift_that_patches_do_not_make_is_told(rng, shift_px, is_told):
+    assert (abs(shift_px) > LEAST_SHIFT_PX) == is_told
+    mapper, places = scene(rng, shift_px)
+    mapper.adjust_all()
+    if is_told:
+        assert mapper.map.right_shift_px == pytest.approx(shift_px, abs=0.03)
+    else:
+        assert mapper.map.right_shift_px == 0.0
+    last = mapper.map.keyframes[-1].cam_from_world
+    off = (last @ places[LEAST_TOGETHER - 1].inverse()).log()
+    assert np.linalg.norm(off[:3]) < 0.01
