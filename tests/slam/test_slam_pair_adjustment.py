@@ -46,4 +46,4 @@ def test_only_a_shift_that_patches_do_not_make_is_told(rng, shift_px, is_told):
         assert mapper.map.right_shift_px == 0.0
     last = mapper.map.keyframes[-1].cam_from_world
     off = (last @ places[LEAST_TOGETHER - 1].inverse()).log()
-    assert np.linalg.norm(off[:3]) < 0.02  # of 2.8 m; the shift of a quarter pixel left in it makes it 6 cm
+    assert np.linalg.norm(off[:3]) < 0.03  # of 2.8 m; a quarter of a pixel left in it makes it 8 cm
