@@ -50,7 +50,7 @@ class SlamConfig:
     lost_patience: int = 3
     """Frames without a place after which a map of its own begins."""
     window: int = 20
-    """Keyframes adjusted together after each new one."""
+    """Keyframes adjusted together after each new one; of one camera twice as many."""
     max_fixed: int = 12
     """Further keyframes that hold the window in its place."""
     depth_sigma_px: float = 1.0

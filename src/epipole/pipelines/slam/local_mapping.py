@@ -31,6 +31,8 @@ FIRST_SETTLED, GROWTH = 6, 1.25
 LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
 COVARIANCES_EVERY = 3
 """Keyframes: those between carry the covariance of the one before on, and their own part."""
+MOST_TIED = 30
+"""Keyframes of one camera's map that are all tied together again: 12 ms for each."""
 LEAST_TOGETHER = 8
 """Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
 SHIFT_SIGMA_PX = 0.3
@@ -169,9 +171,11 @@ class LocalMapper:
 
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes that share most points with the newest, and those that share points with these."""
+        # One camera's scale drifts in a narrow window.
+        width = self.config.window * (2 if self.focal_baseline is None else 1)
         shared = self.map.num_shared([newest])
         shared[newest] = len(self.map.xyz) + 1
-        order = np.argsort(-shared, kind="stable")[: self.config.window]
+        order = np.argsort(-shared, kind="stable")[:width]
         window = sorted(int(k) for k in order if shared[k] > 0)
         shared = self.map.num_shared(window)
         shared[window] = 0
@@ -182,14 +186,14 @@ class LocalMapper:
         """Adjust the window of the newest keyframe; keyframes outside hold it.
 
         Each time that the map has grown by a quarter all of it is adjusted: for a keyframe that is five times its share of
-        the whole, whatever the map's size. One camera's new keyframes are then shown all points in sight: only what is seen
-        from many sides keeps its scale.
+        the whole, whatever the map's size. One camera's keyframes, in a larger map the new ones, are then shown all points in
+        sight: only what is seen from many sides keeps its scale.
         """
         if len(self.map.keyframes) >= GROWTH * self._num_settled:
             since, self._num_settled = self._num_settled, len(self.map.keyframes)
             if self.focal_baseline is None:
-                new = self.map.keyframes[since if since > FIRST_SETTLED else 0 :]
-                tie_together(self.map, self.camera, new)
+                first = since if len(self.map.keyframes) > MOST_TIED else 0
+                tie_together(self.map, self.camera, self.map.keyframes[first:])
             self.adjust_all(max_iterations=8)
             return
         window, fixed = self.window_of(newest)
