@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from slam_rides import drawn
+from slam_rides import drawn, followed
 
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.least_move import least_move
-from epipole.pipelines.slam.slam import Slam
 
 
 @pytest.mark.parametrize("count", [2, 3, 30])
@@ -40,9 +39,7 @@ def test_errors_are_shared_by_all(rng):
 @pytest.mark.usefixtures("unchecked_module")
 def test_adjusting_one_camera_s_map_leaves_it_in_place():
     ride = drawn("loop_room", 60, 2)
-    slam = Slam(ride.sensor("mono"))
-    for frame in ride.frames("mono"):
-        slam.track(frame)
+    slam, _ = followed(ride.frames("mono"), ride.sensor("mono"))
     before = slam.trajectory().world_from_body
     slam.mapper.adjust_all()
     after = slam.trajectory().world_from_body

@@ -38,9 +38,8 @@ def test_only_a_shift_that_patches_do_not_make_is_told(rng, shift_px, is_told):
     mapper, places = scene(rng, shift_px)
     mapper.adjust_all()
     mapper.adjust_all()
-    if (
-        is_told
-    ):  # pixels count as if they were off by one, so that what is expected of the rectification pulls
+    if is_told:
+        # Pixels count as if they were off by one, so that what is expected of the rectification pulls.
         assert 0.75 < mapper.map.right_shift_px / shift_px < 1.05
     else:
         assert mapper.map.right_shift_px == 0.0

@@ -62,10 +62,8 @@ def test_frames_that_waited_long_enough_are_placed_in_the_map_as_it_is(scene, ha
     model.keyframes[1].cam_from_world = OFF @ model.keyframes[1].cam_from_world  # adjusted since
     tracker.waiting.append(waiting(model, 3, has_depth=has_depth))
     place_again(path, tracker)
-    assert [one.number for one in tracker.waiting] == [
-        *numbers[2:],
-        3,
-    ]  # for those few keyframes have come since
+    # For these few keyframes have come since.
+    assert [one.number for one in tracker.waiting] == [*numbers[2:], 3]
     found = errors(path, model)
     assert found[1:3].max() < 1e-6 and found[4:6].min() > 0.01
     place_again(path, tracker, is_last=True)

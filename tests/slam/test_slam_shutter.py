@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_rides import drawn, errors
+from slam_rides import Drawn, drawn, errors, followed
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
@@ -65,6 +65,12 @@ def test_pose_and_motion_are_found_together(seen, rng):
     assert (error_sq[30:] < 1).mean() > 0.98 and (error_sq[:30] > 100).all()
 
 
+def bent_and_straight(ride: Drawn, kind: str) -> list[Slam]:
+    """Of a ride, without and with its readout."""
+    sensors = (replace(ride.sensor(kind), readout_s=s) for s in (0.0, BY_THE_FRAMES))
+    return [followed(ride.frames(kind), sensor)[0] for sensor in sensors]
+
+
 def shaken(seconds: float) -> Rigid3:
     """cam_from_world of a hand that shakes."""
     return Rigid3.exp(0.05 * np.sin(np.arange(6) + 12.0 * seconds)) @ Rigid3.exp(seconds * MOTION[:6])
@@ -88,19 +94,15 @@ def test_the_motion_is_told_by_the_frames_around():
     step = shaken(times[4] + 1 / 30) @ places[4].inverse()
     assert list(recent.with_step(times[4] + 1 / 30, step, 1.0).settled()) == [times[3]]
     assert not recent.with_step(times[4] + 2.0, step, 1.0).times  # too long ago
-    assert not recent.with_step(
-        times[4] + 1 / 30, Rigid3.exp(np.full(6, 1.0)), 1.0
-    ).times  # a jump of the map
+    jump = Rigid3.exp(np.full(6, 1.0))  # of the map
+    assert not recent.with_step(times[4] + 1 / 30, jump, 1.0).times
     assert recent.begin_at(times[4]) is recent and recent.begin_at(7.0).times == [7.0]
 
 
 @pytest.mark.usefixtures("unchecked_module")
 def test_one_camera_s_map_is_straight_from_its_begin():
     ride = drawn("shuttered", 75, 1)
-    bent, straight = (Slam(replace(ride.sensor("mono"), readout_s=s)) for s in (0.0, BY_THE_FRAMES))
-    for frame in ride.frames("mono"):
-        bent.track(frame)
-        straight.track(frame)
+    bent, straight = bent_and_straight(ride, "mono")
     straight.finish()
     assert len(straight.trajectory()) == 75
     before, after = (errors(one, ride.truth(), "similarity").position.rmse for one in (bent, straight))
@@ -110,10 +112,7 @@ def test_one_camera_s_map_is_straight_from_its_begin():
 @pytest.mark.usefixtures("unchecked_module")
 def test_the_readout_is_found_and_the_path_straight_with_it():
     ride = drawn("shuttered", 75, 1)
-    bent, straight = (Slam(replace(ride.sensor("rgbd"), readout_s=s)) for s in (0.0, BY_THE_FRAMES))
-    for frame in ride.frames("rgbd"):
-        bent.track(frame)
-        straight.track(frame)
+    bent, straight = bent_and_straight(ride, "rgbd")
     found = find_readout(bent.mapper, bent.trajectory())
     assert found is not None and found.readout_s == pytest.approx(BY_THE_FRAMES, rel=0.1)
     assert "read one after another" in found.warning()
@@ -126,7 +125,5 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
 @pytest.mark.usefixtures("unchecked_module")
 def test_a_shutter_of_one_instant_has_none():
     ride = drawn("loop_room", 60, 2)
-    slam = Slam(ride.sensor("rgbd"))
-    for frame in ride.frames("rgbd"):
-        slam.track(frame)
+    slam, _ = followed(ride.frames("rgbd"), ride.sensor("rgbd"))
     assert find_readout(slam.mapper, slam.trajectory()) is None

@@ -17,8 +17,8 @@ from epipole.pipelines.slam.least_move import least_move
 from epipole.pipelines.slam.map_covariance import learn_covariances
 from epipole.pipelines.slam.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.revisiting import find_again, tie_together
-from epipole.pipelines.slam.shutter import at_middle, shutter_shifts, straighten
-from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
+from epipole.pipelines.slam.shutter import points_by_depth, shutter_shifts, straighten
+from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
 from epipole.robust import triangulate_points
@@ -104,9 +104,8 @@ class LocalMapper:
         if self.focal_baseline is None:
             return np.full((len(pixels), 3), np.nan)
         most = self.config.max_depth_baselines
-        disparity = disparity + self.map.right_shift_px
-        in_cam = points_by_disparity(pixels, disparity, self.camera, self.focal_baseline, most)
-        in_cam = at_middle(in_cam, pixels, self.map.motion, self.camera, self.sensor.readout_s)
+        seen, motion = Observations(pixels, disparity, np.full(len(pixels), -1)), self.map.motion
+        in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
         return place.inverse().apply(in_cam)
 
     def triangulate(self, newest: int) -> int:

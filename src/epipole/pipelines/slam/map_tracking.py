@@ -20,13 +20,13 @@ from epipole.pipelines.slam.second_motion import second_motion, second_motion_in
 from epipole.pipelines.slam.shutter import (
     FORETOLD_SIGMA,
     UNKNOWN_SIGMA,
-    at_middle,
+    points_by_depth,
     refine_while_moving,
     shutter_shifts,
     straighten_recent,
 )
-from epipole.pipelines.slam.single_depth import disparities_of, points_by_disparity
-from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.single_depth import disparities_of
+from epipole.pipelines.slam.slam_map import Observations, SlamMap
 from epipole.pipelines.slam.tracking import SeenFrame, Tracks, is_sure, locate, predict_pixels
 
 SHUTTER_ROUNDS = 3
@@ -169,10 +169,9 @@ class MapTracker:
             return
         lens = self.camera, self.sensor.readout_s
         first.motion = motions[first.timestamp_s]
-        disparity = first.disparity_px + self.map.right_shift_px
+        seen = Observations(first.pixels, first.disparity_px, first.point)
         most = self.config.max_depth_baselines
-        in_cam = points_by_disparity(first.pixels, disparity, self.camera, self.focal_baseline, most)
-        in_cam = at_middle(in_cam, first.pixels, first.motion, *lens)
+        in_cam = points_by_depth(self.map, seen, first.motion, self.sensor, self.focal_baseline, most)
         self.map.xyz[first.point] = first.cam_from_world.inverse().apply(in_cam)
         first.shift_px = shutter_shifts(self.map, first, first.motion, *lens)
 

@@ -8,8 +8,10 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, skew
+from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.recent_motion import AROUND, motion_among
-from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.single_depth import points_by_disparity
+from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.scene import Trajectory
 
 UNKNOWN_SIGMA, FORETOLD_SIGMA, SETTLED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.03, 1.0)
@@ -79,6 +81,29 @@ def at_middle(
         return in_cam
     late = _late(pixels, camera, readout_s)
     return Rigid3.exp(_moved(motion, late)).inverse().apply(in_cam)
+
+
+def points_by_depth(
+    model: SlamMap,
+    seen: Observations,
+    motion: np.ndarray,
+    sensor: SlamCamera,
+    focal_baseline: float,
+    most_baselines: float,
+) -> np.ndarray:
+    """(n, 3) points in the camera in the middle of the readout, by their disparities; NaN without one, or further than that.
+
+    Args:
+        model: the map, of a pair with its second camera's principal point.
+        seen: pixels and disparities as they were read.
+        motion: (12,) of the camera.
+        sensor: what tells depth.
+        focal_baseline: focal length times baseline.
+        most_baselines: distance beyond which a disparity says little.
+    """
+    disparity = seen.disparity_px + model.right_shift_px
+    in_cam = points_by_disparity(seen.pixels, disparity, sensor.camera, focal_baseline, most_baselines)
+    return at_middle(in_cam, seen.pixels, motion, sensor.camera, sensor.readout_s)
 
 
 def straighten(

@@ -146,7 +146,7 @@ class SlamMap:
     def clear(self) -> None:
         """Forget everything."""
         self.keyframes.clear()
-        self.recent = RecentMotion()
+        self.motion, self.recent = NO_MOTION, RecentMotion()
         self.num_points = 0
 
     def rescale(self, factor: float) -> None:

@@ -28,7 +28,7 @@ from epipole.pipelines.slam.state_codec import (
 from epipole.runs.units import is_done, load, store, stored_key
 
 STATE, ARRAYS = "state.npz", "arrays-{}.bin"
-VERSION = "epipole checkpoint 1"
+VERSION = "epipole checkpoint 2"
 LEAST_BYTES = 512
 """Smaller arrays are not worth a place of their own."""
 SPARE_BYTES = 64_000_000
