@@ -56,6 +56,25 @@ def test_the_covariance_is_that_of_many_draws(rng):
     assert 5.1 < total / draws < 6.9  # two standard deviations of the mean of 150
 
 
+@pytest.mark.parametrize("with_depth", [False, True])
+def test_the_covariance_by_errors_needs_no_deviations(rng, with_depth):
+    """Half of the points, those far from the middle, are ten times worse, and nobody said so."""
+    by_errors, by_noise, draws = 0.0, 0.0, 150
+    for _ in range(draws):
+        points, pixels, place, disparity = seen(rng)
+        far = np.linalg.norm(pixels - [320, 240], axis=1)
+        noise = np.where(far > np.median(far), 0.5, 0.05)
+        pixels += noise[:, None] * rng.normal(size=pixels.shape)
+        disparity += noise * rng.normal(size=len(disparity))
+        depth = Disparities(disparity, FOCAL_BASELINE) if with_depth else None
+        found = refine_pose(points, pixels, CAMERA, place, disparities=depth, loss_scale=50.0)
+        xi = (place @ found.cam_from_world.inverse()).log()
+        by_errors += xi @ np.linalg.solve(found.covariance_by_errors(), xi) / draws
+        by_noise += xi @ np.linalg.solve(np.mean(noise**2) * found.covariance(), xi) / draws
+    assert 5.1 < by_errors < 6.9
+    assert by_noise > 7.5
+
+
 def test_depth_narrows_the_place(rng):
     points, pixels, place, disparity = seen(rng, n=8)
     plain = refine_pose(points, pixels, CAMERA, place).covariance()
@@ -68,6 +87,8 @@ def test_depth_narrows_the_place(rng):
 def test_too_little_is_no_covariance(rng):
     points, pixels, place, _ = seen(rng)
     assert np.isinf(refine_pose(points[:2], pixels[:2], CAMERA, place).covariance()).all()
+    for found in (refine_pose(points[:k], pixels[:k], CAMERA, place) for k in (0, 3)):
+        assert np.isinf(found.covariance_by_errors()).all()
     assert np.isinf(refine_pose(points[:0], pixels[:0], CAMERA, place).covariance()).all()
     behind = refine_pose(-points, pixels, CAMERA, Rigid3.identity())
     assert np.isfinite(behind.cam_from_world.rotation).all()

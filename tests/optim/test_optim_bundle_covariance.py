@@ -13,6 +13,7 @@ from epipole.geometry import Rigid3
 from epipole.optim import (
     BundleConfig,
     BundlePriors,
+    BundleProblem,
     PointDistances,
     adjust_bundle,
     bundle_covariance,
@@ -98,6 +99,56 @@ def test_they_hold_in_simulation():
             assert share == pytest.approx(quantile, abs=3.5 * np.sqrt(quantile * (1 - quantile) / 200)), (
                 freedom
             )
+
+
+def along_a_row(rng, persistence):
+    """Frames side by side before points that all of them see, and each with errors that go on from frame to frame."""
+    frames, count = 10, 400
+    camera = Camera(CameraModel.SIMPLE_PINHOLE, 640, 480, np.array([500.0, 320.0, 240.0]))
+    places = Rigid3(np.tile(np.eye(3), (frames, 1, 1)), np.outer(-0.05 * np.arange(frames), [1.0, 0.0, 0.0]))
+    points = rng.uniform([-1, -1, 2], [1.5, 1, 5], (count, 3))
+    pixels = camera.project((points + places.translation[:, None]).reshape(-1, 3))
+    error = rng.normal(size=(frames, count, 2))
+    for n in range(1, frames):
+        error[n] = persistence * error[n - 1] + np.sqrt(1 - persistence**2) * error[n]
+    seen = pixels.reshape(frames, count, 2) + NOISE_PX * error
+    free = np.ones((frames, 6))
+    free[0], free[-1] = 0.0, [0, 1, 1, 1, 1, 1]
+    none, model = np.zeros(frames * count, np.int32), np.array([int(camera.model)], np.int32)
+    return places, BundleProblem(
+        *(places, Rigid3.identity(1), model, camera.padded_params()[None], points),
+        np.arange(count + 1, dtype=np.int64) * frames,
+        *(np.tile(np.arange(frames, dtype=np.int32), count), none, none),
+        np.swapaxes(seen, 0, 1).reshape(-1, 2),
+        *(free, np.zeros((1, 12)), np.ones(count)),
+    )
+
+
+@pytest.mark.parametrize("persistence", [0.0, 0.9])
+def test_errors_that_go_on_from_frame_to_frame_are_told_by_the_points_scores(persistence):
+    """Means of normalised squared errors of the frames between, over sixty draws; 6 is right."""
+    clustered, plain = [], []
+    for seed in range(60):
+        places, problem = along_a_row(np.random.default_rng(seed), persistence)
+        result = adjust_bundle(problem, EXACT)
+        error = (result.rig_from_world @ places.inverse()).log()[1:-1]
+        for told, is_clustered in ((clustered, True), (plain, False)):
+            found = bundle_covariance(problem, result, clustered=is_clustered)
+            told += [e @ np.linalg.solve(c, e) for e, c in zip(error, found.rig_from_world[1:-1])]
+    # Frames of one draw share their errors: the band is that of about three independent ones in each.
+    assert np.mean(clustered) == pytest.approx(6.0, abs=3.0 * np.sqrt(12.0 / 180))
+    assert np.mean(plain) == pytest.approx(6.0, abs=0.8) if persistence == 0 else np.mean(plain) > 12
+
+
+def test_the_size_alone_of_frames_covariances_changes(rng):
+    _, problem = along_a_row(rng, 0.5)
+    result = adjust_bundle(problem, EXACT)
+    found = bundle_covariance(problem, result, clustered=True)
+    plain = bundle_covariance(problem, result)
+    np.testing.assert_array_equal(found.points_in_world, plain.points_in_world)
+    ratio = found.rig_from_world[1:-1] / plain.rig_from_world[1:-1]
+    np.testing.assert_allclose(ratio, ratio[:, :1, :1] * np.ones((6, 6)))  # the size alone changes
+    assert not found.rig_from_world[0].any()
 
 
 def test_the_noise_is_the_residuals_own(rng):

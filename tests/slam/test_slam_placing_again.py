@@ -71,7 +71,10 @@ def test_frames_that_waited_long_enough_are_placed_in_the_map_as_it_is(scene, ha
     assert tracker.waiting == [] and found[3] > 0.01  # a keyframe is where the adjustment puts it
     assert np.delete(found, 3).max() < 1e-6
     covariances = path.trajectory(model.keyframes).covariance
-    np.testing.assert_allclose(covariances[2], np.eye(6))  # as it was told
+    if has_depth:  # told again, by errors of which there are none
+        assert np.linalg.eigvalsh(covariances[2]).min() > 0 and covariances[2].max() < 1e-6
+    else:
+        np.testing.assert_allclose(covariances[2], np.eye(6))  # as it was told
 
 
 def test_few_points_and_frames_without_a_place_stay(scene):

@@ -104,11 +104,46 @@ def _linearize(view, motion, scale_sq, normal, gradient, error_sq, work):
     return cost
 
 
+@kernel
+def _sum_scores(view, motion, scale_sq, scores, own, work):
+    """Scores = sum of g g^T over the points, g (`own`) the part of the gradient that is a point's."""
+    jac_point, jac_params, row = work
+    clear_rows(scores)
+    for k in range(len(view.points)):
+        a, b, c = view.points[k, 0], view.points[k, 1], view.points[k, 2]
+        x = motion[0] * a + motion[1] * b + motion[2] * c + motion[9]
+        y = motion[3] * a + motion[4] * b + motion[5] * c + motion[10]
+        z = motion[6] * a + motion[7] * b + motion[8] * c + motion[11]
+        u, v = project_with_jacobian_one(view.model, view.params, x, y, z, jac_point, jac_params)
+        u, v = u - view.pixels[k, 0], v - view.pixels[k, 1]
+        inverse_sq = 1.0 / (view.sigma_px[k] * view.sigma_px[k])
+        s = (u * u + v * v) * inverse_sq
+        if not s < STRONGEST:
+            continue
+        weight = inverse_sq / (1.0 + s / scale_sq)
+        gx = jac_point[0, 0] * u + jac_point[1, 0] * v
+        gy = jac_point[0, 1] * u + jac_point[1, 1] * v
+        gz = jac_point[0, 2] * u + jac_point[1, 2] * v
+        _twist_row(weight * gx, weight * gy, weight * gz, x, y, z, own)
+        d = view.disparity_px[k]
+        if d == d:
+            e = view.focal_baseline / z - d
+            inverse_sq = 1.0 / (view.disparity_sigma_px * view.disparity_sigma_px)
+            weight = inverse_sq / (1.0 + e * e * inverse_sq / scale_sq)
+            _twist_row(0.0, 0.0, -weight * e * view.focal_baseline / (z * z), x, y, z, row)
+            for i in range(6):
+                own[i] += row[i]
+        for i in range(6):
+            for j in range(6):
+                scores[i, j] += own[i] * own[j]
+
+
 @kernel(allocates=True)
-def refine_pose(view, scale_sq, max_steps, motion, information, error_sq):
+def refine_pose(view, scale_sq, max_steps, motion, information, scores, error_sq):
     """Gauss-Newton with damping; `motion` is the start and becomes the result. Returns cost and steps.
 
-    `information` becomes the normal matrix at the result: the inverse of the covariance where deviations are right.
+    `information` becomes the normal matrix at the result: the inverse of the covariance where deviations are right;
+    `scores` that of the points' gradients.
     """
     work = np.empty((2, 3)), np.empty((2, NUM_PARAMS)), np.empty(6)
     normal, gradient = np.empty((6, 6)), np.empty(6)
@@ -146,4 +181,5 @@ def refine_pose(view, scale_sq, max_steps, motion, information, error_sq):
                 break
     for i in range(6):
         copy_numbers(normal[i], information[i])
+    _sum_scores(view, motion, scale_sq, scores, step, work)
     return cost, steps

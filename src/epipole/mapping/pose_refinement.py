@@ -52,6 +52,8 @@ class RefinedPose:
     cam_from_world: Rigid3
     information: Float64[np.ndarray, "6 6"]
     """Inverse covariance of xi = (translation, rotation) in exp(xi) @ cam_from_world, where the deviations are right."""
+    scores: Float64[np.ndarray, "6 6"]
+    """Sum of g g^T, with g a point's part of the gradient."""
     error_sq: Float64[np.ndarray, " n"]
     """Squared error of each pixel over its deviation; infinite behind the camera."""
     cost: float
@@ -62,6 +64,17 @@ class RefinedPose:
         if not np.isfinite(self.information).all() or np.linalg.cond(self.information) > 1e14:
             return np.full((6, 6), np.inf)
         return np.linalg.inv(self.information)
+
+    def covariance_by_errors(self) -> Float64[np.ndarray, "6 6"]:
+        """The covariance for errors such as are left, whatever deviations were told: H^-1 (sum g g^T) H^-1.
+
+        H. White, A heteroskedasticity-consistent covariance matrix estimator, Econometrica 1980; made larger for what the fit
+        takes of the errors, six of two numbers for each of the n points: (n / (n - 3))^2, as if each were left out in turn.
+        """
+        bread, count = self.covariance(), int(np.isfinite(self.error_sq).sum())
+        if count <= 3 or not np.isfinite(bread).all():
+            return np.full((6, 6), np.inf)
+        return bread @ self.scores @ bread * (count / (count - 3)) ** 2
 
     def __repr__(self) -> str:
         return f"RefinedPose({len(self.error_sq)} points, cost {self.cost:.4g}, {self.num_steps} steps)"
@@ -110,7 +123,7 @@ def refine_pose(
         *(np.ascontiguousarray(depth.disparity_px), float(depth.sigma_px), float(depth.focal_baseline)),
     )
     motion = np.concatenate([start.rotation.ravel(), start.translation])
-    information, error_sq = np.empty((6, 6)), np.empty(n)
-    cost, steps = kernels.refine_pose(view, loss_scale**2, MAX_STEPS, motion, information, error_sq)
+    information, scores, error_sq = np.empty((6, 6)), np.empty((6, 6)), np.empty(n)
+    cost, steps = kernels.refine_pose(view, loss_scale**2, MAX_STEPS, motion, information, scores, error_sq)
     pose = Rigid3(motion[:9].reshape(3, 3).copy(), motion[9:].copy())
-    return RefinedPose(pose, information, error_sq, float(cost), int(steps))
+    return RefinedPose(pose, information, scores, error_sq, float(cost), int(steps))

@@ -18,6 +18,7 @@ from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_res
 from epipole.optim.bundle_layout import BundleLayout, initial_state
 from epipole.optim.bundle_problem import NUM_PARAMS, BundleProblem
 from epipole.optim.bundle_system import BundleSystem, LinearSolver
+from epipole.optim.cluster_robust import error_growth
 
 _NO_DAMPING = 1e-12
 _UNKNOWN = 1e9
@@ -54,6 +55,7 @@ def bundle_covariance(
     config: BundleConfig | None = None,
     *,
     noise_px: float | None = None,
+    clustered: bool = False,
 ) -> BundleCovariance:
     """Covariances at a minimum: the inverse of J^T J, its wanted blocks alone (Takahashi et al. 1973), times the noise.
 
@@ -65,6 +67,8 @@ def bundle_covariance(
         result: its minimum.
         config: the loss that was minimised.
         noise_px: standard deviation of the pixels' errors; None: the residuals' own, after the loss.
+        clustered: errors of a point go together from picture to picture, and those of neighbours in the list of points: the
+            covariances, but for those of points, are made as large as the points' scores say (see `cluster_robust`).
 
     Raises:
         DegenerateGeometryError: there are no more residuals than unknowns, and no noise is given.
@@ -86,14 +90,19 @@ def bundle_covariance(
     if noise_px is None:
         noise_px = _residual_noise(layout, result)
     with _parallel.single_threaded_blas():
-        equations = system.linearize(initial_state(found), _NO_DAMPING)
+        state = initial_state(found)
+        equations = system.linearize(state, _NO_DAMPING)
         inverse = system.inverse_blocks(equations)
-    nodes, points = _covariances_of_nodes_and_points(system, equations.blocks, inverse)
-    variance = noise_px**2
+        nodes, points = _covariances_of_nodes_and_points(system, equations.blocks, inverse)
+        variance = noise_px**2
+        nodes *= variance
+        if clustered:
+            loss = config.loss, config.loss_scale_px
+            nodes *= error_growth(system, state, equations, nodes, loss)[:, None, None]
     return BundleCovariance(
-        variance * _of_nodes(nodes, layout.nodes.frame),
-        variance * _of_nodes(nodes, layout.nodes.sensor),
-        variance * _of_params(nodes, layout),
+        _of_nodes(nodes, layout.nodes.frame),
+        _of_nodes(nodes, layout.nodes.sensor),
+        _of_params(nodes, layout),
         variance * points,
         noise_px,
     )

@@ -6,39 +6,50 @@ Cameras that tell depth alone: of one camera the scale is open, and its frames t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.mapping import RefinedPose
-from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_covariance
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    adjust_bundle,
+    bundle_covariance,
+    with_result,
+)
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
-MEDIAN_SQ = 1.386
-"""Median of the squared length of a plane vector whose coordinates have deviation one."""
-LEAST_NOISE_PX = 0.05
-MOST_CORRELATED = 0.9
-USUAL, PAIRS, LEAST_SEEN = 0.5, 200, 10
-"""The correlation that is assumed, how many pairs of residuals it is worth, and observations of points that tell another."""
+LEAST_NOISE_PX = 0.01
+SHARED_PX = 0.02
+"""What all disparities are off by together: patches hold more than their points. On rendered pairs they were 0.003 to 0.036 px
+too large, most at edges."""
 
 
-def own_covariance(refined: RefinedPose, model: SlamMap, number: int) -> np.ndarray:
+def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, tells_depth: bool) -> np.ndarray:
     """(6, 6) of a frame's place before the map: none where it has become a keyframe, which knows its own.
-
-    Where the map knows its error the noise is that which the frame's own errors show, else a pixel.
 
     Args:
         refined: the frame's place.
         model: the map.
         number: of the frame.
+        tells_depth: whether the map knows its error: then the noise is that which the frame's own errors show, else a pixel.
     """
-    newest = next((k for k in reversed(model.keyframes) if len(k.point)), None)
-    if newest is None or not any(k.covariance.any() for k in (newest, *model.keyframes[-3:])):
+    if not tells_depth:
         return refined.covariance()
-    if newest.number == number and newest.covariance.any():
+    newest = next((k for k in reversed(model.keyframes) if len(k.point)), None)
+    if newest is not None and newest.number == number and newest.covariance.any():
         return np.zeros((6, 6))
-    return _by_own_noise(refined)
+    return by_errors(refined)
+
+
+def by_errors(refined: RefinedPose) -> np.ndarray:
+    """(6, 6) of a place by the errors of its points, which are never none."""
+    return refined.covariance_by_errors() + LEAST_NOISE_PX**2 * refined.covariance()
 
 
 def carry_covariance(model: SlamMap, refined: RefinedPose) -> None:
@@ -46,13 +57,7 @@ def carry_covariance(model: SlamMap, refined: RefinedPose) -> None:
     before, newest = model.keyframes[-2:]
     if before.covariance.any():
         between = newest.cam_from_world @ before.cam_from_world.inverse()
-        newest.covariance = with_map_error(before.covariance, between, _by_own_noise(refined))
-
-
-def _by_own_noise(refined: RefinedPose) -> np.ndarray:
-    errors = refined.error_sq[np.isfinite(refined.error_sq)]
-    noise_sq = float(np.median(errors)) / MEDIAN_SQ if len(errors) else 1.0
-    return refined.covariance() * max(noise_sq, LEAST_NOISE_PX**2)
+        newest.covariance = with_map_error(before.covariance, between, by_errors(refined))
 
 
 def with_map_error(
@@ -78,10 +83,8 @@ def learn_covariances(
 ) -> None:
     """Give the adjusted keyframes the covariances of their places in the world.
 
-    What the adjustment tells given the held keyframes, plus the covariance of the newest held one, carried along rigidly.
-    The noise is that of the residuals. A point's error goes on from keyframe to keyframe, so that many of them tell less than
-    as many independent ones: with the correlation rho of one with the next the variance is (1 + rho) / (1 - rho) times as
-    large (Bartlett, On the theoretical specification and sampling properties of autocorrelated time-series, 1946).
+    What the adjustment tells given the held keyframes, with errors that go on from keyframe to keyframe and one that all
+    disparities share, plus the covariance of the newest held keyframe, carried along rigidly.
 
     Args:
         keyframes: those of the problem's frames, in their order.
@@ -91,49 +94,34 @@ def learn_covariances(
         config: the loss that was minimised.
     """
     try:
-        found = bundle_covariance(problem, result, config)
+        own = bundle_covariance(problem, result, config, clustered=True).rig_from_world
     except DegenerateGeometryError:
         return
-    times = np.array([k.number for k in keyframes])
-    rho = residual_correlation(problem, result, times, found.noise_px)
-    own = found.rig_from_world * (1.0 + rho) / (1.0 - rho)
+    shared = _by_shared_error(problem, result, config)
     held = [k for k in range(num_free, len(keyframes)) if keyframes[k].covariance.any()]
     for k in range(num_free):
-        covariance = own[k] if np.isfinite(own[k]).all() else np.full((6, 6), np.inf)
+        covariance = own[k] + np.outer(shared[k], shared[k])
         if held:
-            near = keyframes[max(held, key=lambda n: times[n])]
+            near = keyframes[max(held, key=lambda n: keyframes[n].number)]
             between = result.rig_from_world[k] @ near.cam_from_world.inverse()
             covariance = with_map_error(near.covariance, between, covariance)
         if np.isfinite(covariance).all():
             keyframes[k].covariance = covariance
 
 
-def residual_correlation(
-    problem: BundleProblem, result: BundleResult, times: np.ndarray, noise_px: float
-) -> float:
-    """Correlation of a point's residual in a keyframe with that in the next one that sees it; 0 to `MOST_CORRELATED`.
+def _by_shared_error(problem: BundleProblem, result: BundleResult, config: BundleConfig) -> np.ndarray:
+    """(f, 6) where the frames would go, as xi of exp(xi) @ cam_from_world, were all disparities smaller by `SHARED_PX`."""
+    found = with_result(problem, result)
+    params = found.camera_params.copy()
+    params[1, 2] += SHARED_PX
+    fixed = replace(
+        found, camera_params=params, params_free=np.zeros_like(found.params_free), priors=_of_places(found)
+    )
+    moved = adjust_bundle(fixed, replace(config, max_iterations=1)).rig_from_world
+    return (moved @ result.rig_from_world.inverse()).log()
 
-    Args:
-        problem: what was adjusted.
-        result: its minimum.
-        times: (f,) of the frames, for their order.
-        noise_px: standard deviation of a coordinate; residuals beyond three of them do not count.
-    """
-    point = np.repeat(np.arange(len(problem.points_in_world)), np.diff(problem.offsets))
-    focal, middle = problem.camera_params[problem.camera, 0], result.camera_params[problem.camera, 2:4]
-    cams = (problem.cam_from_rig[problem.sensor]) @ result.rig_from_world[problem.frame]
-    in_cam = np.einsum("kij,kj->ki", cams.rotation, result.points_in_world[point]) + cams.translation
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = focal[:, None] * in_cam[:, :2] / in_cam[:, 2:] + middle - problem.pixels
-    off = np.where(
-        (np.diff(problem.offsets) >= LEAST_SEEN)[point][:, None], off, np.nan
-    )  # fitting fewer hides it
-    order = np.lexsort((times[problem.frame], problem.sensor, point))
-    same = (np.diff(point[order]) == 0) & (np.diff(problem.sensor[order]) == 0)
-    now, then = off[order][1:][same], off[order][:-1][same]
-    good = (np.abs(now) < 3.0 * noise_px).all(axis=1) & (np.abs(then) < 3.0 * noise_px).all(axis=1)
-    now, then = now[good], then[good]
-    size = float((now**2 + then**2).sum()) / 2.0
-    share = size / (size + PAIRS * 2.0 * noise_px**2)
-    rho = float((now * then).sum()) / max(size, 1e-300)
-    return float(np.clip(share * rho + (1.0 - share) * USUAL, 0.0, MOST_CORRELATED))
+
+def _of_places(problem: BundleProblem) -> BundlePriors | None:
+    """The priors, without those of parameters, which are held."""
+    known = problem.priors
+    return None if known is None else replace(known, params_expected=None, params_sigma=None)

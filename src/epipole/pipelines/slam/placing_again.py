@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from epipole.geometry import Rigid3
 from epipole.mapping import Disparities, refine_pose
+from epipole.pipelines.slam.map_covariance import by_errors
 from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.shutter import SETTLED_SIGMA, refine_while_moving
@@ -31,21 +34,27 @@ def place_again(path: Path, tracker: MapTracker, *, is_last: bool = False) -> No
         told = path.told(seen.number)
         if told is not None and told[0].number != seen.number:
             keyframe, relative, covariance = told
-            place = _place_of(seen, tracker, relative @ keyframe.cam_from_world)
+            place, covariance = _placed(seen, tracker, relative @ keyframe.cam_from_world, covariance)
             path.add(seen.number, seen.timestamp_s, keyframe, place, covariance)
 
 
-def _place_of(seen: SeenFrame, tracker: MapTracker, start: Rigid3) -> Rigid3:
+def _placed(
+    seen: SeenFrame, tracker: MapTracker, start: Rigid3, covariance: np.ndarray
+) -> tuple[Rigid3, np.ndarray]:
+    """The place, and its covariance before the map; as they were where they cannot be told again."""
     placed = tracker.map.has_place(seen.point)
     points, pixels = tracker.map.xyz[seen.point[placed]], seen.pixels[placed]
     readout, config = tracker.sensor.readout_s, tracker.config
     if len(points) < config.min_tracked or (readout and seen.motion is None):
-        return start
+        return start, covariance
     if readout:
         assert seen.motion is not None
         known = tracker.camera, start, seen.motion, readout
-        return refine_while_moving(points, pixels, *known, sigma=SETTLED_SIGMA)[0]
+        return refine_while_moving(points, pixels, *known, sigma=SETTLED_SIGMA)[0], covariance
     deep = None
     if tracker.focal_baseline is not None and seen.disparity_px is not None:
         deep = Disparities(seen.disparity_px[placed], tracker.focal_baseline, config.depth_sigma_px)
-    return refine_pose(points, pixels, tracker.camera, start, disparities=deep).cam_from_world
+    refined = refine_pose(points, pixels, tracker.camera, start, disparities=deep)
+    if tracker.focal_baseline is not None:
+        covariance = by_errors(refined)
+    return refined.cam_from_world, covariance

@@ -203,7 +203,7 @@ class Slam:
             reason = self._close_loop() or reason
             place_again(self._path, self.tracker)
             forget(self.map, self._path, self.tracker)
-        own = own_covariance(refined, self.map, self._num_frames)
+        own = own_covariance(refined, self.map, self._num_frames, tells_depth=self.camera.tells_depth)
         return self._told_from(self._newest(), frame, own, num_agreeing, reason)
 
     def _extend(self, frame: Frame, refined: RefinedPose) -> None:

@@ -1,0 +1,110 @@
+"""How much larger the errors of places are than independent errors of pixels would make them.
+
+A point that is followed from picture to picture keeps its error, and its neighbours have like ones. The scores of points, their
+parts of the gradient, hold all of that: with H the normal matrix, and g_c the score of a cluster of points, both after the
+elimination of the points, the covariance is H^-1 (sum g_c g_c^T) H^-1 (Liang and Zeger, Longitudinal data analysis using
+generalized linear models, 1986; as a covariance of clusters: Cameron and Miller, A practitioner's guide to cluster-robust
+inference, 2015). From a few dozen clusters its size is known well, its shape is not: the size alone is used. A cluster draws the minimum to itself by
+its share of what is seen: what it loses is given back as leaving out one after another would (the jackknife, their CR3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.optim import _bundle_arrays as arrays
+from epipole.optim import _bundle_kernels as kernels
+from epipole.optim import _bundle_reduced_kernels as reduced_kernels
+from epipole.optim.bundle_layout import BundleState
+from epipole.optim.bundle_system import BundleSystem, Linearization
+from epipole.optim.losses import Loss
+
+MOST_CLUSTERS = 64
+"""Of points that follow each other in the problem: those that were first seen together, and are near each other."""
+
+
+def error_growth(
+    system: BundleSystem,
+    state: BundleState,
+    equations: Linearization,
+    covariance: np.ndarray,
+    loss: tuple[Loss, float],
+) -> np.ndarray:
+    """(nodes,) by what the variances of nodes are to be multiplied; 1 where nothing tells.
+
+    Args:
+        system: at a minimum.
+        state: the minimum.
+        equations: there, without damping.
+        covariance: (nodes, lanes, lanes) for independent errors.
+        loss: which, and its scale in pixels.
+    """
+    out = np.ones(len(covariance))
+    factor = None if system.plan is None else system.plan.factorize(equations.blocks)
+    edges = np.unique(np.linspace(0, len(state.points), MOST_CLUSTERS + 1).astype(np.int64))
+    count = len(edges) - 1
+    if factor is None or count < 2:
+        return out
+    own = np.arange(len(system.layout.lanes)) < system.layout.entries.width[:, None]
+    steps, seen = np.zeros((count, *own.shape)), np.zeros((count, len(own)))
+    for c, (score, weight) in enumerate(_scores(system, state, edges, (int(loss[0]), float(loss[1] ** 2)))):
+        steps[c][own], seen[c] = factor.solve(score[own]), weight
+    share = seen / np.maximum(seen.sum(axis=0), 1e-300)
+    lost = 1.0 / np.maximum(1.0 - (share**2).sum(axis=0), 0.5) ** 2
+    free = own & ~system.layout.held_mask
+    for n in range(len(covariance)):
+        known, step = covariance[n][np.ix_(free[n], free[n])], steps[:, n, free[n]]
+        unit = np.sqrt(np.einsum("ii->i", known))
+        if known.size and (unit > 0).all() and np.isfinite(unit).all():
+            white = np.linalg.solve(known / np.outer(unit, unit), (step / unit).T).T
+            out[n] = lost[n] * _mean_of_draws(((step / unit) * white).sum(axis=1) / len(known))
+    return out if system.problem.priors is None else np.maximum(out, 1.0)  # a prior's errors have no score
+
+
+def _mean_of_draws(parts: np.ndarray) -> float:
+    """The sum of the clusters' parts, and more where few of them make it up.
+
+    With nu = 2 sum^2 / var degrees of freedom (Satterthwaite 1946) errors over what is told are those of Student's
+    distribution, whose variance is nu / (nu - 2).
+    """
+    total, count = float(parts.sum()), len(parts)
+    variance = count * float(parts.var(ddof=1))
+    freedom = max(2.0 * total**2 / max(variance, 1e-300), 4.0)
+    return total * freedom / (freedom - 2.0)
+
+
+def _scores(
+    system: BundleSystem, state: BundleState, edges: np.ndarray, loss: tuple[int, float]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each cluster of points its part of the gradient (nodes, lanes), the points eliminated; its weight in nodes (nodes,)."""
+    layout, scene = system.layout, system.layout.scene(state)
+    kept = arrays.Eliminated(*(arrays.rows_of_zeros(part.shape) for part in system.kept))
+    nowhere = np.full((len(layout.images.frame), 3, 3), -1, np.int64)
+    no_blocks = arrays.rows_of_zeros((1, len(layout.lanes), len(layout.lanes)))
+    stays = np.flatnonzero(layout.nodes.point >= 0)
+
+    def score(c: int) -> tuple[np.ndarray, np.ndarray]:
+        first, last = int(edges[c]), int(edges[c + 1])
+        sums = (
+            arrays.rows_of_zeros((len(layout.images.frame), len(layout.wide), len(layout.wide))),
+            arrays.rows_of_zeros((len(layout.images.frame), len(layout.wide))),
+            arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
+        )
+        kernels.linearize(
+            *(layout.observations, first, last, scene, layout.unknowns, layout.entries),
+            *(*loss, 0.0, kept, sums, layout.lanes, layout.wide, kernels.make_scratch(len(layout.wide))),
+        )
+        gradient = arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
+        reduced_kernels.add_images(
+            layout.unknowns, sums[0], sums[1], nowhere, no_blocks, gradient, layout.wide
+        )
+        for j in stays[(stays >= first) & (stays < last)]:
+            gradient[layout.nodes.point[j], :3] += kept.h[j]
+        weight = np.zeros(layout.num_nodes)
+        for which in range(3):
+            met = layout.unknowns.nodes[:, which]
+            np.add.at(weight, met[met >= 0], np.einsum("iaa->i", sums[0])[met >= 0])
+        return gradient - sums[2], weight
+
+    return _parallel.map_items(score, len(edges) - 1)
