@@ -27,7 +27,7 @@ MOST_CLUSTERS = 64
 def error_growth(
     system: BundleSystem,
     state: BundleState,
-    equations: Linearization,
+    linearized: Linearization,
     covariance: np.ndarray,
     loss: tuple[Loss, float],
 ) -> np.ndarray:
@@ -36,12 +36,12 @@ def error_growth(
     Args:
         system: at a minimum.
         state: the minimum.
-        equations: there, without damping.
+        linearized: the normal matrix there, without damping.
         covariance: (nodes, lanes, lanes) for independent errors.
         loss: which, and its scale in pixels.
     """
     out = np.ones(len(covariance))
-    factor = None if system.plan is None else system.plan.factorize(equations.blocks)
+    factor = None if system.plan is None else system.plan.factorize(linearized.blocks)
     edges = np.unique(np.linspace(0, len(state.points), MOST_CLUSTERS + 1).astype(np.int64))
     count = len(edges) - 1
     if factor is None or count < 2:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from epipole.pipelines.sfm.command import STAGES
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
 if TYPE_CHECKING:
@@ -38,7 +39,8 @@ def slam(
     """
     from epipole.screen import progress_on_screen
 
-    with progress_on_screen({"track": "Following the camera", "adjust": "Adjusting the map"}) as progress:
+    words = {**STAGES, "track": "Following the camera", "adjust": "Adjusting the map"}
+    with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
 
         result = run(source, out, config, job, camera, progress)

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._checks import as_path
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.place_recognition import describe_keyframe
@@ -73,6 +74,29 @@ def write_slam_map(path: str | Path, model: SlamMap, names: Sequence[str], senso
     store(as_path(path), VERSION, arrays)
 
 
+def camera_of_map(path: str | Path) -> Camera:
+    """The lens of the camera that made a map.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    file = _file_of(as_path(path))
+    arrays = _arrays(file)
+    try:
+        model = CameraModel(int(arrays["camera_model"]))
+        width, height = (int(side) for side in arrays["size"])
+        return Camera(model, width, height, arrays["camera_params"])
+    except (ValueError, EpipoleError) as error:
+        raise FileFormatError(file, f"its camera is none: {error}") from error
+
+
+def _file_of(path: Path) -> Path:
+    return next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
+
+
 def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     """Read a map, and make its keyframes ready to be recognised.
 
@@ -84,8 +108,7 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         FileFormatError: it is no map, or damaged.
         ConfigError: it is the map of another camera, or its unit is not this camera's.
     """
-    path = as_path(path)
-    path = next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
+    path = _file_of(as_path(path))
     arrays = _arrays(path)
     lens = sensor.camera
     size, params = arrays["size"], arrays["camera_params"]

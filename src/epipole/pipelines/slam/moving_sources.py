@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
 from epipole.io.video import opened_video
@@ -38,8 +39,13 @@ def camera_index(source: Path) -> int | None:
     return int(text) if is_number and not source.exists() else None
 
 
-def open_video_frames(path: Path, given: CameraOptions) -> FrameSource:
+def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = None) -> FrameSource:
     """The frames of a video.
+
+    Args:
+        path: the file.
+        given: what is known of the camera.
+        found: the camera, where it was found from the pictures.
 
     Raises:
         ConfigError: the intrinsics are not given.
@@ -52,7 +58,7 @@ def open_video_frames(path: Path, given: CameraOptions) -> FrameSource:
     capture.release()
     if not is_read:
         raise FileFormatError(path, "no frame of the video can be decoded")
-    lens = given.camera((first.shape[1], first.shape[0]))
+    lens = found or given.camera((first.shape[1], first.shape[0]))
     if lens is None:
         raise ConfigError(
             "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"

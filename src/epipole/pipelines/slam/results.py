@@ -22,6 +22,7 @@ from epipole.pipelines.slam.doubts import doubts, moving_things, poor_pictures
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.formats import missing_rows, write_in_format
+from epipole.pipelines.slam.found_camera import FoundCamera
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.local_mapping import LocalMapper
@@ -37,7 +38,7 @@ from epipole.runs import Run
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
-
+CAMERA = "camera.json"
 
 WARM = 2
 """Keyframes after which all that is needed was loaded: the largest time is that of later frames."""
@@ -69,6 +70,8 @@ class Given(NamedTuple):
     """The map that the run went on in."""
     anchoring: Anchoring | None
     """What made the map metric."""
+    camera: FoundCamera | None = None
+    """The camera, where it was found from the pictures."""
 
 
 def write_results(
@@ -109,6 +112,8 @@ def write_results(
     checked = _checked(system, tracked, final, run)
     facts = _summary(source, system, records, model, run.warnings)
     summary, known = {**facts, **feed.summary(), **checked}, None
+    if given.camera is not None:
+        summary["camera_found"] = given.camera.summary()
     if anchoring is not None:
         scale = anchoring.scale
         summary |= {"scale": scale.in_words(), "is_metric": True, "anchor": scale.summary()}
@@ -120,6 +125,8 @@ def write_results(
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
         write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera)
+        if given.camera is not None:
+            given.camera.write(aside / CAMERA)
         write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
     with run.stage("report"):
         title = run.job.inputs[0].resolve().name

@@ -11,6 +11,7 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
+from epipole.cameras import Camera
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
@@ -21,6 +22,7 @@ from epipole.mapping import Anchoring, check_anchor_files
 from epipole.pipelines.slam.anchors import anchor_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
+from epipole.pipelines.slam.found_camera import find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
@@ -77,19 +79,22 @@ def slam(
     wanted = _job_of(job, options)
     config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
-    frames = _open(source, wanted, given)
+    _check_source(source, wanted)
+    check_anchor_files(wanted.anchors)
+    truth = None if wanted.truth is None else true_path_at(wanted.truth)
+    found = find_camera(source, wanted, given, progress)
+    frames = _open(source, wanted, given, None if found is None else found.camera)
     if given.readout_s:
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
-    truth = None if wanted.truth is None else true_path_at(wanted.truth)
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
-    check_anchor_files(wanted.anchors)
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
+        run.warnings += [] if found is None else [found.note()]
         key = key_of(run.folder.source.sketch, frames, model, wanted, config)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -100,7 +105,7 @@ def slam(
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
-            return write_results(feed, system, records, Given(truth, known, anchoring), wanted, run)
+            return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
@@ -143,23 +148,35 @@ def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     return options_of(JobOptions, job, own)
 
 
-def _open(source: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
+def _check_source(source: Path, job: JobOptions) -> None:
+    """Check that the options are of such a source.
+
+    Raises:
+        ConfigError: one is not.
+    """
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
         raise ConfigError("masks are of folders of pictures")
+    if not is_bag(source) and (camera_index(source) is not None or is_video(source)):
+        if job.fps is not None:
+            raise ConfigError("fps is for folders of pictures without times: a video has its own")
+        if job.sensor not in ("auto", "mono"):
+            raise ConfigError("a video is of one camera")
+
+
+def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)
-    if job.fps is not None and (index is not None or is_video(source)):
-        raise ConfigError("fps is for folders of pictures without times: a video has its own")
-    if index is not None or is_video(source):
-        if job.sensor not in ("auto", "mono"):
-            raise ConfigError("a video is of one camera")
-        return open_video_frames(source, given) if index is None else open_camera(index, given)
+    if index is not None:
+        return open_camera(index, given)
+    if is_video(source):
+        return open_video_frames(source, given, found)
     sequence = read_sequence(source, job.fps)
     header = read_header(sequence.frames[0].picture)
-    return open_sequence(sequence, job.sensor, given.camera((header.width, header.height)), job.masks)
+    lens = found or given.camera((header.width, header.height))
+    return open_sequence(sequence, job.sensor, lens, job.masks)
 
 
 def _input(source: Path) -> Path:

@@ -1,0 +1,230 @@
+"""The camera of frames that nothing tells about: some of them are reconstructed as photographs are, and their lens with them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Generator, Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from shutil import copyfile
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, EpipoleError, NoModelError
+from epipole.features.flow import follow_points
+from epipole.geometry import Rigid3
+from epipole.io.bags import is_bag
+from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.io.photographs import read_grey
+from epipole.io.sequences import read_sequence
+from epipole.io.video import is_video, opened_video
+from epipole.mapping import bundle_problem_of
+from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
+from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.corners import new_corners
+from epipole.pipelines.slam.map_files import camera_of_map
+from epipole.pipelines.slam.moving_sources import camera_index
+from epipole.runs import ProgressCallback
+
+MOST_PICTURES, LEAST_PICTURES = 30, 8
+MOST_FRAMES = 1500
+"""That are looked at."""
+APART = 0.12
+"""Of the picture's width: what points move by from one picture to the next that is taken."""
+LEAST_FOLLOWED = 80
+MOST_SIGMA = 0.01
+"""Of the focal length, as a share of it. On rooms, an arc and a street it was 0.1 to 0.7 %, and the focal lengths were within two of
+these, in a corridor 19 %."""
+ADVICE = "give camera_params (fx,fy,cx,cy), or a calibration"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCamera:
+    """A camera, and what it was found from."""
+
+    camera: Camera
+    num_pictures: int
+    """0 where it is that of the map that is gone on in."""
+    sigma_px: float
+    """Standard deviation of its focal length."""
+
+    def note(self) -> str:
+        """What a user should know."""
+        if not self.num_pictures:
+            return "nothing tells the camera: it is taken to be that which made the map"
+        return (
+            f"nothing tells the camera: it was found from {self.num_pictures} of the pictures ({self.camera}; focal length "
+            f"+- {self.sigma_px:.1f} px). A calibration is more accurate"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """For the run's summary."""
+        return {"camera": repr(self.camera), "pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
+
+    def write(self, path: Path) -> None:
+        """Write a calibration, for the next run."""
+        lens = CalibrationFile((self.camera,), Rigid3.identity(1))
+        write_calibration(
+            path, lens, {"found_from_pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
+        )
+
+
+class _Picture(NamedTuple):
+    grey: np.ndarray
+    file: Path | None
+
+
+class _Pictures(NamedTuple):
+    num: int
+    """As announced."""
+    each: Generator[_Picture, None, None]
+
+
+def find_camera(
+    source: Path, job: JobOptions, given: CameraOptions, progress: ProgressCallback
+) -> FoundCamera | None:
+    """The camera of a video, or of a folder of pictures; None where it is told, or the source is of another kind.
+
+    Args:
+        source: of the frames.
+        job: which of them.
+        given: what is known of the camera.
+        progress: of the reconstruction.
+
+    Raises:
+        ConfigError: the pictures do not tell their camera; the message says why.
+        FileFormatError: the source cannot be read.
+    """
+    if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
+        return None
+    pictures = _pictures(source, job)
+    if pictures is None:
+        return None
+    if job.map is not None:
+        return FoundCamera(camera_of_map(job.map), 0, 0.0)
+    return _camera_of(pictures, job, given, progress)
+
+
+def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
+    """The pictures of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
+    if is_video(source):
+        video = opened_video(source)
+        announced = video.get(cv2.CAP_PROP_FRAME_COUNT)
+        return _Pictures(int(announced) if 0 < announced < 1e9 else MOST_FRAMES, _of_video(video))
+    sequence = read_sequence(source, job.fps)
+    if job.sensor not in ("auto", "mono") or sequence.camera or sequence.rig or sequence.depth:
+        return None
+    return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
+
+
+def _of_video(video: cv2.VideoCapture) -> Generator[_Picture, None, None]:
+    try:
+        while True:
+            is_read, picture = video.read()
+            if not is_read:
+                return
+            yield _Picture(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), None)
+    finally:
+        video.release()
+
+
+def _of_files(files: Iterable[Path]) -> Generator[_Picture, None, None]:
+    for file in files:
+        try:
+            yield _Picture(read_grey(file), file)
+        except EpipoleError:
+            continue  # it is named when its turn comes to be followed
+
+
+def _camera_of(
+    pictures: _Pictures, job: JobOptions, given: CameraOptions, progress: ProgressCallback
+) -> FoundCamera:
+    num = min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride)
+    wanted = islice(pictures.each, job.start, job.start + num * job.stride, job.stride)
+    with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(pictures.each):
+        folder = Path(name) / "pictures"
+        folder.mkdir()
+        count = _select(wanted, max(1, num // MOST_PICTURES), folder)
+        if count < LEAST_PICTURES:
+            raise ConfigError(
+                f"nothing tells the camera, and {count} pictures are too few to find it ({LEAST_PICTURES} are needed): {ADVICE}"
+            )
+        model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
+        try:
+            found = reconstruct(folder, Path(name) / "model", progress=progress, single_camera=True, **model)
+        except NoModelError as error:
+            raise ConfigError(
+                f"nothing tells the camera, and the pictures give no model: {error}: {ADVICE}"
+            ) from error
+        return _judged(found)
+
+
+def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> int:
+    """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width."""
+    view, count, since = _View(), 0, 0
+    for grey, file in pictures:
+        since += 1
+        if not view.is_apart(grey) and count and since < usual:
+            continue
+        name = folder / f"{count:06d}{'.png' if file is None else file.suffix}"
+        if file is None:
+            cv2.imwrite(str(name), grey)
+        else:
+            copyfile(file, name)  # with what it says of its lens
+        view.begin(grey)
+        count, since = count + 1, 0
+        if count == MOST_PICTURES:
+            break
+    return count
+
+
+class _View:
+    """Points of the picture that was taken last, followed."""
+
+    def __init__(self) -> None:
+        self._config = SlamConfig()
+        self._before: np.ndarray | None = None
+        self._begin = self._now = np.zeros((0, 2))
+
+    def begin(self, grey: np.ndarray) -> None:
+        self._before = grey
+        self._begin = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
+
+    def is_apart(self, grey: np.ndarray) -> bool:
+        """Whether the points have moved, or are gone; the next picture in turn."""
+        if self._before is None or self._before.shape != grey.shape:
+            return self._before is None
+        there, found_mask = follow_points(self._before, grey, self._now, None, self._config.flow)
+        self._before, self._now, self._begin = grey, there[found_mask], self._begin[found_mask]
+        shift = np.linalg.norm(self._now - self._begin, axis=1)
+        return len(shift) < LEAST_FOLLOWED or float(np.median(shift)) > APART * grey.shape[1]
+
+
+def _judged(found: ReconstructionResult) -> FoundCamera:
+    """The camera, where the pictures tell its focal length.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    count = int(found.model.is_registered().sum())
+    if count < LEAST_PICTURES:
+        raise ConfigError(
+            f"nothing tells the camera, and only {count} of the pictures that should tell it fit together: {ADVICE}"
+        )
+    config, problem = BundleConfig(loss=Loss.CAUCHY), with_fixed_gauge(bundle_problem_of(found.model))
+    result = adjust_bundle(problem, config)
+    spread = bundle_covariance(problem, result, config, clustered=True).camera_params[0, 0, 0]
+    lens = found.model.cameras[0]
+    sigma_px = float(np.sqrt(spread))
+    if not sigma_px <= MOST_SIGMA * lens.focal_px:
+        known = f"to {sigma_px / lens.focal_px:.0%} alone" if np.isfinite(sigma_px) else "not at all"
+        raise ConfigError(
+            f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}"
+        )
+    return FoundCamera(lens, count, sigma_px)
