@@ -14,7 +14,7 @@ from epipole.pipelines.slam.single_depth import points_by_disparity
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.scene import Trajectory
 
-UNKNOWN_SIGMA, FORETOLD_SIGMA, SETTLED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.03, 1.0)
+UNKNOWN_SIGMA, FORETOLD_SIGMA, SETTLED_SIGMA = (0.5, 15.0), (0.3, 8.0), (0.01, 0.3)
 """Of a frame's speed, and of its change, in radians, or depths of the scene, per second (squared): where nothing is known of it,
 against that by the frames before, and by those on both sides. A looser one lets a bent map, and motions that undo it, agree."""
 STEPS, SETTLED = 8, 1e-7
