@@ -1,0 +1,215 @@
+"""Eight pixels of a row and one Gaussian, as vectors of the processor: what blending does most.
+
+The compiler does not turn the loop over a row's pixels into vector instructions by itself (measured: 0.14 billion pairs of a pixel and a
+Gaussian a second on one thread against 1.3 billion). exp(p) is the eighth power of a polynomial of degree 6 of p / 8, for p from -6 to 0 within 4e-4
+of itself; what is smaller is held at -12, where the polynomial still falls, for it is not drawn.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from epipole._simd_kernels import row_intrinsic
+
+LANES = 8
+PLANE = 256
+"""Pixels of a tile: numbers between a plane of its state and the next."""
+LARGEST_ALPHA, LEAST_ALPHA = np.float32(0.99), np.float32(1.0 / 255.0)
+LEAST_POWER = np.float32(-12.0)
+POWERS = tuple(np.float32(v) for v in (1 / 720, 1 / 120, 1 / 24, 1 / 6, 0.5, 1.0, 1.0))
+SUMS = 10
+"""Kept of a Gaussian in a tile: of g, g dx, g dx^2, g dy, g dx dy, g dy^2 with g = dL/dpower, and dL/dcolour (3), dL/ddepth."""
+_FLOAT = ir.FloatType()
+_VECTOR = ir.VectorType(_FLOAT, LANES)
+
+
+def _exp(p: Any) -> Any:
+    y = p * np.float32(0.125)
+    out = POWERS[0]
+    for c in POWERS[1:]:
+        out = out * y + c
+    out = out * out
+    out = out * out
+    return out * out
+
+
+def _alpha(dx: Any, q: Any, half_a: Any, b_dy: Any, opacity: Any) -> Any:
+    power = q - dx * (half_a * dx + b_dy)
+    return opacity * _exp(np.clip(power, LEAST_POWER, np.float32(0.0)))
+
+
+def _blend_row(state, at, x, q, half_a, b_dy, opacity, red, green, blue, depth):
+    dx = np.float32(x) + np.arange(LANES, dtype=np.float32)
+    raw = _alpha(dx, q, half_a, b_dy, opacity)
+    alpha = np.where(raw >= LEAST_ALPHA, np.minimum(raw, LARGEST_ALPHA), np.float32(0.0))
+    weight = alpha * state[at : at + LANES]
+    state[at : at + LANES] -= weight
+    for k, value in enumerate((red, green, blue, depth), 1):
+        state[at + k * PLANE : at + k * PLANE + LANES] += weight * value
+
+
+def _unblend_row(state, at, sums, x, dy, q, half_a, b_dy, opacity, red, green, blue, depth):
+    dx = np.float32(x) + np.arange(LANES, dtype=np.float32)
+    raw = _alpha(dx, q, half_a, b_dy, opacity)
+    alpha = np.where(raw >= LEAST_ALPHA, np.minimum(raw, LARGEST_ALPHA), np.float32(0.0))
+    left, rest, *wanted = (state[at + k * PLANE : at + k * PLANE + LANES] for k in range(7))
+    weight = alpha * left
+    value = red * wanted[0] + green * wanted[1] + blue * wanted[2] + depth * wanted[3] + wanted[4]
+    through = left.copy()
+    left -= weight
+    rest -= weight * value
+    by_power = alpha * (through * value - rest / (np.float32(1.0) - alpha))
+    by_power = np.where(raw < LARGEST_ALPHA, by_power, np.float32(0.0))
+    terms = (1, dx, dx * dx, dy, dx * dy, dy * dy)
+    for k, term in enumerate(terms):
+        sums[k * LANES : (k + 1) * LANES] += by_power * term
+    for k in range(4):
+        sums[(6 + k) * LANES : (7 + k) * LANES] += weight * wanted[k]
+
+
+class _Vector:
+    """A vector of the code that is being written."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def _other(self, other: Any) -> Any:
+        return other.value if isinstance(other, _Vector) else _constant(other)
+
+    def __add__(self, other: Any) -> "_Vector":
+        return _Vector(self.builder, self.builder.fadd(self.value, self._other(other)))
+
+    def __sub__(self, other: Any) -> "_Vector":
+        return _Vector(self.builder, self.builder.fsub(self.value, self._other(other)))
+
+    def __mul__(self, other: Any) -> "_Vector":
+        return _Vector(self.builder, self.builder.fmul(self.value, self._other(other)))
+
+    def __truediv__(self, other: Any) -> "_Vector":
+        return _Vector(self.builder, self.builder.fdiv(self.value, self._other(other)))
+
+    def times_plus(self, factor: Any, term: Any) -> "_Vector":
+        """The product with a factor and a term, rounded once."""
+        return self._call("fma", factor, term)
+
+    def least(self, other: Any) -> "_Vector":
+        """The smaller of both, lane by lane."""
+        return self._call("minnum", other)
+
+    def largest(self, other: Any) -> "_Vector":
+        """The larger of both, lane by lane."""
+        return self._call("maxnum", other)
+
+    def where(self, relation: str, first: "_Vector", second: Any) -> "_Vector":
+        """Itself where the relation of first and second holds, else 0."""
+        holds = self.builder.fcmp_ordered(relation, first.value, self._other(second))
+        return _Vector(self.builder, self.builder.select(holds, self.value, _constant(0.0)))
+
+    def _call(self, name: str, *others: Any) -> "_Vector":
+        arguments = [self.value, *(self._other(o) for o in others)]
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(arguments))
+        function = cgutils.get_or_insert_function(self.builder.module, kind, f"llvm.{name}.v{LANES}f32")
+        return _Vector(self.builder, self.builder.call(function, arguments))
+
+
+def _constant(value: Any) -> Any:
+    return ir.Constant(_VECTOR, [float(np.float32(value))] * LANES)
+
+
+def _spread(builder: Any, value: Any) -> _Vector:
+    """One number in all lanes."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), value, cgutils.int32_t(0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return _Vector(builder, builder.shuffle_vector(one, one, zeros))
+
+
+class _Row:
+    """Eight numbers in each plane of an array."""
+
+    def __init__(self, context: Any, builder: Any, kind: Any, array: Any, at: Any) -> None:
+        self.builder, self.at = builder, at
+        self.data = context.make_array(kind)(context, builder, array).data
+
+    def _pointer(self, offset: int) -> Any:
+        at = self.builder.add(self.at, cgutils.intp_t(offset))
+        return self.builder.bitcast(self.builder.gep(self.data, [at]), _VECTOR.as_pointer())
+
+    def get(self, offset: int) -> _Vector:
+        return _Vector(self.builder, self.builder.load(self._pointer(offset), align=4))
+
+    def put(self, offset: int, value: _Vector) -> None:
+        self.builder.store(value.value, self._pointer(offset), align=4)
+
+
+def _written_alpha(
+    builder: Any, x: Any, q: Any, half_a: Any, b_dy: Any, opacity: Any
+) -> tuple[_Vector, _Vector]:
+    """Dx, and alpha before it is bounded."""
+    lanes = _Vector(builder, ir.Constant(_VECTOR, [float(i) for i in range(LANES)]))
+    dx = _spread(builder, x) + lanes
+    inner = _spread(builder, half_a).times_plus(dx, _spread(builder, b_dy))
+    y = (_spread(builder, q) - dx * inner).least(0.0).largest(LEAST_POWER) * 0.125
+    power = _Vector(builder, _constant(POWERS[0]))
+    for c in POWERS[1:]:
+        power = power.times_plus(y, c)
+    power = power * power
+    power = power * power
+    return dx, power * power * _spread(builder, opacity)
+
+
+@row_intrinsic(_blend_row)
+def blend_row(typingctx, state, at, x, q, half_a, b_dy, opacity, red, green, blue, depth):
+    """Pixels state[at : at + 8] behind which a Gaussian comes next; planes: transmittance, red, green, blue, depth."""
+    signature = types.void(state, types.int64, *[types.float32] * 9)
+
+    def generate(context, builder, signature, arguments):
+        row = _Row(context, builder, signature.args[0], arguments[0], arguments[1])
+        _, raw = _written_alpha(builder, *arguments[2:7])
+        alpha = raw.least(LARGEST_ALPHA).where(">=", raw, LEAST_ALPHA)
+        left = row.get(0)
+        weight = alpha * left
+        row.put(0, left - weight)
+        for k in range(4):
+            value = _spread(builder, arguments[7 + k])
+            row.put((k + 1) * PLANE, weight.times_plus(value, row.get((k + 1) * PLANE)))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@row_intrinsic(_unblend_row)
+def unblend_row(typingctx, state, at, sums, x, dy, q, half_a, b_dy, opacity, red, green, blue, depth):
+    """The same pixels' derivatives, added to sums (SUMS, 8).
+
+    Planes: transmittance, what all Gaussians from here on give to the loss, and dL/d of red, green, blue, depth and coverage.
+    """
+    signature = types.void(state, types.int64, sums, *[types.float32] * 10)
+
+    def generate(context, builder, signature, arguments):
+        row = _Row(context, builder, signature.args[0], arguments[0], arguments[1])
+        total = _Row(context, builder, signature.args[2], arguments[2], cgutils.intp_t(0))
+        x, dy, q, half_a, b_dy, opacity = arguments[3:9]
+        colour = [_spread(builder, value) for value in arguments[9:13]]
+        dx, raw = _written_alpha(builder, x, q, half_a, b_dy, opacity)
+        alpha = raw.least(LARGEST_ALPHA).where(">=", raw, LEAST_ALPHA)
+        left, wanted = row.get(0), [row.get(k * PLANE) for k in range(2, 7)]
+        weight = alpha * left
+        row.put(0, left - weight)
+        value = wanted[4]
+        for one, by in zip(colour, wanted):
+            value = one.times_plus(by, value)
+        rest = row.get(PLANE) - weight * value
+        row.put(PLANE, rest)
+        one = _Vector(builder, _constant(1.0))
+        by_power = (alpha * (left * value - rest / (one - alpha))).where("<", raw, LARGEST_ALPHA)
+        down = _spread(builder, dy)
+        by_x, by_y = by_power * dx, by_power * down
+        parts = [by_power, by_x, by_x * dx, by_y, by_y * dx, by_y * down, *(weight * by for by in wanted[:4])]
+        for k, part in enumerate(parts):
+            total.put(k * LANES, total.get(k * LANES) + part)
+        return context.get_dummy_value()
+
+    return signature, generate

@@ -1,0 +1,205 @@
+"""Gaussians to pictures: projected, sorted by depth, given to tiles, and blended front to back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from epipole import _parallel
+from epipole._declared import checked
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, ShapeError
+from epipole.fields import _blend_kernels as blend_kernels
+from epipole.fields import _projection_kernels as projection_kernels
+from epipole.fields import _tile_kernels as tile_kernels
+from epipole.fields._simd_kernels import PLANE
+from epipole.fields._tile_kernels import TILE
+from epipole.geometry import Rigid3
+from epipole.scene.gaussian_cloud import GaussianCloud
+
+CHUNK, TILES_TOGETHER = 8192, 16
+"""Gaussians, and tiles, in one piece of work."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """How Gaussians are drawn."""
+
+    blur_px: float = 0.3
+    """Variance, in square pixels, that every ellipse is widened by: none is thinner than a pixel."""
+    antialiased: bool = False
+    """Take from the opacity what the widening adds (the 2D filter of Yu et al., Mip-Splatting, 2024)."""
+    near: float = 0.01
+    """Nearer to the camera's plane nothing is drawn, in world units."""
+
+
+class Cloud(NamedTuple):
+    """The arrays of a cloud, as kernels read them."""
+
+    means: np.ndarray
+    log_scales: np.ndarray
+    quats: np.ndarray
+    logits: np.ndarray
+    sh: np.ndarray
+
+
+class View(NamedTuple):
+    """A camera at its place, as kernels read it."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    center: np.ndarray
+    focal: np.ndarray
+    middle: np.ndarray
+    reach: np.ndarray
+    """Tangents of half the view, across and down."""
+    width: int
+    height: int
+    near: float
+    blur: float
+    antialiased: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rendering:
+    """A picture of Gaussians, before any background."""
+
+    colour: Float32[np.ndarray, "h w 3"]
+    """Times coverage."""
+    depth: Float32[np.ndarray, "h w"]
+    """Along the optical axis, times coverage."""
+    coverage: Float32[np.ndarray, "h w"]
+    """1 less what is seen of the background."""
+    tiles: Tiles
+    """What was drawn where, for the way back."""
+
+    def over(self, background: Float32[np.ndarray, "3"]) -> Float32[np.ndarray, "h w 3"]:
+        """The picture before a background of one colour."""
+        return self.colour + (np.float32(1.0) - self.coverage)[..., None] * background
+
+
+class Tiles(NamedTuple):
+    """Ellipses in the order of their depth, and which tiles they touch."""
+
+    gaussian: np.ndarray
+    """(m,) of each ellipse."""
+    ellipses: np.ndarray
+    """(m, 16)"""
+    pair: np.ndarray
+    """(m + 1,) the first pair of each ellipse and a tile."""
+    pairs_of_tile: np.ndarray
+    """(pairs, 2) ellipse and pair, by tiles."""
+    start: np.ndarray
+    """(tiles + 1,)"""
+    stop: np.ndarray
+    """(tiles,) where each was over."""
+    num_across: int
+    num_evaluated: int
+    """Pairs of a pixel and a Gaussian that were evaluated."""
+
+
+def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> View:
+    """A camera at its place.
+
+    Raises:
+        ConfigError: the camera has distortion.
+        ShapeError: the place is not a single motion.
+    """
+    if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
+        raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the pictures")
+    if cam_from_world.batch_shape() != ():
+        raise ShapeError(f"cam_from_world must be a single motion, got a batch of {cam_from_world.batch_shape()}")
+    matrix = camera.K
+    focal, middle = np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2].copy()
+    return View(
+        np.ascontiguousarray(cam_from_world.rotation).reshape(9).astype(np.float64),
+        cam_from_world.translation.astype(np.float64),
+        cam_from_world.inverse().translation.astype(np.float64),
+        focal,
+        middle,
+        0.5 * np.array([camera.width, camera.height]) / focal,
+        *(camera.width, camera.height, float(options.near), float(options.blur_px), bool(options.antialiased)),
+    )
+
+
+@checked
+def render(
+    cloud: GaussianCloud, camera: Camera, cam_from_world: Rigid3, options: RenderOptions | None = None
+) -> Rendering:
+    """The picture of Gaussians (Kerbl et al. 2023), equal for any number of threads.
+
+    Args:
+        cloud: the Gaussians.
+        camera: a pinhole.
+        cam_from_world: where it is.
+        options: how they are drawn; None for the defaults.
+
+    Raises:
+        ConfigError: the camera has distortion.
+        ShapeError: the place is not a single motion.
+    """
+    view = view_of(camera, cam_from_world, RenderOptions() if options is None else options)
+    tiles = tiles_of(arrays_of(cloud), view)
+    return blend(tiles, view)
+
+
+def arrays_of(cloud: GaussianCloud) -> Cloud:
+    """Contiguous arrays of a cloud."""
+    parts = (cloud.means_in_world, cloud.log_scales, cloud.quats_wxyz, cloud.opacity_logits, cloud.sh)
+    return Cloud(*(np.ascontiguousarray(part) for part in parts))
+
+
+def tiles_of(cloud: Cloud, view: View) -> Tiles:
+    """Project, sort by depth, and say which ellipses touch which tiles."""
+    seen = np.empty((len(cloud.means), projection_kernels.ELLIPSE), np.float32)
+
+    def project(start: int, stop: int, _: int) -> None:
+        work = np.empty((3, 3)), np.empty(6), np.empty((2, 3)), np.empty(16)
+        projection_kernels.project(view, cloud, start, stop, seen, work)
+
+    _parallel.map_chunks(project, len(seen), max(1, len(seen) // CHUNK))
+    visible = np.flatnonzero(seen[:, projection_kernels.OPACITY] > 0)
+    order = visible[np.argsort(seen[visible, projection_kernels.DEPTH], kind="stable")]
+    ellipses = seen[order]
+    size, across = np.array([view.width, view.height]), -(-view.width // TILE)
+    num_tiles, pieces = across * -(-view.height // TILE), max(1, len(ellipses) // CHUNK)
+    counts = np.zeros((pieces, num_tiles), np.int64)
+    own = np.zeros(len(ellipses), np.int64)
+    _parallel.map_chunks(
+        lambda a, b, piece: tile_kernels.count_tiles(ellipses, a, b, size, across, counts[piece], own),
+        len(ellipses),
+        pieces,
+    )
+    pair = np.concatenate([[0], np.cumsum(own)])
+    start = np.concatenate([[0], np.cumsum(counts.sum(axis=0))])
+    place = start[:-1] + np.cumsum(counts, axis=0) - counts
+    pairs = np.empty((int(start[-1]), 2), np.int32)
+    _parallel.map_chunks(
+        lambda a, b, piece: tile_kernels.fill_tiles(ellipses, a, b, size, across, place[piece], pair, pairs),
+        len(ellipses),
+        pieces,
+    )
+    return Tiles(order, ellipses, pair, pairs, start, start[1:].copy(), across, 0)
+
+
+def blend(tiles: Tiles, view: View) -> Rendering:
+    """Every tile, front to back."""
+    num_tiles, height, width = len(tiles.stop), view.height, view.width
+    planes = np.empty((num_tiles, 5 * PLANE), np.float32)
+    evaluated = np.zeros(num_tiles, np.int64)
+    _parallel.map_chunks(
+        lambda a, b, _: blend_kernels.blend_tiles(tiles, a, b, height, planes, evaluated),
+        num_tiles,
+        -(-num_tiles // TILES_TOGETHER),
+    )
+    whole = planes.reshape(-1, tiles.num_across, 5, TILE, TILE).transpose(0, 3, 1, 4, 2)
+    picture = whole.reshape(whole.shape[0] * TILE, -1, 5)[:height, :width]
+    return Rendering(
+        np.ascontiguousarray(picture[..., 1:4]),
+        np.ascontiguousarray(picture[..., 4]),
+        np.float32(1.0) - picture[..., 0],
+        tiles._replace(num_evaluated=int(evaluated.sum())),
+    )

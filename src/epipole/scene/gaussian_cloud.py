@@ -1,0 +1,63 @@
+"""Gaussians in space, with colours that depend on where they are seen from: the model of 3D Gaussian Splatting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float32, Int64
+
+from epipole._declared import Declared, check_fields, checked
+from epipole.errors import ShapeError
+
+NUM_SH = (1, 4, 9, 16)
+"""Spherical harmonics up to degree 0, 1, 2 and 3."""
+DC = 0.28209479177387814
+"""The harmonic of degree 0: colour = 0.5 + DC sh_0 + ..."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GaussianCloud(Declared):
+    """Kerbl, Kopanas, Leimkuehler and Drettakis, 3D Gaussian Splatting for Real-Time Radiance Field Rendering, 2023."""
+
+    means_in_world: Float32[np.ndarray, "n 3"]
+    log_scales: Float32[np.ndarray, "n 3"]
+    """Logarithms of the deviations along the Gaussian's own axes."""
+    quats_wxyz: Float32[np.ndarray, "n 4"]
+    """world_from_own, of any length but zero."""
+    opacity_logits: Float32[np.ndarray, " n"]
+    """Opacity is 1 / (1 + exp(-logit))."""
+    sh: Float32[np.ndarray, "n k 3"]
+    """Coefficients of red, green and blue, in the order of 3DGS; k is 1, 4, 9 or 16."""
+
+    def __post_init__(self) -> None:
+        """Check the shapes.
+
+        Raises:
+            ShapeError: the arrays do not fit each other.
+        """
+        check_fields(self)
+        if self.sh.shape[1] not in NUM_SH:
+            raise ShapeError(f"sh must have 1, 4, 9 or 16 coefficients, got {self.sh.shape[1]}")
+
+    def __len__(self) -> int:
+        return len(self.means_in_world)
+
+    def __repr__(self) -> str:
+        return f"GaussianCloud({len(self):,} Gaussians, harmonics of degree {self.sh_degree})"
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return NUM_SH.index(self.sh.shape[1])
+
+    @checked
+    def rows(self, chosen: Int64[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> GaussianCloud:
+        """Some of them."""
+        return GaussianCloud(
+            self.means_in_world[chosen],
+            self.log_scales[chosen],
+            self.quats_wxyz[chosen],
+            self.opacity_logits[chosen],
+            self.sh[chosen],
+        )
