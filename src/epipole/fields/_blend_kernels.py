@@ -139,3 +139,32 @@ def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, s
             for lane in range(LANES):
                 total += sums[k * LANES + lane]
             out[k] = total
+
+
+@kernel
+def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
+    """Derivatives of the tiles begin..end; `wanted` holds the picture and dL/d of it, state (7 * 256,) and sums are scratch."""
+    height, width = wanted.coverage.shape
+    for tile in range(begin, end):
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        rows = min(TILE, height - top)
+        for k in range(7 * PLANE):
+            state[k] = np.float32(0.0)
+        for row in range(rows):
+            for column in range(min(TILE, width - left)):
+                at, i, j = row * TILE + column, top + row, left + column
+                state[at] = np.float32(1.0)
+                rest = wanted.depth[i, j] * wanted.by_depth[i, j] + wanted.coverage[i, j] * wanted.by_coverage[i, j]
+                for channel in range(3):
+                    rest += wanted.colour[i, j, channel] * wanted.by_colour[i, j, channel]
+                    state[(2 + channel) * PLANE + at] = wanted.by_colour[i, j, channel]
+                state[PLANE + at] = rest
+                state[5 * PLANE + at], state[6 * PLANE + at] = wanted.by_depth[i, j], wanted.by_coverage[i, j]
+        first, last = tiles.start[tile], tiles.stop[tile]
+        unblend_tile(
+            *(tiles.ellipses, tiles.pairs_of_tile, first, last),
+            *(np.float32(left), np.float32(top), rows, state, sums, by_pair),
+        )
+        for at in range(last, tiles.start[tile + 1]):
+            for k in range(SUMS):
+                by_pair[tiles.pairs_of_tile[at, 1], k] = np.float32(0.0)

@@ -108,7 +108,7 @@ def project(view, cloud, start, stop, ellipses, work):
         opacity = 1.0 / (1.0 + math.exp(-float(cloud.logits[n])))
         covariance(cloud.log_scales[n], cloud.quats[n], axes, cov)
         in_picture(view, x, y, z, jac)
-        vxx, vxy, vyy = _seen(jac, cov)
+        vxx, vxy, vyy = seen_covariance(jac, cov)
         plain = vxx * vyy - vxy * vxy
         vxx, vyy = vxx + view.blur, vyy + view.blur
         det = vxx * vyy - vxy * vxy
@@ -144,7 +144,7 @@ def project(view, cloud, start, stop, ellipses, work):
 
 
 @kernel(fuse=True)
-def _seen(jac, cov):
+def seen_covariance(jac, cov):
     """Upper half of J C J^T."""
     a0 = jac[0, 0] * cov[0] + jac[0, 1] * cov[1] + jac[0, 2] * cov[2]
     a1 = jac[0, 0] * cov[1] + jac[0, 1] * cov[3] + jac[0, 2] * cov[4]
@@ -157,3 +157,60 @@ def _seen(jac, cov):
         a0 * jac[1, 0] + a1 * jac[1, 1] + a2 * jac[1, 2],
         b0 * jac[1, 0] + b1 * jac[1, 1] + b2 * jac[1, 2],
     )
+
+
+@kernel(fuse=True)
+def add_direction(x, y, z, count, by_basis, out):
+    """Out += derivative by a unit direction, with dL/dharmonics."""
+    g = by_basis
+    dx = dy = dz = 0.0
+    if count > 1:
+        dx, dy, dz = -SH1 * g[3], -SH1 * g[1], SH1 * g[2]
+    if count > 4:
+        dx += SH2A * (y * g[4] - z * g[7]) - 2.0 * SH2B * x * g[6] + 2.0 * SH2C * x * g[8]
+        dy += SH2A * (x * g[4] - z * g[5]) - 2.0 * SH2B * y * g[6] - 2.0 * SH2C * y * g[8]
+        dz += -SH2A * (y * g[5] + x * g[7]) + 4.0 * SH2B * z * g[6]
+    if count > 9:
+        xx, yy, zz = x * x, y * y, z * z
+        dx += -6.0 * SH3A * x * y * g[9] + SH3B * y * z * g[10] + 2.0 * SH3C * x * y * g[11]
+        dx += -6.0 * SH3D * x * z * g[12] - SH3C * (4.0 * zz - 3.0 * xx - yy) * g[13]
+        dx += 2.0 * SH3E * x * z * g[14] - 3.0 * SH3A * (xx - yy) * g[15]
+        dy += -3.0 * SH3A * (xx - yy) * g[9] + SH3B * x * z * g[10] - SH3C * (4.0 * zz - xx - 3.0 * yy) * g[11]
+        dy += -6.0 * SH3D * y * z * g[12] + 2.0 * SH3C * x * y * g[13]
+        dy += -2.0 * SH3E * y * z * g[14] + 6.0 * SH3A * x * y * g[15]
+        dz += SH3B * x * y * g[10] - 8.0 * SH3C * y * z * g[11] + SH3D * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+        dz += -8.0 * SH3C * x * z * g[13] + SH3E * (xx - yy) * g[14]
+    out[0] += dx
+    out[1] += dy
+    out[2] += dz
+
+
+@kernel(fuse=True)
+def back_to_shape(quat, axes, by_cov, g, by_log_scale, by_quat):
+    """From dL/dC, a symmetric matrix (3, 3), to logarithms of deviations and quaternion; axes = R S, g (3, 3) is scratch."""
+    w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / length, x / length, y / length, z / length
+    for j in range(3):
+        scale = math.sqrt(axes[0, j] * axes[0, j] + axes[1, j] * axes[1, j] + axes[2, j] * axes[2, j])
+        total = 0.0
+        for i in range(3):
+            by_axis = 2.0 * (
+                by_cov[i, 0] * axes[0, j] + by_cov[i, 1] * axes[1, j] + by_cov[i, 2] * axes[2, j]
+            )
+            total += by_axis * axes[i, j]
+            g[i, j] = by_axis * scale
+        by_log_scale[j] = total
+    dw = 2.0 * (x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]))
+    dx = 2.0 * (
+        y * (g[0, 1] + g[1, 0]) + z * (g[0, 2] + g[2, 0]) + w * (g[2, 1] - g[1, 2]) - 2.0 * x * (g[1, 1] + g[2, 2])
+    )
+    dy = 2.0 * (
+        x * (g[0, 1] + g[1, 0]) + z * (g[1, 2] + g[2, 1]) + w * (g[0, 2] - g[2, 0]) - 2.0 * y * (g[0, 0] + g[2, 2])
+    )
+    dz = 2.0 * (
+        x * (g[0, 2] + g[2, 0]) + y * (g[1, 2] + g[2, 1]) + w * (g[1, 0] - g[0, 1]) - 2.0 * z * (g[0, 0] + g[1, 1])
+    )
+    along = dw * w + dx * x + dy * y + dz * z
+    by_quat[0], by_quat[1] = (dw - along * w) / length, (dx - along * x) / length
+    by_quat[2], by_quat[3] = (dy - along * y) / length, (dz - along * z) / length

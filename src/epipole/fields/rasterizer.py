@@ -13,9 +13,10 @@ from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _blend_kernels as blend_kernels
+from epipole.fields import _gradient_kernels as gradient_kernels
 from epipole.fields import _projection_kernels as projection_kernels
 from epipole.fields import _tile_kernels as tile_kernels
-from epipole.fields._simd_kernels import PLANE
+from epipole.fields._simd_kernels import LANES, PLANE, SUMS
 from epipole.fields._tile_kernels import TILE
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -203,3 +204,69 @@ def blend(tiles: Tiles, view: View) -> Rendering:
         np.float32(1.0) - picture[..., 0],
         tiles._replace(num_evaluated=int(evaluated.sum())),
     )
+
+
+class Wanted(NamedTuple):
+    """A picture, and derivatives of a loss by it, as kernels read them."""
+
+    colour: np.ndarray
+    depth: np.ndarray
+    coverage: np.ndarray
+    by_colour: np.ndarray
+    by_depth: np.ndarray
+    by_coverage: np.ndarray
+
+
+class CloudGradient(NamedTuple):
+    """Derivatives of a loss by the arrays of a cloud; zero for Gaussians that are not seen."""
+
+    means: np.ndarray
+    log_scales: np.ndarray
+    quats: np.ndarray
+    logits: np.ndarray
+    sh: np.ndarray
+    center: np.ndarray
+    """(n, 2) by where each is seen, in pixels."""
+
+
+def gradient_of(
+    cloud: Cloud,
+    view: View,
+    rendering: Rendering,
+    by_colour: np.ndarray,
+    by_depth: np.ndarray | None = None,
+    by_coverage: np.ndarray | None = None,
+) -> tuple[CloudGradient, np.ndarray]:
+    """Derivatives of a loss by Gaussians, and (6,) by xi = (translation, rotation) in exp(xi) @ cam_from_world.
+
+    Args:
+        cloud: what was drawn.
+        view: how.
+        rendering: the picture.
+        by_colour: (h, w, 3) dL/d of `rendering.colour`.
+        by_depth: (h, w) of its depth; None for none.
+        by_coverage: (h, w) of its coverage; None for none.
+    """
+    none, tiles = np.zeros_like(rendering.coverage), rendering.tiles
+    wanted = Wanted(
+        *(rendering.colour, rendering.depth, np.ascontiguousarray(rendering.coverage), np.ascontiguousarray(by_colour)),
+        *(none if part is None else np.ascontiguousarray(part) for part in (by_depth, by_coverage)),
+    )
+    by_pair = np.empty((len(tiles.pairs_of_tile), SUMS), np.float32)
+
+    def unblend(start: int, stop: int, _: int) -> None:
+        scratch = np.empty(7 * PLANE, np.float32), np.empty(SUMS * LANES, np.float32)
+        blend_kernels.unblend_tiles(tiles, start, stop, wanted, by_pair, *scratch)
+
+    _parallel.map_chunks(unblend, len(tiles.stop), -(-len(tiles.stop) // TILES_TOGETHER))
+    out = CloudGradient(*(np.zeros_like(part) for part in cloud), np.zeros((len(cloud.means), 2), np.float32))
+
+    def gather(start: int, stop: int, _: int) -> np.ndarray:
+        by_pose = np.zeros(6)
+        shapes = ((3, 3), 6, (2, 3), 16, SUMS, 3, 3, (2, 3), (3, 3), 16, 3, (3, 3))
+        work = tuple(np.empty(shape) for shape in shapes)
+        gradient_kernels.gather(view, cloud, tiles.gaussian, tiles.pair, by_pair, start, stop, out, by_pose, work)
+        return by_pose
+
+    parts = _parallel.map_chunks(gather, len(tiles.gaussian), max(1, len(tiles.gaussian) // CHUNK))
+    return out, np.sum([np.zeros(6), *parts], axis=0)
