@@ -4,14 +4,31 @@ import numpy as np
 
 from epipole.geometry import Rotation3
 
-SH1, SH2 = 0.4886025119029199, (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
-SH3 = (-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154, -0.4570457994644658, 1.445305721320277, -0.5900435899266435)
+SH1, SH2 = (
+    0.4886025119029199,
+    (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396),
+)
+SH3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
 
 
 def basis(d, count):
     x, y, z = d.T
     columns = [np.full(len(d), 0.28209479177387814), -SH1 * y, SH1 * z, -SH1 * x]
-    columns += [SH2[0] * x * y, SH2[1] * y * z, SH2[2] * (2 * z * z - x * x - y * y), SH2[3] * x * z, SH2[4] * (x * x - y * y)]
+    columns += [
+        SH2[0] * x * y,
+        SH2[1] * y * z,
+        SH2[2] * (2 * z * z - x * x - y * y),
+        SH2[3] * x * z,
+        SH2[4] * (x * x - y * y),
+    ]
     columns += [
         SH3[0] * y * (3 * x * x - y * y), SH3[1] * x * y * z, SH3[2] * y * (4 * z * z - x * x - y * y),
         SH3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y), SH3[4] * x * (4 * z * z - x * x - y * y),
@@ -26,7 +43,10 @@ def plain_render(arrays, camera, cam_from_world, blur=0.3, antialiased=False, ne
     f, c = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
     rotation, there = cam_from_world.rotation, cam_from_world.apply(means)
     order = np.argsort(there[:, 2].astype(np.float32), kind="stable")
-    axes = Rotation3.from_quat_wxyz(quats / np.linalg.norm(quats, axis=1, keepdims=True)).matrix * np.exp(log_scales)[:, None]
+    axes = (
+        Rotation3.from_quat_wxyz(quats / np.linalg.norm(quats, axis=1, keepdims=True)).matrix
+        * np.exp(log_scales)[:, None]
+    )
     spread = axes @ np.swapaxes(axes, 1, 2)
     reach = 1.3 * 0.5 * np.array([camera.width, camera.height]) / f
     direction = means - cam_from_world.centers()

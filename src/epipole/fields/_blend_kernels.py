@@ -154,7 +154,10 @@ def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
             for column in range(min(TILE, width - left)):
                 at, i, j = row * TILE + column, top + row, left + column
                 state[at] = np.float32(1.0)
-                rest = wanted.depth[i, j] * wanted.by_depth[i, j] + wanted.coverage[i, j] * wanted.by_coverage[i, j]
+                rest = (
+                    wanted.depth[i, j] * wanted.by_depth[i, j]
+                    + wanted.coverage[i, j] * wanted.by_coverage[i, j]
+                )
                 for channel in range(3):
                     rest += wanted.colour[i, j, channel] * wanted.by_colour[i, j, channel]
                     state[(2 + channel) * PLANE + at] = wanted.by_colour[i, j, channel]

@@ -117,7 +117,11 @@ def gather(view, cloud, gaussian, pair, by_pair, start, stop, gradient, by_pose,
         by_mean[0] = by_mean[1] = by_mean[2] = 0.0
         add_direction(dx, dy, dz, count, by_basis, by_mean)
         along = by_mean[0] * dx + by_mean[1] * dy + by_mean[2] * dz
-        wx, wy, wz = (by_mean[0] - along * dx) / length, (by_mean[1] - along * dy) / length, (by_mean[2] - along * dz) / length
+        wx, wy, wz = (
+            (by_mean[0] - along * dx) / length,
+            (by_mean[1] - along * dy) / length,
+            (by_mean[2] - along * dz) / length,
+        )
         gradient.means[n, 0] = r[0] * gx + r[3] * gy + r[6] * gz + wx
         gradient.means[n, 1] = r[1] * gx + r[4] * gy + r[7] * gz + wy
         gradient.means[n, 2] = r[2] * gx + r[5] * gy + r[8] * gz + wz

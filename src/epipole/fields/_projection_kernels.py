@@ -175,10 +175,16 @@ def add_direction(x, y, z, count, by_basis, out):
         dx += -6.0 * SH3A * x * y * g[9] + SH3B * y * z * g[10] + 2.0 * SH3C * x * y * g[11]
         dx += -6.0 * SH3D * x * z * g[12] - SH3C * (4.0 * zz - 3.0 * xx - yy) * g[13]
         dx += 2.0 * SH3E * x * z * g[14] - 3.0 * SH3A * (xx - yy) * g[15]
-        dy += -3.0 * SH3A * (xx - yy) * g[9] + SH3B * x * z * g[10] - SH3C * (4.0 * zz - xx - 3.0 * yy) * g[11]
+        dy += (
+            -3.0 * SH3A * (xx - yy) * g[9] + SH3B * x * z * g[10] - SH3C * (4.0 * zz - xx - 3.0 * yy) * g[11]
+        )
         dy += -6.0 * SH3D * y * z * g[12] + 2.0 * SH3C * x * y * g[13]
         dy += -2.0 * SH3E * y * z * g[14] + 6.0 * SH3A * x * y * g[15]
-        dz += SH3B * x * y * g[10] - 8.0 * SH3C * y * z * g[11] + SH3D * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+        dz += (
+            SH3B * x * y * g[10]
+            - 8.0 * SH3C * y * z * g[11]
+            + SH3D * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
+        )
         dz += -8.0 * SH3C * x * z * g[13] + SH3E * (xx - yy) * g[14]
     out[0] += dx
     out[1] += dy
@@ -203,13 +209,22 @@ def back_to_shape(quat, axes, by_cov, g, by_log_scale, by_quat):
         by_log_scale[j] = total
     dw = 2.0 * (x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]))
     dx = 2.0 * (
-        y * (g[0, 1] + g[1, 0]) + z * (g[0, 2] + g[2, 0]) + w * (g[2, 1] - g[1, 2]) - 2.0 * x * (g[1, 1] + g[2, 2])
+        y * (g[0, 1] + g[1, 0])
+        + z * (g[0, 2] + g[2, 0])
+        + w * (g[2, 1] - g[1, 2])
+        - 2.0 * x * (g[1, 1] + g[2, 2])
     )
     dy = 2.0 * (
-        x * (g[0, 1] + g[1, 0]) + z * (g[1, 2] + g[2, 1]) + w * (g[0, 2] - g[2, 0]) - 2.0 * y * (g[0, 0] + g[2, 2])
+        x * (g[0, 1] + g[1, 0])
+        + z * (g[1, 2] + g[2, 1])
+        + w * (g[0, 2] - g[2, 0])
+        - 2.0 * y * (g[0, 0] + g[2, 2])
     )
     dz = 2.0 * (
-        x * (g[0, 2] + g[2, 0]) + y * (g[1, 2] + g[2, 1]) + w * (g[1, 0] - g[0, 1]) - 2.0 * z * (g[0, 0] + g[1, 1])
+        x * (g[0, 2] + g[2, 0])
+        + y * (g[1, 2] + g[2, 1])
+        + w * (g[1, 0] - g[0, 1])
+        - 2.0 * z * (g[0, 0] + g[1, 1])
     )
     along = dw * w + dx * x + dy * y + dz * z
     by_quat[0], by_quat[1] = (dw - along * w) / length, (dx - along * x) / length

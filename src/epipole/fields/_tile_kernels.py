@@ -22,7 +22,9 @@ def _rows_of_tiles(ellipse, height):
 def _tiles_in_row(ellipse, row, width, height):
     """First and last tile of a row of tiles that the ellipse touches: where its sides are furthest within these pixels."""
     top = max(TILE * row, math.ceil(ellipse[Y] - ellipse[HALF_HEIGHT])) - ellipse[Y]
-    bottom = min(TILE * row + TILE - 1, height - 1, math.floor(ellipse[Y] + ellipse[HALF_HEIGHT])) - ellipse[Y]
+    bottom = (
+        min(TILE * row + TILE - 1, height - 1, math.floor(ellipse[Y] + ellipse[HALF_HEIGHT])) - ellipse[Y]
+    )
     at_top = math.sqrt(max(ellipse[REACH] - ellipse[NARROWING] * top * top, 0.0))
     at_bottom = math.sqrt(max(ellipse[REACH] - ellipse[NARROWING] * bottom * bottom, 0.0))
     left = min(-ellipse[SLOPE] * top - at_top, -ellipse[SLOPE] * bottom - at_bottom)

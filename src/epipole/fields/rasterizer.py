@@ -112,7 +112,9 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
     if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
         raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the pictures")
     if cam_from_world.batch_shape() != ():
-        raise ShapeError(f"cam_from_world must be a single motion, got a batch of {cam_from_world.batch_shape()}")
+        raise ShapeError(
+            f"cam_from_world must be a single motion, got a batch of {cam_from_world.batch_shape()}"
+        )
     matrix = camera.K
     focal, middle = np.array([matrix[0, 0], matrix[1, 1]]), matrix[:2, 2].copy()
     return View(
@@ -122,7 +124,13 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
         focal,
         middle,
         0.5 * np.array([camera.width, camera.height]) / focal,
-        *(camera.width, camera.height, float(options.near), float(options.blur_px), bool(options.antialiased)),
+        *(
+            camera.width,
+            camera.height,
+            float(options.near),
+            float(options.blur_px),
+            bool(options.antialiased),
+        ),
     )
 
 
@@ -249,7 +257,12 @@ def gradient_of(
     """
     none, tiles = np.zeros_like(rendering.coverage), rendering.tiles
     wanted = Wanted(
-        *(rendering.colour, rendering.depth, np.ascontiguousarray(rendering.coverage), np.ascontiguousarray(by_colour)),
+        *(
+            rendering.colour,
+            rendering.depth,
+            np.ascontiguousarray(rendering.coverage),
+            np.ascontiguousarray(by_colour),
+        ),
         *(none if part is None else np.ascontiguousarray(part) for part in (by_depth, by_coverage)),
     )
     by_pair = np.empty((len(tiles.pairs_of_tile), SUMS), np.float32)
@@ -265,7 +278,9 @@ def gradient_of(
         by_pose = np.zeros(6)
         shapes = ((3, 3), 6, (2, 3), 16, SUMS, 3, 3, (2, 3), (3, 3), 16, 3, (3, 3))
         work = tuple(np.empty(shape) for shape in shapes)
-        gradient_kernels.gather(view, cloud, tiles.gaussian, tiles.pair, by_pair, start, stop, out, by_pose, work)
+        gradient_kernels.gather(
+            view, cloud, tiles.gaussian, tiles.pair, by_pair, start, stop, out, by_pose, work
+        )
         return by_pose
 
     parts = _parallel.map_chunks(gather, len(tiles.gaussian), max(1, len(tiles.gaussian) // CHUNK))

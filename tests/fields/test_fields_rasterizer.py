@@ -1,0 +1,134 @@
+"""The rasteriser against the equations written out, its derivatives against differences, and its edges."""
+
+import numpy as np
+import pytest
+from plain_rasterizer import plain_render
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, ShapeError
+from epipole.fields import RenderOptions, render
+from epipole.fields.rasterizer import arrays_of, blend, gradient_of, tiles_of, view_of
+from epipole.geometry import Rigid3
+from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.synthetic import look_at
+
+CAMERA = Camera("PINHOLE", 45, 35, [40.0, 42.0, 22.0, 17.0])
+SEEN = look_at((0.5, -2.5, 0.6), (0, 0, 0))
+PARTS = ("means", "log_scales", "quats", "logits", "sh")
+
+
+def cloud_of(rng, count=60, num_sh=16):
+    """Gaussians of all shapes around the middle, none of them over-exposed or black."""
+    sh = 0.2 * rng.normal(size=(count, num_sh, 3))
+    sh[:, 0] += 1.5
+    arrays = (
+        rng.uniform(-0.8, 0.8, (count, 3)),
+        np.log(rng.uniform(0.05, 0.3, (count, 3))),
+        rng.normal(size=(count, 4)),
+        0.5 * rng.normal(size=count),
+        sh,
+    )
+    return GaussianCloud(*(array.astype(np.float32) for array in arrays))
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
+def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
+    cloud = cloud_of(rng, 200, num_sh)
+    camera = Camera("PINHOLE", 70, 50, [60.0, 62.0, 34.0, 25.0])
+    found = render(cloud, camera, SEEN, RenderOptions(antialiased=antialiased))
+    colour, depth, coverage = plain_render(arrays_of(cloud), camera, SEEN, antialiased=antialiased)
+    # A pixel at which alpha is 1/255 to the last digit may fall on either side.
+    for one, other in ((found.colour, colour), (found.depth, depth), (found.coverage, coverage)):
+        off = np.abs(one - other)
+        assert np.percentile(off, 99) < 1e-4 and off.max() < 2e-2
+    assert found.over(np.ones(3, np.float32)) == pytest.approx(colour + (1 - coverage)[..., None], abs=2e-2)
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
+def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
+    cloud, options = cloud_of(rng, 30, num_sh), RenderOptions(antialiased=antialiased)
+    arrays, view = arrays_of(cloud), view_of(CAMERA, SEEN, options)
+    drawn = blend(tiles_of(arrays, view), view)
+    wanted = [
+        rng.normal(size=part.shape).astype(np.float32) for part in (drawn.colour, drawn.depth, drawn.coverage)
+    ]
+    found, by_pose = gradient_of(arrays, view, drawn, *wanted)
+
+    def loss(parts, place):
+        drawn = plain_render(parts, CAMERA, place, antialiased=antialiased)
+        return sum(float((w * d).sum()) for w, d in zip(wanted, drawn))
+
+    exact = [np.asarray(part, np.float64) for part in arrays]
+    for k, name in enumerate(PARTS):
+        own = np.asarray(getattr(found, name), np.float64).reshape(-1)
+        off = []
+        for at in rng.integers(len(own), size=15):
+            ends = []
+            for sign in (1.0, -1.0):
+                moved = [part.copy() for part in exact]
+                moved[k].reshape(-1)[at] += sign * 1e-6
+                ends.append(loss(moved, SEEN))
+            off.append(abs((ends[0] - ends[1]) / 2e-6 - own[at]))
+        # Where a pixel crosses 1/255 within the step the difference jumps: not more than a few do.
+        assert np.median(off) < 1e-3 * np.abs(own).mean() + 1e-6, name
+        assert np.mean(np.array(off) < 1e-2 * np.abs(own).mean() + 1e-5) > 0.8, name
+    off = []
+    for k, step in enumerate(1e-7 * np.eye(6)):
+        ends = [loss(exact, Rigid3.exp(sign * step) @ SEEN) for sign in (1.0, -1.0)]
+        off.append(abs((ends[0] - ends[1]) / 2e-7 - by_pose[k]))
+    assert np.median(off) < 1e-2 * np.abs(by_pose).mean()
+
+
+def test_any_number_of_threads_gives_the_same(rng):
+    cloud = cloud_of(rng, 500)
+    results = []
+    for threads in (1, 3):
+        _parallel.set_num_threads(threads)
+        view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
+        drawn = blend(tiles_of(arrays, view), view)
+        results.append((drawn.colour, *gradient_of(arrays, view, drawn, drawn.colour)[0]))
+    _parallel.set_num_threads(None)
+    for one, other in zip(*results):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_what_is_behind_beside_or_transparent_is_not_drawn(rng):
+    cloud = cloud_of(rng, 20)
+    empty = np.zeros((35, 45), np.float32)
+    for other in (
+        cloud.rows(np.zeros(0, np.int64)),
+        GaussianCloud(
+            cloud.means_in_world + 50, cloud.log_scales, cloud.quats_wxyz, cloud.opacity_logits, cloud.sh
+        ),
+        GaussianCloud(
+            cloud.means_in_world, cloud.log_scales, cloud.quats_wxyz, cloud.opacity_logits - 30, cloud.sh
+        ),
+        GaussianCloud(
+            np.full_like(cloud.means_in_world, np.nan),
+            cloud.log_scales,
+            cloud.quats_wxyz,
+            cloud.opacity_logits,
+            cloud.sh,
+        ),
+    ):
+        found = render(other, CAMERA, SEEN)
+        np.testing.assert_array_equal(found.coverage, empty)
+        gradient, by_pose = gradient_of(
+            arrays_of(other), view_of(CAMERA, SEEN, RenderOptions()), found, np.ones_like(found.colour)
+        )
+        assert not any(part.any() for part in gradient) and not by_pose.any()
+
+
+def test_what_does_not_fit_is_refused(rng):
+    cloud = cloud_of(rng, 3)
+    with pytest.raises(ConfigError, match="undistort"):
+        render(cloud, Camera("RADIAL", 40, 30, [30.0, 20.0, 15.0, 0.1, 0.0]), SEEN)
+    with pytest.raises(ShapeError, match="single motion"):
+        render(cloud, CAMERA, Rigid3.identity(2))
+    with pytest.raises(ShapeError, match="1, 4, 9 or 16"):
+        GaussianCloud(
+            cloud.means_in_world, cloud.log_scales, cloud.quats_wxyz, cloud.opacity_logits, cloud.sh[:, :5]
+        )
