@@ -41,7 +41,7 @@ TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt",
 CAMERA = "camera.json"
 
 WARM = 2
-"""Keyframes after which all that is needed was loaded: the largest time is that of later frames."""
+"""Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +233,7 @@ def _summary(
         "is_metric": tells,
         "ms_per_frame": {
             "median": float(np.median(ms)),
-            "p95": float(np.percentile(ms, 95)),
+            "p95": float(np.percentile(warm if len(warm) else ms, 95)),
             "max": float(warm.max() if len(warm) else ms.max()),
         },
         "reasons": _reasons(tracked),
