@@ -36,15 +36,15 @@ def options_of(kind: type[Options], given: Options | None, named: Mapping[str, A
     if not named:
         return options
     changes: dict[str, Any] = {}
-    for name in sorted(
-        named, key=lambda name: name not in _names(options)
-    ):  # whole configs before their parts
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in named.items():
         if name in _names(options):
             present = getattr(options, name)
-            changes[name] = options_of(type(present), named[name]) if is_dataclass(present) else named[name]
-            continue
-        holder = _holder_of(name, options)
-        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), {name: named[name]})
+            changes[name] = options_of(type(present), value) if is_dataclass(present) else value
+        else:
+            parts.setdefault(_holder_of(name, options), {})[name] = value
+    for holder, own in parts.items():  # together: one may need another
+        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), own)
     return _changed(options, changes)
 
 
