@@ -329,12 +329,13 @@ class AnchorOptions:
     @property
     def is_empty(self) -> bool:
         """Nothing is known besides the pictures."""
-        return all(
-            value is None
-            for value in (
-                *(self.positions, self.lengths, self.tag_size_m, self.board, self.odometry, self.imu),
-            )
-        )
+        return not self.given
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that say what is known."""
+        names = ("positions", "lengths", "tag_size_m", "board", "odometry", "imu")
+        return tuple(name for name in names if getattr(self, name) is not None)
 
     @property
     def dictionary_name(self) -> str:
