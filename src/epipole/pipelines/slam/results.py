@@ -114,10 +114,8 @@ def write_results(
     summary, known = {**facts, **feed.summary(), **checked}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
-    metres, scale = _metres(given, source, is_map_fixed=job.localize)
-    summary |= {"scale": scale, "is_metric": bool(metres)}
-    if anchoring is not None:
-        summary["anchor"] = anchoring.scale.summary()
+    metres, told = _metres(given, source, is_map_fixed=job.localize)
+    summary |= told
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
@@ -253,19 +251,20 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
     }
 
 
-def _metres(given: Given, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, str]:
+def _metres(given: Given, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
     """Where the map's metres come from, for its file (empty: it is up to scale), and the same for this run's summary."""
-    known = given.map
+    known, more = given.map, {}
     if given.anchoring is not None:
-        words = given.anchoring.scale.in_words()
-        return words, words
-    if source.camera.tells_depth and not is_map_fixed:
-        words = _scale_words(source)
-        return words, words
-    if known is not None and known.is_metric:
+        words = scale = given.anchoring.scale.in_words()
+        more = {"anchor": given.anchoring.scale.summary()}
+    elif source.camera.tells_depth and not is_map_fixed:
+        words = scale = _scale_words(source)
+    elif known is not None and known.is_metric:
         whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""
-        return known.scale or "metres", f"metres, as in the known map{whence}"
-    return "", "up to scale: one camera cannot tell lengths"
+        words, scale = known.scale or "metres", f"metres, as in the known map{whence}"
+    else:
+        words, scale = "", "up to scale: one camera cannot tell lengths"
+    return words, {"scale": scale, "is_metric": bool(words), **more}
 
 
 def _scale_words(source: FrameSource) -> str:
