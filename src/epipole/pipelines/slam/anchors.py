@@ -87,8 +87,8 @@ def check_known_map(options: AnchorOptions, known: KnownMap | None, *, is_map_fi
     if known.is_metric:
         whence = f" ({known.scale})" if known.scale else ""
         raise ConfigError(
-            f"the map is in metres already{whence}: {given} would change its unit. Leave that out, or begin a map of its own, "
-            "without the option map"
+            f"the map is in metres already{whence}: {given} would change its unit. Leave that out, or begin a new map "
+            "(without map)"
         )
     if is_map_fixed:
         raise ConfigError(
