@@ -95,6 +95,17 @@ def test_the_metres_of_a_known_map_are_told(runs, tmp_path, localize):
     assert np.array_equal(before.model.xyz, after.model.xyz, equal_nan=True) == localize
 
 
+@pytest.mark.parametrize("is_map_fixed", [False, True])
+def test_a_camera_that_tells_depth_goes_on_in_the_metric_map_of_one_that_does_not(runs, is_map_fixed):
+    known = read_slam_map(runs / "metric", RGBD).model
+    system = Slam(RGBD, known=known, is_map_fixed=is_map_fixed)
+    answers = [system.track(frame) for frame in ride().frames("rgbd")[NEW]]
+    system.finish()
+    assert all(answer.world_from_body is not None for answer in answers)
+    off = system.trajectory().world_from_body.translation - truth(NEW)
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.04
+
+
 def test_a_map_without_metres_stays_so(runs, tmp_path):
     result = run_slam(runs / "new", tmp_path / "out", map=runs / "scaleless", **GIVEN)
     assert not result.summary["is_metric"] and result.summary["scale"].startswith("up to scale")
