@@ -514,7 +514,7 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     way = np.stack([times, 0 * times, 0 * times], axis=1)
     yield _row(
         mapping.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
-        places_by_odometry=None, sigma=0.01,
+        places_by_odometry=None, sigma=0.01, levers_m=0.1 * way,
     )  # fmt: skip
     instants = np.arange(12) * 0.25 + 0.2
     swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])

@@ -69,6 +69,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         "positions": read_places,
         "lengths": read_lengths,
         "odometry": read_odometry,
+        "odometry_mounting": read_camera_from_imu,
         "imu": read_imu,
         "imu_mounting": read_camera_from_imu,
     }
@@ -228,7 +229,10 @@ def _of_odometry(views: AnchorViews, options: AnchorOptions) -> ScaleEstimate:
     log = read_odometry(options.odometry)
     times, path = _timed(views)
     known = (log.timestamp_s, log.travelled_m, log.positions, options.odometry_sigma)
-    return fit_scale_to_distances(times, path.translation, *known)
+    levers = None
+    if options.odometry_mounting is not None:
+        levers = path.rotation @ read_camera_from_imu(options.odometry_mounting).translation
+    return fit_scale_to_distances(times, path.translation, *known, levers)
 
 
 def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:

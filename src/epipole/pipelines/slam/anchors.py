@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import Anchoring, AnchorViews, after_adjustment, anchor_model, views_of_model
 from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.local_mapping import LocalMapper
+from epipole.pipelines.slam.map_files import KnownMap
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 
@@ -36,6 +38,13 @@ def anchor_map(
     model, lens = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
     views = views_of_model(reconstruction_of(model, lens, keyframe_names), lambda row: keyframes[row].grey)
+    # What is known is told by the clock and the names of this run: keyframes of a known map have others.
+    is_old = np.array([k.number < system.first_number for k in keyframes], bool)
+    views = replace(
+        views,
+        names=tuple("" if old else name for old, name in zip(is_old, views.names)),
+        timestamp_s=np.where(is_old, np.nan, views.timestamp_s),
+    )
     path = _views_of_path(system.trajectory(), frame_names, views)
     anchoring = anchor_model(views, options, path)
     model.move(anchoring.world_from_model)
@@ -63,6 +72,28 @@ def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
         raise ConfigError(
             "positions, lengths, tags, boards and odometry tell the scale of one camera; this one has its metres from its "
             "own depth"
+        )
+
+
+def check_known_map(options: AnchorOptions, known: KnownMap | None, *, is_map_fixed: bool) -> None:
+    """Check that the unit of a map that is gone on in may be changed, where something is given that would.
+
+    Raises:
+        ConfigError: the map is in metres already, or is to stay as it is.
+    """
+    if known is None or options.is_empty:
+        return
+    given = " and ".join(options.given)
+    if known.is_metric:
+        whence = f" ({known.scale})" if known.scale else ""
+        raise ConfigError(
+            f"the map is in metres already{whence}: {given} would change its unit. Leave that out, or begin a new map "
+            "(without map)"
+        )
+    if is_map_fixed:
+        raise ConfigError(
+            f"localize leaves the map as it is, and it is up to scale: {given} would change its unit. Go on in it once "
+            "without localize: the map that this writes is in metres"
         )
 
 

@@ -19,7 +19,7 @@ from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video
 from epipole.mapping import Anchoring, check_anchor_files
-from epipole.pipelines.slam.anchors import anchor_map, check_one_camera
+from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.found_camera import find_camera
@@ -90,6 +90,7 @@ def slam(
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
+    check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
