@@ -352,11 +352,11 @@ class LocalMapper:
         """
         shifted, free = params.copy(), np.zeros((2, params.shape[1]))
         shifted[1, 2] += self.map.right_shift_px
-        if num_free < len(views) or num_free < LEAST_TOGETHER:
+        if num_free < len(views):
             return shifted, free, None
         if self.positions:
             return shifted, free, self._known_places(views)
-        if self.sensor.baseline is None:
+        if self.sensor.baseline is None or num_free < LEAST_TOGETHER:
             return shifted, free, None
         free[1, 2] = 1.0
         sigma = np.full(params.shape, np.inf)
