@@ -129,7 +129,9 @@ def _by_numbers(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory | No
     )
     row = np.searchsorted(told, named).clip(0, len(told) - 1)
     meets = (told[row] == named) & np.isfinite(frames)
-    near = np.abs(told[np.searchsorted(told, frames).clip(0, len(told) - 1)] - frames) <= MAX_DIFFERENCE_S
+    after = np.searchsorted(told, frames)
+    sides = np.stack([told[(after - side).clip(0, len(told) - 1)] for side in (0, 1)])
+    near = np.abs(sides - frames).min(axis=0) <= MAX_DIFFERENCE_S
     if not (told == np.rint(told)).all() or 2 * near.sum() >= len(records) or meets.mean() < MOST_NAMED:
         return None
     return Trajectory(frames[meets], truth.trajectory.world_from_body[row[meets]])
