@@ -8,10 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from epipole.config import AnchorOptions
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.mapping import Anchoring, AnchorViews, after_adjustment, anchor_model, views_of_model
+from epipole.mapping import (
+    Anchoring,
+    AnchorViews,
+    ScaleEstimate,
+    after_adjustment,
+    anchor_model,
+    views_of_model,
+)
 from epipole.pipelines.slam.export import reconstruction_of
+from epipole.pipelines.slam.inertial_ties import scale_by_factors
 from epipole.pipelines.slam.local_mapping import LocalMapper
 from epipole.pipelines.slam.map_files import KnownMap
 from epipole.pipelines.slam.slam import Slam
@@ -46,20 +54,37 @@ def anchor_map(
         timestamp_s=np.where(is_old, np.nan, views.timestamp_s),
     )
     path = _views_of_path(system.trajectory(), frame_names, views)
-    anchoring = anchor_model(views, options, path)
+    by_imu = scale_by_imu(system)
+    if by_imu is not None:
+        options = replace(options, imu=None, imu_mounting=None)
+    anchoring = anchor_model(views, options, path, [] if by_imu is None else [by_imu])
     model.move(anchoring.world_from_model)
     places = anchoring.places
     if places is not None:
         before = _centers(system)
-        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config)
+        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config, system.imu)
         known = np.isfinite(places.positions[:, 0])
         mapper.positions = {
             k.number: p for k, p, is_known in zip(keyframes, places.positions, known) if is_known
         }
         mapper.position_sigma = places.sigma
+        mapper.learn_inertial()
         mapper.adjust_all()
         model.move(after_adjustment(anchoring, before, _centers(system)))
     return anchoring
+
+
+def scale_by_imu(system: Slam) -> ScaleEstimate | None:
+    """By an adjustment with the inertial unit's factors; None where they have none: the path's alignment says why."""
+    if system.imu is None:
+        return None
+    mapper = LocalMapper(system.maps[0], system.camera, system.focal_baseline, system.config, system.imu)
+    mapper.learn_inertial()
+    adjusted = mapper.adjust_all()
+    try:
+        return None if adjusted is None else scale_by_factors(*adjusted, system.imu)
+    except DegenerateGeometryError:
+        return None
 
 
 def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
