@@ -414,8 +414,6 @@ def _inertial() -> Iterator[Row]:
     known = {"frames": np.arange(12), "timestamp_s": instants, "world_from_camera": path, "imu": unit}
     aligned = inertial.align_path_to_imu(instants, path, log, geometry.Rigid3.identity(), **options)
     yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5)
-    factors = {"noise": unit.noise, "factors": (2.0, 2.0), "stated": unit.noise}
-    yield _row(inertial.grown_noise, **factors)
 
 
 def _picture(*channels: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, align_points
-from epipole.inertial import ImuNoise, MountedImu, align_path_to_imu, grown_noise, imu_factors
+from epipole.inertial import ImuNoise, MountedImu, align_path_to_imu, imu_factors
 from epipole.optim import (
     BundlePriors,
     BundleProblem,
@@ -121,12 +121,6 @@ def test_an_adjustment_with_them_is_nearer_the_truth_and_tells_its_scale():
         assert gyro < 2.0 and accel < 2.0  # as stated: poses that are weakly seen follow the unit
     assert np.median(after) < 0.6 * np.median(before)
     assert np.abs(z).max() < 3 and np.sqrt(np.mean(np.square(z))) < 1.7
-
-
-def test_noise_grows_as_it_shows_and_never_below_what_is_stated():
-    noise = ImuNoise()
-    grown = grown_noise(noise, (4.0, 0.1), noise)
-    assert grown.gyro_density == 2 * noise.gyro_density and grown.accel_density == noise.accel_density
 
 
 def test_a_unit_along_a_path_measures_its_motion():

@@ -11,7 +11,7 @@ from tests.slam.slam_rides import drawn, errors
 from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial import ImuLog, ImuNoise, MountedImu
+from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
 from epipole.pipelines.slam.anchors import anchor_map
 from epipole.pipelines.slam.inertial_ties import InertialTies
 from epipole.pipelines.slam.run import slam as run_slam
@@ -119,3 +119,16 @@ def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit)
     nothing = InertialTies(MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING))
     nothing.learn(keyframes)
     assert nothing.aligned is None and nothing.factors(keyframes, 0.01) == ()
+
+
+def test_noise_grows_as_it_shows_and_never_below_what_is_stated(ride, unit, with_unit, monkeypatch):
+    keyframes, ties = with_unit.maps[0].keyframes, InertialTies(unit)
+    ties.learn(keyframes)
+    factors, poses = ties.factors(keyframes, 0.01), Rigid3.identity(len(keyframes))
+    told = [(4.0, 0.1), (1.0, 26.0), (np.nan, 1.0)]
+    monkeypatch.setattr(ImuFactors, "variance_factors", lambda *_: told.pop(0))
+    assert ties.agrees(factors, poses) and ties.aligned is not None
+    assert ties.noise.gyro_density == 2 * NOISE.gyro_density
+    assert ties.noise.accel_density == NOISE.accel_density
+    assert not ties.agrees(factors, poses) and ties.aligned is None and ties.factors(keyframes, 0.01) == ()
+    assert not ties.agrees(factors, poses)

@@ -3,7 +3,6 @@
 from epipole.inertial.alignment import InertialAlignment as InertialAlignment
 from epipole.inertial.alignment import align_path_to_imu as align_path_to_imu
 from epipole.inertial.factors import ImuFactors as ImuFactors
-from epipole.inertial.factors import grown_noise as grown_noise
 from epipole.inertial.factors import imu_factors as imu_factors
 from epipole.inertial.log import ImuLog as ImuLog
 from epipole.inertial.log import ImuNoise as ImuNoise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -13,7 +13,7 @@ from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, skew
 from epipole.inertial._inertial_problem import LANES, InertialProblem, States
 from epipole.inertial.alignment import InertialAlignment
-from epipole.inertial.log import ImuNoise, MountedImu
+from epipole.inertial.log import MountedImu
 from epipole.inertial.preintegration import preintegrate
 
 MOST_INNER_STEPS, SETTLED = 10, 1e-9
@@ -216,16 +216,6 @@ def imu_factors(
     biases = np.tile(np.concatenate([aligned.gyro_bias, aligned.accel_bias]), (n, 1))
     scale, gravity = float(np.log(aligned.scale)), aligned.gravity_in_world
     return ImuFactors(frames, problem, States(rotation, velocity, places, biases, scale, gravity), weight)
-
-
-@checked
-def grown_noise(noise: ImuNoise, factors: tuple[float, float], stated: ImuNoise) -> ImuNoise:
-    """Densities with the variances that a path shows (`ImuFactors.variance_factors`), no less than stated."""
-    return replace(
-        noise,
-        gyro_density=max(noise.gyro_density * factors[0] ** 0.5, stated.gyro_density),
-        accel_density=max(noise.accel_density * factors[1] ** 0.5, stated.accel_density),
-    )
 
 
 def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,6 @@ from epipole.inertial import (
     InertialAlignment,
     MountedImu,
     align_path_to_imu,
-    grown_noise,
     imu_factors,
 )
 from epipole.inertial.preintegration import LARGEST_GAP_S
@@ -90,7 +89,11 @@ class InertialTies:
         if not max(gyro, accel) <= LARGEST_MISFIT**2:
             self.aligned = None
             return False
-        self.noise = grown_noise(self.noise, (float(gyro), float(accel)), self.imu.noise)
+        self.noise = replace(
+            self.noise,
+            gyro_density=max(self.noise.gyro_density * gyro**0.5, self.imu.noise.gyro_density),
+            accel_density=max(self.noise.accel_density * accel**0.5, self.imu.noise.accel_density),
+        )
         return True
 
     def _in_a_row(self, keyframes: Sequence[Keyframe]) -> list[np.ndarray]:
