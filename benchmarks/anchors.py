@@ -188,14 +188,24 @@ def wheels(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
     return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
 
 
-def wheel_places(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
-    """Places by odometry, which drift, as a trajectory; wheels 0.5 % wrong as a whole."""
-    steps = np.diff(trial.centers, axis=0) * (1.0 + 0.005 * trial.rng.normal())
+def wheel_places(trial: Trial, behind: float = 0.0) -> tuple[AnchorViews, AnchorOptions]:
+    """Places by odometry, which drift, as a trajectory; wheels 0.5 % wrong as a whole, and so far behind the camera."""
+    places = trial.truth.cams_from_world().inverse().apply(np.array([0.0, 0.0, -behind]))
+    steps = np.diff(places, axis=0) * (1.0 + 0.005 * trial.rng.normal())
     steps *= 1.0 + 0.02 * trial.rng.normal(size=(len(steps), 1))
     turns = Rotation3.exp(np.cumsum(0.02 * trial.rng.normal(size=(len(steps), 3)), axis=0))
     places = np.concatenate([np.zeros((1, 3)), np.cumsum(turns.apply(steps[:, None])[:, 0], axis=0)])
     lines = [f"{0.5 * n} {x} {y} {z} 0 0 0 1" for n, (x, y, z) in enumerate(places)]
-    return trial.views(), AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
+    options = AnchorOptions(odometry=trial.write("o.txt", lines), odometry_sigma=0.005)
+    if not behind:
+        return trial.views(), options
+    rows = f"[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, {-behind}], [0, 0, 0, 1]]"
+    return trial.views(), replace(options, odometry_mounting=trial.write("m.yaml", [f"T_cam_imu: {rows}"]))
+
+
+def wheels_behind(trial: Trial) -> tuple[AnchorViews, AnchorOptions]:
+    """The same of wheels half a metre behind the camera, which looks inward."""
+    return wheel_places(trial, 0.5)
 
 
 ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
@@ -207,6 +217,7 @@ ANCHORS: dict[str, Callable[[Trial], tuple[AnchorViews, AnchorOptions]]] = {
     "chessboard": board,
     "distances travelled, slip": wheels,
     "places by odometry": wheel_places,
+    "places by odometry, 0.5 m behind": wheels_behind,
 }
 
 

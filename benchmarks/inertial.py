@@ -1,7 +1,7 @@
 """Whether an IMU's scale lies where it is said to lie. `python -m benchmarks.inertial`.
 
 Drawn motions of a hand-held unit (50 seeds), the same at constant velocity, which must be refused, and stretches of EuRoC's real
-unit with the true path of its drone.
+unit with the true path of its drone; and SLAM of a rendered room, alone and with a drawn unit in its adjustments.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,23 @@ from rich.table import Table
 from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial import align_path_to_imu
+from epipole.inertial import MountedImu, align_path_to_imu
 from epipole.io.imu_logs import read_imu
 from epipole.mapping import fit_scale_to_imu
-from epipole.synthetic.inertial import inertial_path
+from epipole.metrics import absolute_error
+from epipole.pipelines.slam.anchors import scale_by_imu
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.slam import Slam
+from epipole.synthetic.inertial import imu_along, inertial_path
+from epipole.synthetic.rides import loop_room
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "inertial.json"
 STRETCH_S, UNIT = 15.0, 2.5
 """Length of EuRoC's stretches, and the metres of a unit that nobody is told."""
+
+MOUNTED = np.array([0.05, 0.05, 0.05, 1.0, 1.0, 1.0])
+"""Deviations of how units are mounted, in metres and radians."""
+RIDES = 8
 
 Tried = tuple[float, float, float] | None
 """True scale, found, and its deviation; None for refused."""
@@ -70,7 +79,36 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Tried]:
             yield UNIT, found.scale, found.sigma
 
 
-def summary_of(name: str, tried: Iterator[Tried]) -> dict[str, Any]:
+def followed(count: int) -> tuple[list[Tried], list[float]]:
+    """SLAM of the room with one camera, half size, with units of seeds from 0 on; and its errors, in mm, the first without."""
+    ride = loop_room(200, (320, 240))
+    numbers = range(0, 200, 2)
+    frames = [Frame(n / 10.0, ride.left(number).grey) for n, number in enumerate(numbers)]
+    truth = ride.world_from_camera[np.array(numbers)]
+    truth = truth[0].inverse() @ truth
+    times = np.array([frame.timestamp_s for frame in frames])
+    tried: list[Tried] = []
+    errors = []
+    for seed in range(-1, count):
+        mounting = Rigid3.exp(np.random.default_rng([3, max(seed, 0)]).normal(size=6) * MOUNTED)
+        unit = MountedImu(imu_along(times, truth, mounting, seed), mounting) if seed >= 0 else None
+        system = Slam(SlamCamera(ride.camera), imu=unit)
+        for frame in frames:
+            system.track(frame)
+        system.finish()
+        path = system.trajectory()
+        rows = np.rint(10 * path.timestamp_s).astype(int)
+        error = absolute_error(path.world_from_body, truth[rows], "similarity")
+        errors.append(1e3 * error.position.rmse)
+        if unit is not None:
+            told = scale_by_imu(system)
+            tried.append(
+                told and (float(error.truth_from_estimate.scale), told.scale, told.share * told.scale)
+            )
+    return tried, errors
+
+
+def summary_of(name: str, tried: Iterable[Tried]) -> dict[str, Any]:
     """Counts and shares."""
     begin, all_tried = time.perf_counter(), list(tried)
     told = np.array([one for one in all_tried if one is not None]).reshape(-1, 3)
@@ -102,6 +140,8 @@ def main() -> None:
     if folder.is_dir():
         rows.append(summary_of("EuRoC V1_01, stretches of 15 s", euroc(folder, whole=False)))
         rows.append(summary_of("EuRoC V1_01, the whole flight", euroc(folder, whole=True)))
+    tried, errors = followed(RIDES)
+    rows.append(summary_of("SLAM of the room with a unit", tried))
     table = Table(
         *("path", "tried", "refused", "within 2 sigma", "within 2 %", "largest", "median sigma", "s each")
     )
@@ -112,7 +152,16 @@ def main() -> None:
             row["name"], str(row["tried"]), str(row["refused"]), *words, f"{row['seconds_each']:.2f}"
         )
     Console().print(table)
-    RESULTS.write_text(json.dumps({"machine": describe_machine(1), "rows": rows}, indent=1) + "\n")
+    beside = float(np.median(errors[1:]))
+    Console().print(
+        f"error of the path in the room: {errors[0]:.2f} mm alone, {beside:.2f} mm with a unit (median)"
+    )
+    found = {
+        "machine": describe_machine(1),
+        "rows": rows,
+        "slam_error_mm": {"alone": errors[0], "with": errors[1:]},
+    }
+    RESULTS.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -52,6 +52,15 @@ def test_options_by_name_override_those_of_the_config() -> None:
     assert (board.columns, board.rows) == (7, 5)
 
 
+def test_options_that_need_each_other_may_be_given_by_name() -> None:
+    both = {"board": "9x6", "square_m": 0.1}
+    for kind in (epipole.ReconstructConfig, epipole.JobOptions):
+        anchors = options_of(kind, None, both).anchors
+        assert (anchors.board, anchors.square_m) == ("9x6", 0.1)
+    with pytest.raises(epipole.errors.ConfigError, match="needs both"):
+        options_of(epipole.JobOptions, None, {"board": "9x6"})
+
+
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_whole_config_and_one_of_its_parts_in_any_order(order: int) -> None:
     names = {"max_features": 10, "features": epipole.FeatureConfig(max_size_px=99)}

@@ -307,6 +307,8 @@ def _bundles() -> Iterator[Row]:
     yield "adjust_bundle of BundleProblem", _adjusted, fields | free
     yield _row(optim.adjust_bundle, problem=problem, config=quick, progress=lambda _: True)
     yield _row(optim.bundle_covariance, problem=problem, result=result, config=quick, noise_px=0.5)
+    along = np.ones(problem.frame_free.shape)
+    yield _row(optim.bundle_variance, problem=problem, result=result, derivative=along, config=quick)
     yield _row(optim.with_result, problem=problem, result=result)
     yield _row(optim.with_fixed_gauge, problem=problem)
     which = {"focal": True, "principal_point": False, "distortion": True}
@@ -407,6 +409,11 @@ def _inertial() -> Iterator[Row]:
     given = {"world_from_camera": path, "log": log, "camera_from_imu": geometry.Rigid3.identity()}
     options = {"noise": inertial.ImuNoise(), "place_sigma": 0.01, "turn_sigma_rad": 0.01}
     yield _row(inertial.align_path_to_imu, timestamp_s=instants, **given, **options)
+    unit = inertial.MountedImu(log, geometry.Rigid3.identity())
+    yield _row(inertial.MountedImu, log=log, camera_from_imu=geometry.Rigid3.identity(), noise=unit.noise)
+    known = {"frames": np.arange(12), "timestamp_s": instants, "world_from_camera": path, "imu": unit}
+    aligned = inertial.align_path_to_imu(instants, path, log, geometry.Rigid3.identity(), **options)
+    yield _row(inertial.imu_factors, **known, aligned=aligned, weight=0.5)
 
 
 def _picture(*channels: int) -> np.ndarray:
@@ -514,7 +521,7 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     way = np.stack([times, 0 * times, 0 * times], axis=1)
     yield _row(
         mapping.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
-        places_by_odometry=None, sigma=0.01,
+        places_by_odometry=None, sigma=0.01, levers_m=0.1 * way,
     )  # fmt: skip
     instants = np.arange(12) * 0.25 + 0.2
     swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
@@ -522,6 +529,7 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     given = {"world_from_camera": path, "log": _imu_log(), "camera_from_imu": geometry.Rigid3.identity()}
     yield _row(mapping.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
     yield _row(mapping.check_anchor_files, options=AnchorOptions())
+    yield _row(mapping.mounted_imu, options=AnchorOptions())
     estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}
     yield _row(mapping.ScaleEstimate, **estimate)
     known = mapping.ScaleEstimate(**estimate)

@@ -36,15 +36,15 @@ def options_of(kind: type[Options], given: Options | None, named: Mapping[str, A
     if not named:
         return options
     changes: dict[str, Any] = {}
-    for name in sorted(
-        named, key=lambda name: name not in _names(options)
-    ):  # whole configs before their parts
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in named.items():
         if name in _names(options):
             present = getattr(options, name)
-            changes[name] = options_of(type(present), named[name]) if is_dataclass(present) else named[name]
-            continue
-        holder = _holder_of(name, options)
-        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), {name: named[name]})
+            changes[name] = options_of(type(present), value) if is_dataclass(present) else value
+        else:
+            parts.setdefault(_holder_of(name, options), {})[name] = value
+    for holder, own in parts.items():  # together: one may need another
+        changes[holder] = _changed(changes.get(holder, getattr(options, holder)), own)
     return _changed(options, changes)
 
 
@@ -266,7 +266,7 @@ class BoardConfig:
         return self.dictionary or ("APRILTAG_36h11" if self.kind == "apriltag" else "4X4_50")
 
 
-ANCHOR_FILES = ("positions", "lengths", "odometry", "imu", "imu_mounting")
+ANCHOR_FILES = ("positions", "lengths", "odometry", "odometry_mounting", "imu", "imu_mounting")
 """Options of `AnchorOptions` that name files."""
 
 
@@ -300,6 +300,9 @@ class AnchorOptions:
     """How far the camera went: `SECONDS METRES` a line, counted from any begin, or a trajectory (TUM's form)."""
     odometry_sigma: float = 0.01
     """Standard deviation of the wheels' unit, as a share; their slip is seen in the scatter."""
+    odometry_mounting: Path | None = None
+    """Where the point is that odometry tells of, such as the middle of the wheels: a file like that of `imu_mounting`. Without it
+    that point is taken to be the camera."""
     imu: Path | None = None
     """What an inertial unit measured: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` a line, or a recording of ROS."""
     imu_mounting: Path | None = None
@@ -323,18 +326,21 @@ class AnchorOptions:
             raise ConfigError("a board of known size needs both: board (such as 9x6) and square_m")
         if (self.imu is None) != (self.imu_mounting is None):
             raise ConfigError("an IMU tells the scale where its mounting is known: give imu and imu_mounting")
+        if self.odometry_mounting is not None and self.odometry is None:
+            raise ConfigError("odometry_mounting says which point odometry tells of: give odometry, too")
         check_dictionary(self.dictionary_name)
         self.board_config()
 
     @property
     def is_empty(self) -> bool:
         """Nothing is known besides the pictures."""
-        return all(
-            value is None
-            for value in (
-                *(self.positions, self.lengths, self.tag_size_m, self.board, self.odometry, self.imu),
-            )
-        )
+        return not self.given
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the options that say what is known."""
+        names = ("positions", "lengths", "tag_size_m", "board", "odometry", "imu")
+        return tuple(name for name in names if getattr(self, name) is not None)
 
     @property
     def dictionary_name(self) -> str:

@@ -1,6 +1,7 @@
 """Folders of frames are known by their files, and damaged lists name the line."""
 
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -79,7 +80,11 @@ def test_times_beside_pictures(tmp_path):
 
 
 def test_folders_that_are_none(tmp_path, data_dir):
-    for wrong, words in ((tmp_path / "nothing", "no folder"), (tmp_path, "no picture")):
+    for wrong, words in (
+        (tmp_path / "nothing", "does not exist"),
+        (tmp_path, "no picture"),
+        (Path(__file__), "is a file"),
+    ):
         with pytest.raises(FileFormatError, match=words):
             read_sequence(wrong)
     shutil.copytree(data_dir / "slam" / "euroc_static" / "mav0" / "cam0", tmp_path / "cam0")

@@ -22,7 +22,16 @@ from wrong_arguments import describe, made, wrong_values
 
 OF_EACH_ARGUMENT = 5
 RESULTS = {
-    *("BundleCovariance", "BundleIteration", "BundleResult", "PoseGraphResult", "Estimate", "FocalMotion"),
+    *(
+        "ImuFactors",
+        "PathFactors",
+        "BundleCovariance",
+        "BundleIteration",
+        "BundleResult",
+        "PoseGraphResult",
+        "Estimate",
+        "FocalMotion",
+    ),
     *(
         "FocalPose",
         "PairGeometry",

@@ -1,5 +1,8 @@
 """From options and files to one scale: every kind of anchor, alone and together, on adjusted rings."""
 
+import json
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from anchored_rings import ring
 
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.geometry import Rigid3
 from epipole.mapping import anchor_model, place_covariance, views_of_model
 from epipole.mapping.anchor_views import places_at
 from epipole.synthetic import SyntheticScene, render
@@ -88,6 +92,27 @@ def test_places_by_time_and_odometry(known, tmp_path):
     assert abs(off) < 2 * found.scale.relative_sigma and "of odometry" in found.scale.in_words()
 
 
+@pytest.mark.parametrize("kind", ["T_cam_imu", "T_BS"])
+def test_odometry_of_a_point_beside_the_camera(known, tmp_path, kind):
+    """Half a metre behind a camera that looks inward: the wheels went further round."""
+    mounting = Rigid3(np.eye(3), np.array([0.0, 0.1, -0.5]))  # camera_from_body
+    places = known.truth.cams_from_world().inverse()
+    centers = places.translation + places.rotation @ mounting.translation
+    text = "".join(f"{0.5 * n} {x} {y} {z} 0 0 0 1\n" for n, (x, y, z) in enumerate(centers))
+    matrix = (mounting if kind == "T_cam_imu" else mounting.inverse()).as_matrix()
+    content = {
+        kind: matrix.tolist()
+        if kind == "T_cam_imu"
+        else {"rows": 4, "cols": 4, "data": matrix.ravel().tolist()}
+    }
+    (tmp_path / "sensor.yaml").write_text(json.dumps(content))
+    wheels = {"odometry": write(tmp_path, text), "odometry_sigma": 0.003}
+    found, off = anchored(known, AnchorOptions(**wheels, odometry_mounting=tmp_path / "sensor.yaml"))
+    assert abs(off) < 2 * found.scale.relative_sigma < 0.02
+    _, without = anchored(known, AnchorOptions(**wheels))
+    assert abs(without) > 0.05
+
+
 @pytest.mark.parametrize("kind", ["tags", "board", "nothing"])
 def test_objects_in_rendered_pictures(known, kind):
     lens = known.truth.cameras[0].scaled_to(480, 360)
@@ -145,6 +170,7 @@ def test_places_between_instants():
         ({"tag_size_m": -1.0}, "tag_size_m"),
         ({"tag_family": "35h9"}, "unknown dictionary"),
         ({"size_sigma": 2.0}, "share"),
+        ({"odometry_mounting": Path("sensor.yaml")}, "give odometry, too"),
     ],
 )
 def test_options_that_make_no_sense(options, words):

@@ -60,3 +60,79 @@ def test_too_little_is_refused(rng):
         fit_scale_to_distances(TIMES, places, TIMES, wheels, None, 1.5)
     with pytest.raises(ShapeError, match="either"):
         fit_scale_to_distances(TIMES, places, TIMES, wheels, places, 0.01)
+
+
+AHEAD = 0.5
+
+
+def drive(rng, num=600, *, spin=False):
+    """A robot that turns to and fro, or also on the spot, with its camera half a metre ahead of the middle of its wheels.
+
+    Returns:
+        Times, places of the wheels' middle, levers from the camera to it, and the way of the wheels.
+    """
+    times, step = 0.1 * np.arange(num), 0.05
+    turn = 1.4 * np.sin(2.1 * step * np.arange(num)) + 0.4 * np.cumsum(0.1 * rng.standard_normal(num))
+    steps = np.full(num - 1, step)
+    if spin:
+        resting = np.arange(num - 1) % 60 < 12
+        steps[resting], turn = 0.0, turn + 0.15 * np.cumsum([0, *resting])
+    ahead = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    wheels = np.concatenate(
+        [np.zeros((1, 3)), np.cumsum(steps[:, None] * (ahead[1:] + ahead[:-1]) / 2, axis=0)]
+    )
+    return times, wheels, -AHEAD * ahead, way
+
+
+@pytest.mark.parametrize("kind", ["distances", "places"])
+def test_a_camera_ahead_of_the_wheels(rng, kind):
+    """Without the mounting the scale is wrong by per cent; with it the truth lies within what is stated."""
+    away, without = [], []
+    for _ in range(60):
+        times, wheels, levers, way = drive(rng)
+        places = (wheels - levers + 0.002 * rng.standard_normal(wheels.shape)) / 2.0
+        unit = 1 + 0.01 * rng.normal()
+        steps = np.diff(way) * unit * (1 + 0.02 * rng.standard_normal(len(times) - 1))
+        travelled = np.concatenate([[0.0], np.cumsum(steps)]) if kind == "distances" else None
+        there = wheels * unit if kind == "places" else None
+        known = (times, places, times, travelled, there, 0.01)
+        found = fit_scale_to_distances(*known, levers)
+        away.append((found.scale / 2.0 - 1.0) / found.share)
+        without.append(fit_scale_to_distances(*known).scale / 2.0 - 1.0)
+    assert 0.6 < np.std(away) < 1.3 and (np.abs(away) < 2).mean() >= 0.9
+    assert np.mean(without) < -0.03 if kind == "distances" else np.abs(without).mean() > 0.02
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.3])
+def test_turns_on_the_spot(rng, factor):
+    """The camera goes round the wheels while they stand still; distances are exact, and so is the scale."""
+    times, wheels, levers, way = drive(rng, spin=True)
+    places = factor * (wheels - levers)
+    found = fit_scale_to_distances(times, places, times, way, None, 0.01, levers)
+    assert found.scale * factor == pytest.approx(1.0, rel=0.005)
+    assert abs(fit_scale_to_distances(times, places, times, way, None, 0.01).scale * factor - 1.0) > 0.1
+
+
+def test_slip_with_a_mounting(rng):
+    times, wheels, levers, way = drive(rng)
+    steps = np.diff(way)
+    steps[100:180] *= 1.6
+    slipped = np.concatenate([[0.0], np.cumsum(steps)])
+    found = fit_scale_to_distances(times, (wheels - levers) / 3, times, slipped, None, 0.0, levers)
+    assert found.scale == pytest.approx(3.0, rel=0.01)
+
+
+def test_a_mounting_that_tells_no_scale(rng):
+    angle = 0.05 * np.arange(200)
+    around = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    times, way = 0.1 * np.arange(200), 0.3 * angle
+    with pytest.raises(DegenerateGeometryError, match=r"two scales fit, 4 and (1|0\.999)"):
+        # The wheels go round a circle of 0.3 m, the camera half a metre inward of them, on its other side.
+        fit_scale_to_distances(times, -0.2 * around, times, way, None, 0.01, 0.5 * around)
+    with pytest.raises(DegenerateGeometryError, match="stood still"):
+        fit_scale_to_distances(times, 0 * around, times, way, None, 0.01, 0.3 * around)
+    with pytest.raises(DegenerateGeometryError, match="at no scale"):
+        fit_scale_to_distances(times, np.roll(around, 1, axis=1), times, 0.01 * way, None, 0.01, 2.0 * around)
+    with pytest.raises(ShapeError, match="finite"):
+        fit_scale_to_distances(times, around, times, way, None, 0.01, np.nan * around)

@@ -116,6 +116,41 @@ def test_places_that_tell_nothing_leave_the_path_up_to_scale(pictures, tmp_path)
     assert any("stays up to scale" in w for w in result.warnings)
 
 
+@pytest.mark.parametrize("kind", ["distances", "places"])
+def test_wheels_half_a_metre_behind_the_camera(pictures, tmp_path, kind):
+    """The camera looks inward on its arc: the wheels go a tenth further, which the mounting tells."""
+    true = ride().truth()
+    wheels = true.translation + true.rotation @ np.array([0.0, 0.0, -0.5])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(wheels, axis=0), axis=1))])
+    rows = [f"{n / 30:.6f} {at}\n" for n, at in enumerate(way)]
+    if kind == "places":
+        rows = [f"{n / 30:.6f} {x} {y} {z} 0 0 0 1\n" for n, (x, y, z) in enumerate(wheels)]
+    (tmp_path / "wheels.txt").write_text("".join(rows))
+    (tmp_path / "mounting.yaml").write_text(
+        "T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.5], [0, 0, 0, 1]]\n"
+    )
+    found = []
+    for mounting in (None, tmp_path / "mounting.yaml"):
+        out = tmp_path / f"out_{mounting is None}"
+        options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": mounting}
+        result = run_slam(pictures, out, camera=LENS, **options)
+        rows = np.rint(30 * result.trajectory.timestamp_s).astype(int)
+        error = absolute_error(result.trajectory.world_from_body, true[rows], "similarity")
+        off = abs(np.log(float(error.truth_from_estimate.scale)))
+        assert result.summary["is_metric"] and "of odometry" in result.summary["scale"]
+        found.append((off, 2 * result.summary["anchor"]["relative_sigma"]))
+    assert found[0][0] > 0.08 and found[1][0] < found[1][1] < 0.04
+
+
+def test_a_mounting_that_cannot_be_read_is_told_before_any_frame(pictures, tmp_path):
+    (tmp_path / "wheels.txt").write_text("0 0\n1 1\n")
+    (tmp_path / "mounting.yaml").write_text("T_cam_imu: [1, 2]\n")
+    options = {"odometry": tmp_path / "wheels.txt", "odometry_mounting": tmp_path / "mounting.yaml"}
+    with pytest.raises(FileFormatError, match=r"mounting\.yaml.*4 x 4"):
+        run_slam(pictures, tmp_path / "out", camera=LENS, **options)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("name", ["positions", "lengths", "odometry"])
 def test_files_that_cannot_be_read_are_told_before_any_frame(pictures, tmp_path, name):
     (tmp_path / "damaged.txt").write_text("not a number\n")

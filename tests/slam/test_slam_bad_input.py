@@ -178,6 +178,7 @@ def test_a_camera_that_stumbles(odd, tmp_path, monkeypatch):
             yield QueuedFrame(n, frame.timestamp_s, f"{n}.png", partial(read, n, frame))
 
     source = FrameSource(MONO, COUNT, frames, Rigid3.identity(), is_live=True)
+    monkeypatch.setattr(run, "find_camera", lambda *_: None)
     monkeypatch.setattr(run, "_open", lambda *_: source)
     (tmp_path / "camera").mkdir()
     result = run_slam(tmp_path / "camera", tmp_path / "out")

@@ -57,6 +57,7 @@ def source(monkeypatch, tmp_path):
     """Sets what is read, and whether the state is written with every frame."""
 
     def put(kind, pause_s=0.0, **more):
+        monkeypatch.setattr(run, "find_camera", lambda *_: None)
         monkeypatch.setattr(run, "_open", lambda *_: source_of(kind, **more))
         monkeypatch.setattr(checkpoint, "PAUSE_S", pause_s)
         monkeypatch.setattr(checkpoint, "SHARE", 1e9)

@@ -185,3 +185,25 @@ def test_frames_that_do_not_fit_are_refused():
         with pytest.raises(ConfigError):
             SlamConfig(**wrong)
     assert slam.track(frames[1]).state is TrackingState.TRACKING  # what was refused has changed nothing
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_depth_of_another_kind_is_told():
+    frame = ride().frames("rgbd")[0]
+    with pytest.raises(ShapeError, match=r"float32 in metres, got uint16"):
+        Frame(0.0, frame.grey, None, (1000 * frame.depth).astype(np.uint16))
+    with pytest.raises(ConfigError, match="nothing that tells it"):
+        Slam(MONO).track(frame)
+    far = np.where(frame.depth > 0, frame.depth, np.inf).astype(np.float32)
+    assert (far == np.inf).any()
+    slam, _ = followed(
+        [
+            Frame(f.timestamp_s, f.grey, None, np.where(f.depth > 0, f.depth, np.inf))
+            for f in ride().frames("rgbd")[:4]
+        ],
+        RGBD,
+    )
+    plain, _ = followed(ride().frames("rgbd")[:4], RGBD)
+    np.testing.assert_array_equal(
+        slam.trajectory().world_from_body.translation, plain.trajectory().world_from_body.translation
+    )

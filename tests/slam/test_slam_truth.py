@@ -59,6 +59,33 @@ def test_rows_without_times_get_those_of_the_frames(kitti_truth):
             truth_at_frames(found, records_of([0.0, 0.1], names))
 
 
+def test_a_first_column_of_picture_numbers_is_no_time(tmp_path):
+    places = Rigid3.exp(np.arange(60.0).reshape(10, 6) * 0.01)
+    numbers = np.arange(100.0, 200.0, 10.0)
+    write_trajectory(Trajectory(numbers, places), tmp_path / "poses.txt")
+    found = true_path_at(tmp_path / "poses.txt")
+    times = [n / 30.0 for n in range(10)]
+    known = truth_at_frames(
+        found, records_of(times, [f"frame-{100 + 10 * n:06d}.color.jpg" for n in range(10)])
+    )
+    assert known.timestamp_s.tolist() == times
+    np.testing.assert_allclose(known.world_from_body.translation, places.translation, atol=1e-8)
+    # Names without these numbers, or times that are seconds: they are times.
+    assert truth_at_frames(found, records_of(times)) is found.trajectory
+    names = [f"{number:.0f}.png" for number in numbers]
+    for late_s in (0.0, 0.005, -0.005):
+        assert truth_at_frames(found, records_of((numbers + late_s).tolist(), names)) is found.trajectory
+
+
+def test_a_truth_that_meets_few_of_the_frames_gives_no_error(tmp_path):
+    places = Rigid3.exp(np.arange(240.0).reshape(40, 6) * 0.01)
+    known = Trajectory(np.arange(40) * 1.0 + 0.2, places)
+    path = Trajectory(np.concatenate([np.arange(36) * 1.0, np.arange(36, 40) + 0.2]), places)
+    write_trajectory(known, tmp_path / "truth.txt")
+    out, said = truth_summary(true_path_at(tmp_path / "truth.txt"), known, (path, path), 40)
+    assert out["final"] is None and any("4 of 40 places have a true one" in words for words in said)
+
+
 def test_errors_bring_the_truth_into_the_path_and_the_scale_is_asked_for(rng):
     truth = Trajectory(np.arange(9.0), Rigid3.exp(rng.normal(size=(9, 6))))
     world = Similarity3(np.asarray(0.4), Rigid3.exp(rng.normal(size=6)).rotation, rng.normal(size=3))

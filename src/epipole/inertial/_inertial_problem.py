@@ -28,7 +28,7 @@ class States(NamedTuple):
     gravity: np.ndarray  # (3,), its length stays
 
 
-class _Terms(NamedTuple):
+class Terms(NamedTuple):
     """Whitened residuals (m, r), and blocks (m, r, c) with the first column of each."""
 
     residual: np.ndarray
@@ -101,7 +101,7 @@ class InertialProblem:
             out.append(squares / max(len(own) - float(used), 1e-3 * len(own)))
         return out[0], out[1], out[2], out[3]
 
-    def _jacobian(self, terms: _Terms) -> scipy.sparse.coo_matrix:
+    def _jacobian(self, terms: Terms) -> scipy.sparse.coo_matrix:
         m, r = terms.residual.shape
         rows, columns, values = [], [], []
         for first, block in terms.blocks:
@@ -113,16 +113,15 @@ class InertialProblem:
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
         return scipy.sparse.coo_matrix(entries, shape=(m * r, self.scale_column + 3))
 
-    def _terms(self, states: States) -> list[_Terms]:
-        return [
-            self._of_imu(states),
-            self._of_walk(states),
-            self._of_places(states),
-            self._of_turns(states),
-            self._of_first_bias(states),
-        ]
+    def _terms(self, states: States) -> list[Terms]:
+        imu, walk, first = self.imu_terms(states)
+        return [imu, walk, self._of_places(states), self._of_turns(states), first]
 
-    def _of_imu(self, states: States) -> _Terms:
+    def imu_terms(self, states: States) -> list[Terms]:
+        """Those of the unit alone: measurements, walk of the biases, and what is known of the first."""
+        return [self._of_imu(states), self._of_walk(states), self._of_first_bias(states)]
+
+    def _of_imu(self, states: States) -> Terms:
         """Equations 45 of Forster et al. 2017, and their derivatives (A.21 to A.33)."""
         data, dt = self.measured, self.measured.seconds[:, None]
         first = LANES * np.arange(len(dt))
@@ -140,14 +139,16 @@ class InertialProblem:
         root = np.linalg.inv(np.linalg.cholesky(data.covariance))
         m = len(dt)
         here, next_one = np.zeros((m, 9, LANES)), np.zeros((m, 9, 9))
-        right = inverse_right_jacobian(off)
+        right = _of_turn(off)
         here[:, :3, :3] = -right @ np.swapaxes(there, 1, 2)
         here[:, 3:6, :3], here[:, 6:, :3] = skew(by_speed), skew(by_place)
         here[:, 3:6, 3:6], here[:, 6:, 3:6] = -back, -back * dt[..., None]
         here[:, 6:, 6:9] = -back
         here[:, 3:, 9:] = -data.by_bias[:, 3:]
-        # The correction of the turn comes first: -J_r^-1(r) exp(r)^T J dphi/db, to first order in the bias' change.
-        here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ data.by_bias[:, :3]
+        # The correction of the turn, exp(c), comes first: -J_r^-1(r) exp(r)^T J_r(c) dc/db.
+        corrected = (data.by_bias[:, :3] @ change[..., None])[..., 0]
+        by_bias = np.linalg.solve(_of_turn(corrected), data.by_bias[:, :3])
+        here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ by_bias
         next_one[:, :3, :3] = right
         next_one[:, 3:6, 3:6] = next_one[:, 6:, 6:9] = back
         by_gravity = np.zeros((m, 9, 2))
@@ -157,16 +158,16 @@ class InertialProblem:
             -0.5 * back @ tilt * dt[..., None] ** 2,
         )
         blocks = [(first, here), (first + LANES, next_one), (np.array(self.scale_column + 1), by_gravity)]
-        return _Terms((root @ residual[..., None])[..., 0], [(at, root @ block) for at, block in blocks])
+        return Terms((root @ residual[..., None])[..., 0], [(at, root @ block) for at, block in blocks])
 
-    def _of_walk(self, states: States) -> _Terms:
+    def _of_walk(self, states: States) -> Terms:
         dt = np.sqrt(self.measured.seconds)[:, None]
         sigma = np.repeat([self.noise.gyro_walk, self.noise.accel_walk], 3) * dt
         first = LANES * np.arange(len(dt)) + 9
         weight = np.eye(6) / sigma[:, :, None]
-        return _Terms(np.diff(states.bias, axis=0) / sigma, [(first, -weight), (first + LANES, weight)])
+        return Terms(np.diff(states.bias, axis=0) / sigma, [(first, -weight), (first + LANES, weight)])
 
-    def _of_places(self, states: States) -> _Terms:
+    def _of_places(self, states: States) -> Terms:
         """Where the camera was by the unit's state, in the path's unit, less where the path says."""
         shrunk, sigma = np.exp(-states.log_scale), self.path_sigma[0]
         mount = self.camera_from_imu.inverse().translation
@@ -177,17 +178,23 @@ class InertialProblem:
         by_state[:, :, :3] = -shrunk / sigma * states.rotation @ skew(mount)
         by_state[:, :, 6:] = np.eye(3) * shrunk / sigma
         by_scale = (-shrunk / sigma * metric)[..., None]
-        return _Terms(off, [(LANES * np.arange(n), by_state), (np.array(self.scale_column), by_scale)])
+        return Terms(off, [(LANES * np.arange(n), by_state), (np.array(self.scale_column), by_scale)])
 
-    def _of_turns(self, states: States) -> _Terms:
+    def _of_turns(self, states: States) -> Terms:
         seen = self.world_from_camera.rotation @ self.camera_from_imu.rotation
         off = Rotation3(np.swapaxes(seen, 1, 2) @ states.rotation).log()
-        by_turn = inverse_right_jacobian(off) / self.path_sigma[1]
-        return _Terms(off / self.path_sigma[1], [(LANES * np.arange(len(off)), by_turn)])
+        by_turn = _of_turn(off) / self.path_sigma[1]
+        return Terms(off / self.path_sigma[1], [(LANES * np.arange(len(off)), by_turn)])
 
-    def _of_first_bias(self, states: States) -> _Terms:
+    def _of_first_bias(self, states: States) -> Terms:
         sigma = np.repeat([self.noise.gyro_bias_sigma, self.noise.accel_bias_sigma], 3)
-        return _Terms(states.bias[:1] / sigma, [(np.array(9), np.diag(1.0 / sigma)[None])])
+        return Terms(states.bias[:1] / sigma, [(np.array(9), np.diag(1.0 / sigma)[None])])
+
+
+def _of_turn(turn: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) inverse right Jacobian of SO(3): that of a motion without translation."""
+    motion = np.concatenate([np.zeros_like(turn), turn], axis=1)
+    return inverse_right_jacobian(motion)[:, 3:, 3:]
 
 
 def _across(gravity: np.ndarray) -> np.ndarray:

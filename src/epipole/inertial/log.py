@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
 
 from epipole._declared import Declared, check_fields
 from epipole.errors import ConfigError, ShapeError
+from epipole.geometry import Rigid3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,3 +75,16 @@ class ImuNoise:
         for name in self.__slots__:
             if not 0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MountedImu(Declared):
+    """What a unit beside a camera measured."""
+
+    log: ImuLog
+    camera_from_imu: Rigid3
+    """In metres."""
+    noise: ImuNoise = field(default_factory=ImuNoise)
+
+    def __repr__(self) -> str:
+        return f"MountedImu({self.log!r})"

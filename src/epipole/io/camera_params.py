@@ -8,7 +8,7 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
-from epipole.io.colmap import params_from_colmap
+from epipole.io.colmap import params_from_colmap, params_to_colmap
 
 MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
 """Known focal lengths in units of the longer side: beyond, a number was mistyped."""
@@ -54,6 +54,11 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")
     return camera
+
+
+def text_of_camera(camera: Camera) -> str:
+    """A camera's parameters as `camera_of_text` reads them, to seven digits."""
+    return ",".join(f"{value:.7g}" for value in params_to_colmap(camera.model, camera.params))
 
 
 def refuse_impossible(camera: Camera, where: str) -> None:

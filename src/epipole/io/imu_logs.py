@@ -51,6 +51,8 @@ def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
 def read_camera_from_imu(path: str | Path) -> Rigid3:
     """How the unit is mounted: Kalibr's `T_cam_imu` (of its first camera), or the camera's `sensor.yaml` of EuRoC (T_BS).
 
+    The unit may be any point of the body: odometry that tells of the middle of the wheels is mounted in the same way.
+
     Raises:
         FileFormatError: the file holds neither.
     """

@@ -113,7 +113,12 @@ def read_sequence(folder: str | Path, fps: float | None = None) -> ImageSequence
 
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
-        raise FileFormatError(folder, "is no folder of frames")
+        what = (
+            "is a file, and neither a video nor a recording that is known here"
+            if folder.exists()
+            else "does not exist"
+        )
+        raise FileFormatError(folder, what)
     for at in (folder / "mav0", folder):
         if (at / "cam0" / "data.csv").is_file():
             return _euroc(at)

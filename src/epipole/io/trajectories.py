@@ -19,6 +19,10 @@ from epipole.scene import Trajectory
 TrajectoryFormat = Literal["tum", "kitti", "euroc"]
 _ROTATION_TOLERANCE = 1e-2
 _UPPER = np.triu_indices(6)
+_COVARIANCE_WORDS = (
+    ", and the upper triangle, row by row, of the covariance of xi = (translation in metres or the path's unit, rotation in radians) "
+    "in body_from_world = exp(xi) @ what is stated"
+)
 _TUM, _TUM_WITH_COVARIANCE, _KITTI, _EUROC = 8, 29, 12, 8
 _NS = 1e-9
 
@@ -154,7 +158,7 @@ def write_trajectory(
                 numbers = ",".join(f"{value:.9g}" for value in (*p, *q))
                 file.write(f"{round(t / _NS)},{numbers}\n")
             return
-        file.write("# timestamp tx ty tz qx qy qz qw" + (" and covariance" if with_covariance else "") + "\n")
+        file.write("# timestamp tx ty tz qx qy qz qw" + (_COVARIANCE_WORDS if with_covariance else "") + "\n")
         for n, (t, p, q) in enumerate(zip(trajectory.timestamp_s, places.translation, wxyz)):
             values = [*p, *q[[1, 2, 3, 0]]]
             if with_covariance and trajectory.covariance is not None:

@@ -31,4 +31,5 @@ from epipole.mapping.scale_agreement import MetricScale as MetricScale
 from epipole.mapping.scale_agreement import ScaleEstimate as ScaleEstimate
 from epipole.mapping.scale_agreement import agreed_scale as agreed_scale
 from epipole.mapping.scale_evidence import check_anchor_files as check_anchor_files
+from epipole.mapping.scale_evidence import mounted_imu as mounted_imu
 from epipole.mapping.travelled_scale import fit_scale_to_distances as fit_scale_to_distances

@@ -15,6 +15,7 @@ from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.features.boards import corners_on_board, find_board
 from epipole.features.tags import find_tags
 from epipole.geometry import Rigid3
+from epipole.inertial import MountedImu
 from epipole.io.anchor_files import KnownLength, read_lengths, read_odometry, read_places
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.mapping.anchor_views import AnchorViews, joined_words
@@ -69,6 +70,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         "positions": read_places,
         "lengths": read_lengths,
         "odometry": read_odometry,
+        "odometry_mounting": read_camera_from_imu,
         "imu": read_imu,
         "imu_mounting": read_camera_from_imu,
     }
@@ -106,11 +108,23 @@ def scale_evidence(
         found.try_one(f"the board of {options.board}", lambda: _of_board(views, board, options))
     if options.odometry is not None:
         found.try_one("odometry", lambda: _of_odometry(everywhere, options))
-    if options.imu is not None and options.imu_mounting is not None:
-        log, noise = read_imu(options.imu)
-        mounting = read_camera_from_imu(options.imu_mounting)
-        found.try_one("IMU", lambda: fit_scale_to_imu(*_timed(everywhere), log, mounting, noise))
+    imu = mounted_imu(options)
+    if imu is not None:
+        found.try_one("IMU", partial(_of_imu, everywhere, imu))
     return ScaleEvidence(tuple(found.estimates), tuple(found.refusals))
+
+
+@checked
+def mounted_imu(options: AnchorOptions) -> MountedImu | None:
+    """The inertial unit of the options; None without one.
+
+    Raises:
+        FileFormatError: a file that was named cannot be read.
+    """
+    if options.imu is None or options.imu_mounting is None:
+        return None
+    log, noise = read_imu(options.imu)
+    return MountedImu(log, read_camera_from_imu(options.imu_mounting), noise)
 
 
 def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -> ScaleEstimate:
@@ -228,7 +242,15 @@ def _of_odometry(views: AnchorViews, options: AnchorOptions) -> ScaleEstimate:
     log = read_odometry(options.odometry)
     times, path = _timed(views)
     known = (log.timestamp_s, log.travelled_m, log.positions, options.odometry_sigma)
-    return fit_scale_to_distances(times, path.translation, *known)
+    levers = None
+    if options.odometry_mounting is not None:
+        levers = path.rotation @ read_camera_from_imu(options.odometry_mounting).translation
+    return fit_scale_to_distances(times, path.translation, *known, levers)
+
+
+def _of_imu(views: AnchorViews, imu: MountedImu) -> ScaleEstimate:
+    times, path = _timed(views)
+    return fit_scale_to_imu(times, path, imu.log, imu.camera_from_imu, imu.noise)
 
 
 def _timed(views: AnchorViews) -> tuple[np.ndarray, Rigid3]:

@@ -8,8 +8,10 @@ from epipole.optim.bundle_adjustment import adjust_bundle as adjust_bundle
 from epipole.optim.bundle_adjustment import with_result as with_result
 from epipole.optim.bundle_covariance import BundleCovariance as BundleCovariance
 from epipole.optim.bundle_covariance import bundle_covariance as bundle_covariance
+from epipole.optim.bundle_covariance import bundle_variance as bundle_variance
 from epipole.optim.bundle_problem import BundlePriors as BundlePriors
 from epipole.optim.bundle_problem import BundleProblem as BundleProblem
+from epipole.optim.bundle_problem import PathFactors as PathFactors
 from epipole.optim.bundle_problem import PointDistances as PointDistances
 from epipole.optim.bundle_problem import free_params_mask as free_params_mask
 from epipole.optim.bundle_problem import with_fixed_gauge as with_fixed_gauge

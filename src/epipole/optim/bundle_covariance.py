@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -15,9 +15,9 @@ from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.optim import _bundle_arrays as arrays
 from epipole.optim import _bundle_reduced_kernels as reduced_kernels
 from epipole.optim.bundle_adjustment import BundleConfig, BundleResult, with_result
-from epipole.optim.bundle_layout import BundleLayout, initial_state
+from epipole.optim.bundle_layout import BundleLayout, BundleState, initial_state
 from epipole.optim.bundle_problem import NUM_PARAMS, BundleProblem
-from epipole.optim.bundle_system import BundleSystem, LinearSolver
+from epipole.optim.bundle_system import BundleSystem, Linearization, LinearSolver
 from epipole.optim.cluster_robust import error_growth
 
 _NO_DAMPING = 1e-12
@@ -82,16 +82,11 @@ def bundle_covariance(
     used = as_array(result.used_mask, "result.used_mask", np.dtype(bool))
     if used.shape != (len(problem.pixels),):
         raise ShapeError("the result is not one of this problem")
-    system = BundleSystem(
-        found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
-    )
-    layout = system.layout
-    layout.observations.used[:] = used  # what was adjusted, not what is visible now
-    if noise_px is None:
-        noise_px = _residual_noise(layout, result)
     with _parallel.single_threaded_blas():
-        state = initial_state(found)
-        equations = system.linearize(state, _NO_DAMPING)
+        system, state, equations = _at_minimum(found, used, config)
+        layout = system.layout
+        if noise_px is None:
+            noise_px = _residual_noise(layout, result)
         inverse = system.inverse_blocks(equations)
         nodes, points = _covariances_of_nodes_and_points(system, equations.blocks, inverse)
         variance = noise_px**2
@@ -106,6 +101,53 @@ def bundle_covariance(
         variance * points,
         noise_px,
     )
+
+
+@checked
+def bundle_variance(
+    problem: BundleProblem,
+    result: BundleResult,
+    derivative: Float64[np.ndarray, "f 6"],
+    config: BundleConfig | None = None,
+) -> float:
+    """Variance, for pixels of unit noise, of a quantity that depends on many frames: g^T C g, at a minimum.
+
+    Args:
+        problem: what was adjusted.
+        result: its minimum.
+        derivative: of the quantity by xi of exp(xi) @ rig_from_world.
+        config: the loss that was minimised.
+
+    Raises:
+        DegenerateGeometryError: something is not determined.
+        ShapeError: the arrays do not fit.
+    """
+    if derivative.shape != problem.frame_free.shape:
+        raise ShapeError(f"derivative must be {problem.frame_free.shape}, got {derivative.shape}")
+    with _parallel.single_threaded_blas():
+        found = with_result(problem, result)
+        system, _, equations = _at_minimum(found, result.used_mask, options_of(BundleConfig, config))
+        node, rhs = system.layout.nodes.frame, np.zeros_like(equations.rhs)
+        rhs[node[node >= 0], :6] = derivative[node >= 0]
+        rhs[system.layout.held_mask] = 0.0
+        step, _ = system.solve(replace(equations, rhs=rhs))
+        if step is None:
+            raise DegenerateGeometryError(
+                "the normal equations are not positive definite: something is not determined"
+            )
+    return float((rhs * step).sum())
+
+
+def _at_minimum(
+    found: BundleProblem, used: np.ndarray, config: BundleConfig
+) -> tuple[BundleSystem, BundleState, Linearization]:
+    """The undamped normal equations of what was adjusted, not of what is visible now."""
+    system = BundleSystem(
+        found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
+    )
+    system.layout.observations.used[:] = used
+    state = initial_state(found)
+    return system, state, system.linearize(state, _NO_DAMPING)
 
 
 def _residual_noise(layout: BundleLayout, result: BundleResult) -> float:

@@ -263,6 +263,10 @@ def reduced_pattern(layout: BundleLayout, problem: BundleProblem, *, with_points
         ends = layout.nodes.point[np.stack([distances.first, distances.second])]
         both = np.asarray((ends >= 0).all(axis=0))
         keys.append(ends[:, both].max(axis=0) * n + ends[:, both].min(axis=0))
+    for path in () if problem.priors is None else problem.priors.paths:
+        own = layout.nodes.frame[path.frames]
+        first, second = np.meshgrid(own[own >= 0], own[own >= 0])
+        keys.append((np.maximum(first, second) * n + np.minimum(first, second)).ravel())
     unique = np.unique(np.concatenate(keys))
     return BlockPattern(entries.width, unique // max(n, 1), unique % max(n, 1))
 

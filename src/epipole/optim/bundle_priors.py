@@ -9,7 +9,7 @@ import numpy as np
 from epipole.geometry import Rigid3, skew
 from epipole.geometry.tangents import inverse_left_jacobian
 from epipole.optim.bundle_layout import BundleLayout, BundleState
-from epipole.optim.bundle_problem import BundlePriors
+from epipole.optim.bundle_problem import BundlePriors, PathFactors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,7 @@ class PriorTerms:
     diagonal: np.ndarray
     """(nodes, lanes, lanes)"""
     pairs: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
-    """Blocks (d, 3, 3) of pairs of nodes, rows and columns of the lower triangle."""
+    """Blocks (d, 3, 3) or (d, 6, 6) of pairs of nodes, rows and columns of the lower triangle."""
 
 
 class _Sums:
@@ -54,6 +54,8 @@ def prior_terms(priors: BundlePriors | None, layout: BundleLayout, state: Bundle
         _add_gravity(priors, layout, places, terms)
         _add_params(priors, layout, state.params, terms)
         _add_distances(priors, layout, state.points, terms)
+        for path in priors.paths:
+            _add_path(path, layout, places, terms)
     terms.gradient[layout.held_mask] = 0.0
     terms.diagonal[layout.held_mask] = 0.0
     np.swapaxes(terms.diagonal, 1, 2)[layout.held_mask] = 0.0
@@ -129,3 +131,18 @@ def _add_distances(priors: BundlePriors, layout: BundleLayout, points: np.ndarra
     both = (a >= 0) & (b >= 0)
     block = -np.einsum("dri,drj->dij", jacobian, jacobian)[both]
     terms.pairs.append((np.maximum(a, b)[both], np.minimum(a, b)[both], block))
+
+
+def _add_path(path: PathFactors, layout: BundleLayout, places: Rigid3, terms: _Sums) -> None:
+    """Every pair of its frames that may move."""
+    cost, gradient, matrix = path.linearized(places[path.frames])
+    terms.cost += cost
+    node = layout.nodes.frame[path.frames]
+    mine = np.flatnonzero(node >= 0)
+    node, matrix = node[mine], matrix[mine][:, :, mine]
+    terms.gradient[node, :6] += gradient[mine]
+    terms.diagonal[node, :6, :6] += matrix[np.arange(len(node)), :, np.arange(len(node))]
+    free = ~layout.held_mask[node, :6]
+    first, second = np.nonzero(node[:, None] > node)
+    block = matrix[first, :, second] * (free[first][:, :, None] & free[second][:, None, :])
+    terms.pairs.append((node[first], node[second], block))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64, Int32, Int64
@@ -24,6 +25,22 @@ class PointDistances(Declared):
     distance: Float64[np.ndarray, " d"]
     sigma: Float64[np.ndarray, " d"]
     """Standard deviations, in world units."""
+
+
+@runtime_checkable
+class PathFactors(Protocol):
+    """What ties many frames together, and has unknowns of its own that it sets to their best: an inertial unit's measurements."""
+
+    @property
+    def frames(self) -> Int64[np.ndarray, " n"]:
+        """Rows of the frames."""
+        ...
+
+    def linearized(
+        self, rig_from_world: Rigid3
+    ) -> tuple[float, Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n 6 n 6"]]:
+        """Half the sum of squares at poses of the frames, its gradient and matrix by xi of exp(xi) @ rig_from_world."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -50,6 +67,7 @@ class BundlePriors(Declared):
     params_sigma: Float64[np.ndarray, "c 12"] | None = None
     """Standard deviations of the camera parameters about these; infinite for no expectation."""
     distances: PointDistances | None = None
+    paths: tuple[PathFactors, ...] = ()
 
     @checked
     def check(self, num_frames: int, num_cameras: int, num_points: int) -> None:
@@ -79,6 +97,9 @@ class BundlePriors(Declared):
                 raise ShapeError(f"a distance names a point that is not there (there are {num_points})")
             if (self.distances.first == self.distances.second).any():
                 raise ShapeError("a distance joins a point to itself")
+        for path in self.paths:
+            if len(path.frames) and not (path.frames.min() >= 0 and path.frames.max() < num_frames):
+                raise ShapeError(f"a path names a frame that is not there (there are {num_frames})")
         if not (np.isfinite(self.down_in_world).all() and np.any(self.down_in_world)):
             raise ConfigError(f"down_in_world must be a direction, got {self.down_in_world}")
         for name, sigma in sigmas.items():

@@ -246,7 +246,8 @@ class BundleSystem:
         n = self.layout.num_nodes
         for row, column, block in terms.pairs:
             at = np.searchsorted(self.pattern.row * n + self.pattern.column, row * n + column)
-            np.add.at(blocks, (at[:, None, None], np.arange(3)[:, None], np.arange(3)), block)
+            lanes = np.arange(block.shape[1])
+            np.add.at(blocks, (at[:, None, None], lanes[:, None], lanes), block)
 
     def _move_kept_points(self, blocks: np.ndarray, gradient: np.ndarray) -> None:
         """Points that are not eliminated: their V, W and g_p, left by `linearize`, become blocks of the system."""

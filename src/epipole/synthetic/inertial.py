@@ -6,9 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from epipole._declared import checked
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise
 
@@ -68,15 +70,7 @@ def inertial_path(
     up = rng.normal(size=3)
     gravity = -GRAVITY * up / np.linalg.norm(up)
     turning, force = motion.measured(times, gravity)
-    gain = 1.0 + noise.accel_gain_sigma * rng.normal()
-    gyro_bias = _walk(rng, 0.02, noise.gyro_walk, len(times))
-    accel_bias = _walk(rng, 0.1, noise.accel_walk, len(times))
-    white = rng.normal(size=(2, len(times), 3)) * np.sqrt(RATE_HZ)
-    log = ImuLog(
-        times,
-        turning + gyro_bias + noise.gyro_density * white[0],
-        gain * force + accel_bias + noise.accel_density * white[1],
-    )
+    log, gyro_bias, accel_bias = _noisy(rng, times, turning, force, noise)
     instants = np.arange(0.2, seconds - 0.2, 0.25)
     mounting = Rigid3(Rotation3.exp(rng.normal(size=3)).matrix, 0.05 * rng.normal(size=3))
     cameras = motion.place(instants) @ mounting.inverse()
@@ -87,6 +81,55 @@ def inertial_path(
         *(instants, Rigid3(cameras.rotation @ turns, places), log, mounting, scale, gravity),
         *(motion.velocity(instants), gyro_bias.mean(axis=0), accel_bias.mean(axis=0), noise),
     )
+
+
+@checked
+def imu_along(
+    timestamp_s: Float64[np.ndarray, " n"],
+    world_from_camera: Rigid3,
+    camera_from_imu: Rigid3,
+    seed: int,
+    noise: ImuNoise | None = None,
+    gravity_in_world: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
+) -> ImuLog:
+    """What a unit measures whose camera goes smoothly through places, on splines between them.
+
+    Args:
+        timestamp_s: rising times of the places.
+        world_from_camera: the places, in metres.
+        camera_from_imu: how the unit is mounted.
+        seed: of noise, biases and gain.
+        noise: of the unit; None: the defaults.
+        gravity_in_world: m / s^2.
+
+    Raises:
+        ShapeError: there are fewer than four places, or times do not rise.
+    """
+    if len(timestamp_s) < 4 or world_from_camera.batch_shape() != timestamp_s.shape:
+        raise ShapeError(f"four or more times with as many places are needed, got {len(timestamp_s)}")
+    if not (np.diff(timestamp_s) > 0).all():
+        raise ShapeError("times of places must rise")
+    noise = ImuNoise() if noise is None else noise
+    unit = world_from_camera @ camera_from_imu
+    times = np.arange(timestamp_s[0], timestamp_s[-1], 1.0 / RATE_HZ)
+    turns = RotationSpline(timestamp_s, Rotation.from_matrix(unit.rotation))
+    swing = CubicSpline(timestamp_s, unit.translation)(times, 2)
+    back = np.swapaxes(turns(times).as_matrix(), 1, 2)
+    force = (back @ (swing - np.array(gravity_in_world))[..., None])[..., 0]
+    return _noisy(np.random.default_rng([18, seed]), times, turns(times, 1), force, noise)[0]
+
+
+def _noisy(
+    rng: np.random.Generator, times: np.ndarray, turning: np.ndarray, force: np.ndarray, noise: ImuNoise
+) -> tuple[ImuLog, np.ndarray, np.ndarray]:
+    """With a gain, biases that walk, and white noise; and the biases of gyroscope and accelerometer."""
+    gain = 1.0 + noise.accel_gain_sigma * rng.normal()
+    gyro_bias = _walk(rng, 0.02, noise.gyro_walk, len(times))
+    accel_bias = _walk(rng, 0.1, noise.accel_walk, len(times))
+    white = rng.normal(size=(2, len(times), 3)) * np.sqrt(RATE_HZ)
+    gyro = turning + gyro_bias + noise.gyro_density * white[0]
+    accel = gain * force + accel_bias + noise.accel_density * white[1]
+    return ImuLog(times, gyro, accel), gyro_bias, accel_bias
 
 
 def _walk(rng: np.random.Generator, size: float, density: float, count: int) -> np.ndarray:

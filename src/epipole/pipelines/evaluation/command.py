@@ -73,7 +73,8 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
         table.add_row(kind, *(f"{number:.4g}" for number in numbers), t_rel)
     console.print(table)
     turned = (
-        f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse, aligned),"
+        f"rotation: {result.rigid.rotation_rmse_deg:.3g} degrees (rmse; places are aligned, which"
+        f" tell little of the turn about a straight path or one at rest),"
         f" {result.step_rotation_rmse_deg:.3g} degrees from one instant to the next"
     )
     if result.kitti_deg_per_100m is not None:

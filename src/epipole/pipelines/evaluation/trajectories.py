@@ -16,6 +16,8 @@ from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
 """Of an output folder: the final one, and what was known when each frame came."""
+BEGUN = "checkpoint/trajectory_causal.txt"
+"""Of one that was stopped."""
 
 
 def trajectories_of(out: Path, truth: Path) -> list[Path]:
@@ -30,7 +32,13 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
         return [out]
     found = [out / name for name in TRAJECTORIES if (out / name).is_file()]
     if not found:
-        raise FileFormatError(out, f"is no trajectory, and holds no {TRAJECTORIES[0]}")
+        begun = out / BEGUN
+        stopped = (
+            f"; the run in it was stopped: {BEGUN} is the path so far, and --resume goes on"
+            if begun.is_file()
+            else ""
+        )
+        raise FileFormatError(out, f"is no trajectory, and holds no {TRAJECTORIES[0]}{stopped}")
     return found
 
 

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from epipole.config import AnchorOptions
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.mapping import Anchoring, AnchorViews, after_adjustment, anchor_model, views_of_model
+from epipole.mapping import (
+    Anchoring,
+    AnchorViews,
+    ScaleEstimate,
+    after_adjustment,
+    anchor_model,
+    views_of_model,
+)
 from epipole.pipelines.slam.export import reconstruction_of
+from epipole.pipelines.slam.inertial_ties import scale_by_factors
 from epipole.pipelines.slam.local_mapping import LocalMapper
+from epipole.pipelines.slam.map_files import KnownMap
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 
@@ -36,21 +46,45 @@ def anchor_map(
     model, lens = system.maps[0], system.camera.camera
     keyframes = [k for k in model.keyframes if len(k.point)]
     views = views_of_model(reconstruction_of(model, lens, keyframe_names), lambda row: keyframes[row].grey)
+    # What is known is told by the clock and the names of this run: keyframes of a known map have others.
+    is_old = np.array([k.number < system.first_number for k in keyframes], bool)
+    views = replace(
+        views,
+        names=tuple("" if old else name for old, name in zip(is_old, views.names)),
+        timestamp_s=np.where(is_old, np.nan, views.timestamp_s),
+    )
     path = _views_of_path(system.trajectory(), frame_names, views)
-    anchoring = anchor_model(views, options, path)
+    by_imu = scale_by_imu(system)
+    if by_imu is not None:
+        options = replace(options, imu=None, imu_mounting=None)
+    anchoring = anchor_model(views, options, path, [] if by_imu is None else [by_imu])
     model.move(anchoring.world_from_model)
     places = anchoring.places
     if places is not None:
         before = _centers(system)
-        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config)
+        mapper = LocalMapper(model, system.camera, system.focal_baseline, system.config, system.imu)
         known = np.isfinite(places.positions[:, 0])
         mapper.positions = {
             k.number: p for k, p, is_known in zip(keyframes, places.positions, known) if is_known
         }
         mapper.position_sigma = places.sigma
+        mapper.learn_inertial()
         mapper.adjust_all()
         model.move(after_adjustment(anchoring, before, _centers(system)))
     return anchoring
+
+
+def scale_by_imu(system: Slam) -> ScaleEstimate | None:
+    """By an adjustment with the inertial unit's factors; None where they have none: the path's alignment says why."""
+    if system.imu is None:
+        return None
+    mapper = LocalMapper(system.maps[0], system.camera, system.focal_baseline, system.config, system.imu)
+    mapper.learn_inertial()
+    adjusted = mapper.adjust_all()
+    try:
+        return None if adjusted is None else scale_by_factors(*adjusted, system.imu)
+    except DegenerateGeometryError:
+        return None
 
 
 def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
@@ -63,6 +97,28 @@ def check_one_camera(options: AnchorOptions, *, tells_depth: bool) -> None:
         raise ConfigError(
             "positions, lengths, tags, boards and odometry tell the scale of one camera; this one has its metres from its "
             "own depth"
+        )
+
+
+def check_known_map(options: AnchorOptions, known: KnownMap | None, *, is_map_fixed: bool) -> None:
+    """Check that the unit of a map that is gone on in may be changed, where something is given that would.
+
+    Raises:
+        ConfigError: the map is in metres already, or is to stay as it is.
+    """
+    if known is None or options.is_empty:
+        return
+    given = " and ".join(options.given)
+    if known.is_metric:
+        whence = f" ({known.scale})" if known.scale else ""
+        raise ConfigError(
+            f"the map is in metres already{whence}: {given} would change its unit. Leave that out, or begin a new map "
+            "(without map)"
+        )
+    if is_map_fixed:
+        raise ConfigError(
+            f"localize leaves the map as it is, and it is up to scale: {given} would change its unit. Go on in it once "
+            "without localize: the map that this writes is in metres"
         )
 
 

@@ -106,4 +106,5 @@ def known_to(system: Slam) -> dict[str, object]:
     return {
         **{"config": system.config, "sensor": system.camera, "lens": system.camera.camera},
         "ledger": system.loops,
+        **({} if system.imu is None else {"imu": system.imu}),
     }

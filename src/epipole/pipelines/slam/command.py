@@ -75,7 +75,8 @@ def show_slam(result: SlamResult) -> None:
     if closed:
         table.add_row("places seen again", f"{closed} loops closed" if closed > 1 else "a loop closed")
     for number, part in enumerate(summary["submaps"], 1):
-        words = f"{part['num_frames']} frames, tied to the first by no place: trajectory_submap_{number}.txt"
+        unit = ", in a unit of its own" if summary["is_metric"] and not part["is_metric"] else ""
+        words = f"{part['num_frames']} frames, tied to the first by no place{unit}: trajectory_submap_{number}.txt"
         table.add_row("map of its own", words)
     length = result.trajectory.path_length()
     unit = "m" if summary["is_metric"] else "units of the map, not metres"

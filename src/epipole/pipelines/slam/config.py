@@ -180,7 +180,7 @@ class JobOptions:
     resume: bool = False
     """Go on with the run that was stopped in the output folder, wherever it was killed; refused where that was another."""
     view: bool = False
-    """Show path, map and picture in the browser while it runs."""
+    """Show path, map and picture in the browser while it runs, and after it until Ctrl-C."""
     port: int | None = None
     """Of the live view; None: 8080, or the next free one."""
     host: str = "127.0.0.1"

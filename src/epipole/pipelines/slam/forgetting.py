@@ -36,7 +36,10 @@ def forget(model: SlamMap, path: Path, tracker: MapTracker) -> None:
 
 
 def forget_redundant(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
-    """Take the most redundant of the keyframes around the newest out of the map, if they are too many.
+    """Take the latest of the redundant keyframes around the newest out of the map, if they are too many.
+
+    Those of the first visit stay, and hold the later ones: were they taken, the map would be made anew with every visit, from what
+    the last one left, and would wander (the rendered room, 50 times round: 37 mm).
 
     Returns:
         the keyframe that was taken out, and the one that shares most points with it; None where none was.
@@ -49,13 +52,14 @@ def forget_redundant(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
         return None
     seen = model.counts(list(range(count)))
     redundant = np.array([_redundancy(model, int(k), seen) for k in near])
-    worst = int(near[int(np.argmax(redundant))])
-    if redundant.max() < LEAST_REDUNDANT:
+    spare = near[redundant >= LEAST_REDUNDANT]
+    if not len(spare):
         return None
-    others = model.num_shared([worst])
-    others[worst] = -1
-    gone, heir = model.keyframes[worst], model.keyframes[int(np.argmax(others))]
-    model.remove_keyframe(worst)
+    latest = int(spare[-1])
+    others = model.num_shared([latest])
+    others[latest] = -1
+    gone, heir = model.keyframes[latest], model.keyframes[int(np.argmax(others))]
+    model.remove_keyframe(latest)
     return gone, heir
 
 

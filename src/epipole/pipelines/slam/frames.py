@@ -86,6 +86,10 @@ class SlamCamera:
         if self.baseline is not None and frame.right_grey is None:
             raise ConfigError("a frame of a stereo camera needs its right picture")
         if self.depth is None:
+            if frame.depth is not None:
+                raise ConfigError(
+                    "the frame has depth, and the camera nothing that tells it: SlamCamera(lens, depth=...)"
+                )
             return
         if frame.depth is None:
             raise ConfigError("a frame of a depth camera needs its depth")
@@ -107,7 +111,7 @@ class Frame:
     right_grey: UInt8[np.ndarray, "h w"] | None = None
     """Of a rectified pair."""
     depth: Float32[np.ndarray, "h2 w2"] | None = None
-    """Metres along the optical axis, at the depth camera's pixels; zero or NaN where not known."""
+    """Metres along the optical axis, at the depth camera's pixels; zero, NaN or infinite where not known."""
     ignored_mask: Bool[np.ndarray, "h w"] | None = None
     """True where the (left) picture is not to be used: people, the vehicle itself."""
 
@@ -122,6 +126,11 @@ class Frame:
             ShapeError: they are not of one size or kind.
             ConfigError: the time is no number.
         """
+        if self.depth is not None and np.asarray(self.depth).dtype.kind in "iu":
+            raise ShapeError(
+                f"depth must be float32 in metres, got {np.asarray(self.depth).dtype}: sensors that count millimetres need"
+                " depth.astype(np.float32) / 1000"
+            )
         try:
             check_fields(self)
         except ShapeError as error:

@@ -78,9 +78,9 @@ class LensCheck:
         out = []
         if self.is_focal_wrong:
             out.append(
-                f"the focal length given is {self.given_focal_px:.0f} px, the pictures agree with {found}: path and map are"
-                " bent; calibrate the camera (epipole calibrate). Rows that are read one after another (a rolling shutter) look"
-                " like that, too"
+                f"the focal length given is {self.given_focal_px:.0f} px, the pictures agree better with"
+                f" {found}: if it is wrong, path and map are bent; a calibration tells (epipole calibrate). Rows that are read"
+                " one after another (a rolling shutter) look like that, too"
             )
         if self.is_distortion_wrong:
             out.append(
@@ -107,9 +107,10 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
     )
     result = adjust_bundle(problem, config)
     try:
-        spread = bundle_covariance(with_result(problem, result), result, config).camera_params[0]
+        found = bundle_covariance(with_result(problem, result), result, config, clustered=True)
     except DegenerateGeometryError:
         return None
+    spread = found.camera_params[0]
     focal_px, k1 = (float(result.camera_params[0, column]) for column in (FOCAL, K1))
     variance_focal, variance_k1 = float(spread[FOCAL, FOCAL]), float(spread[K1, K1])
     if not (np.isfinite([focal_px, k1, variance_focal, variance_k1]).all() and focal_px > 0):

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.optim import BundleConfig, BundlePriors, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
+from epipole.inertial import MountedImu
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    Loss,
+    adjust_bundle,
+    with_fixed_gauge,
+)
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.inertial_ties import InertialTies, pixel_variance
 from epipole.pipelines.slam.least_move import least_move
 from epipole.pipelines.slam.map_covariance import learn_covariances
+from epipole.pipelines.slam.new_points import places_of
 from epipole.pipelines.slam.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.revisiting import find_again, tie_together
 from epipole.pipelines.slam.shutter import points_by_depth, shutter_shifts, straighten
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking import Tracks
-from epipole.robust import triangulate_points
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
@@ -39,11 +51,24 @@ SHIFT_SIGMA_PX = 0.3
 """Deviation of a pair's rectification along the rows."""
 
 
+class Adjusted(NamedTuple):
+    """What was adjusted, in the map's world, and how."""
+
+    problem: BundleProblem
+    result: BundleResult
+    config: BundleConfig
+
+
 class LocalMapper:
     """Adjusts a map. Depth of a single frame, where there is any, enters as the pixel of a second camera beside the first."""
 
     def __init__(
-        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: SlamConfig
+        self,
+        model: SlamMap,
+        sensor: SlamCamera,
+        focal_baseline: float | None,
+        config: SlamConfig,
+        imu: MountedImu | None = None,
     ) -> None:
         self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
         self.focal_baseline = focal_baseline
@@ -51,6 +76,7 @@ class LocalMapper:
         self.positions: dict[int, np.ndarray] = {}
         """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
         self.position_sigma = 1.0
+        self.inertial = None if imu is None else InertialTies(imu)
         self._num_settled = FIRST_SETTLED
         """Keyframes when all were adjusted last."""
 
@@ -108,66 +134,6 @@ class LocalMapper:
         in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
         return place.inverse().apply(in_cam)
 
-    def triangulate(self, newest: int) -> int:
-        """Give places to points of the newest keyframe that have none yet; returns their number."""
-        keyframe = self.map.keyframes[newest]
-        points = keyframe.point[~self.map.has_place(keyframe.point)]
-        if not len(points):
-            return 0
-        column = np.full(self.map.num_points, -1)
-        column[points] = np.arange(len(points))
-        views = [
-            k
-            for k in range(max(0, newest - 20), newest + 1)
-            if (column[self.map.keyframes[k].point] >= 0).any()
-        ]
-        pixels = np.full((len(views), len(points), 2), np.nan)
-        for v, k in enumerate(views):
-            own = self.map.keyframes[k]
-            seen = column[own.point]
-            pixels[v, seen[seen >= 0]] = own.straight_px[seen >= 0]
-        if len(views) < 2:
-            return 0
-        found = triangulate_points(
-            self._places(views),
-            self.camera,
-            pixels,
-            max_error_px=self.config.max_error_px,
-            min_angle_rad=np.deg2rad(self.config.min_angle_deg),
-        )
-        good = found.success_mask
-        self.map.xyz[points[good]] = found.points_in_world[good]
-        return int(good.sum())
-
-    def place_from(self, cam_from_world: Rigid3, tracks: Tracks) -> int:
-        """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
-
-        The next keyframe is too late for them: a fast camera would have run out of points until then.
-        """
-        if self.sensor.readout_s:
-            return 0  # where a shutter of one instant would have seen them is known in keyframes alone
-        points, pixels = tracks.point, tracks.pixels
-        lacking = np.flatnonzero(~self.map.has_place(points))
-        anchors, count = self.map.anchor[points[lacking]], 0
-        for k in np.unique(anchors):
-            rows = lacking[anchors == k]
-            there = self.map.keyframes[int(k)].cam_from_world
-            two = Rigid3(
-                np.stack([there.rotation, cam_from_world.rotation]),
-                np.stack([there.translation, cam_from_world.translation]),
-            )
-            found = triangulate_points(
-                two,
-                self.camera,
-                np.stack([self.map.anchor_px[points[rows]], pixels[rows]]),
-                max_error_px=1.0,
-                min_angle_rad=np.deg2rad(self.config.place_angle_deg),
-            )
-            good = found.success_mask
-            self.map.xyz[points[rows[good]]] = found.points_in_world[good]
-            count += int(good.sum())
-        return count
-
     def window_of(self, newest: int) -> tuple[list[int], list[int]]:
         """Keyframes that share most points with the newest, and those that share points with these."""
         # One camera's scale drifts in a narrow window.
@@ -194,13 +160,14 @@ class LocalMapper:
                 first = since if len(self.map.keyframes) > MOST_TIED else 0
                 tie_together(self.map, self.camera, self.map.keyframes[first:])
             self.adjust_all(max_iterations=8)
+            self.learn_inertial()
             return
         window, fixed = self.window_of(newest)
         self.adjust(window, fixed, 8)
 
-    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> None:
+    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> Adjusted | None:
         """Adjust every keyframe and every point."""
-        self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
+        return self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
 
     def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
         """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
@@ -216,6 +183,7 @@ class LocalMapper:
         if len(self.map.keyframes) < 2:
             return True
         self.adjust_all()
+        self.learn_inertial()
         done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in LAST_SCALES_PX:
             if not goes_on(done, total):
@@ -229,40 +197,48 @@ class LocalMapper:
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
-    ) -> None:
-        """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit."""
+    ) -> Adjusted | None:
+        """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit.
+
+        Returns:
+            what was adjusted, and its minimum; None where there was nothing.
+        """
         # Rotation-only keyframes see no point with a place.
         window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
         if len(window) < 2:
-            return
+            return None
         views = [*window, *fixed]
         if self.sensor.readout_s:
             for keyframe in (self.map.keyframes[k] for k in views):
                 straighten(self.map, keyframe, self.camera, self.sensor.readout_s, self.config.min_tracked)
         rows, held = self._built(window, views)
         if not len(rows):
-            return
+            return None
         config = BundleConfig(
             loss=Loss.CAUCHY,
             loss_scale_px=loss_scale_px,
             max_iterations=max_iterations,
             function_tolerance=1e-3,
         )
-        held, result = adjust_pair(held, config)
+        held, result = self._adjusted(held, views, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
-        places, points = result.rig_from_world[: len(window)], result.points_in_world
         # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
         if self.focal_baseline is None and not fixed and not self.positions:
-            back = least_move(places, self._places(window))
-            places, points = back.move_cam_from_source(places), back.apply(points)
+            back = least_move(result.rig_from_world, places_of(self.map, window))
+            result = replace(
+                result,
+                rig_from_world=back.move_cam_from_source(result.rig_from_world),
+                points_in_world=back.apply(result.points_in_world),
+            )
         for place, k in enumerate(window):
-            self.map.keyframes[k].cam_from_world = places[place]
+            self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.focal_baseline is not None and is_due:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
-        self.map.xyz[rows] = points
+        self.map.xyz[rows] = result.points_in_world
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
+        return Adjusted(held, result, config)
 
     def cost_of(self, window: list[int]) -> float:
         """What is left over after an adjustment of keyframes, which the map does not learn of."""
@@ -291,6 +267,26 @@ class LocalMapper:
         if not is_held:
             problem.frame_free[0] = 0.0
         return problem
+
+    def _adjusted(
+        self, problem: BundleProblem, views: list[int], config: BundleConfig
+    ) -> tuple[BundleProblem, BundleResult]:
+        """With what an inertial unit tells of the motion between the views, unless they contradict each other."""
+        if self.inertial is None:
+            return adjust_pair(problem, config)
+        keyframes = [self.map.keyframes[k] for k in views]
+        paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
+        if paths:
+            tied = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
+            tied, result = adjust_pair(tied, config)
+            if self.inertial.agrees(paths, result.rig_from_world):
+                return tied, result
+        return adjust_pair(problem, config)
+
+    def learn_inertial(self) -> None:
+        """Align the map with the inertial unit, where there is one."""
+        if self.inertial is not None:
+            self.inertial.learn([k for k in self.map.keyframes if self.map.has_place(k.point).any()])
 
     def _observations(
         self, views: list[int], is_wanted: np.ndarray
@@ -326,7 +322,7 @@ class LocalMapper:
         params = np.tile(self.camera.padded_params(), (2, 1))
         shifted, params_free, priors = self._right_camera(params, views, num_free)
         return BundleProblem(
-            self._places(views),
+            places_of(self.map, views),
             Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
             np.full(2, int(self.camera.model), np.int32),
             shifted,
@@ -352,11 +348,11 @@ class LocalMapper:
         """
         shifted, free = params.copy(), np.zeros((2, params.shape[1]))
         shifted[1, 2] += self.map.right_shift_px
-        if num_free < len(views) or num_free < LEAST_TOGETHER:
+        if num_free < len(views):
             return shifted, free, None
         if self.positions:
             return shifted, free, self._known_places(views)
-        if self.sensor.baseline is None:
+        if self.sensor.baseline is None or num_free < LEAST_TOGETHER:
             return shifted, free, None
         free[1, 2] = 1.0
         sigma = np.full(params.shape, np.inf)
@@ -378,10 +374,6 @@ class LocalMapper:
             off[placed] = ~(np.linalg.norm(at - own.straight_px[placed], axis=1) <= max_error_px)
             if off.any():
                 own.keep(~off)
-
-    def _places(self, views: list[int]) -> Rigid3:
-        places = [self.map.keyframes[k].cam_from_world for k in views]
-        return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
 
 
 def focal_baseline_of(sensor: SlamCamera, config: SlamConfig) -> float | None:

@@ -31,9 +31,13 @@ class KnownMap(NamedTuple):
     numbers: tuple[int, ...]
     """Of the keyframes' frames."""
     is_metric: bool
+    scale: str = ""
+    """Where its metres come from, in the words of the run that found them; empty where that is not told."""
 
 
-def write_slam_map(path: str | Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera) -> None:
+def write_slam_map(
+    path: str | Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera, scale: str = ""
+) -> None:
     """Write a map.
 
     Args:
@@ -41,6 +45,7 @@ def write_slam_map(path: str | Path, model: SlamMap, names: Sequence[str], senso
         model: the map; keyframes of turns, which see no point, are left out.
         names: of the keyframes' pictures, a name for each of the model's keyframes.
         sensor: whose map it is.
+        scale: where its metres come from, in words; empty: it is up to scale, unless the camera tells depth.
 
     Raises:
         WorkspaceError: the place is not writable.
@@ -54,7 +59,8 @@ def write_slam_map(path: str | Path, model: SlamMap, names: Sequence[str], senso
         "camera_model": np.array(int(lens.model)),
         "camera_params": lens.params,
         "size": np.array([lens.width, lens.height]),
-        "is_metric": np.array(sensor.tells_depth),
+        "is_metric": np.array(sensor.tells_depth or bool(scale)),
+        "scale": np.array(scale),
         "right_shift_px": np.array(model.right_shift_px),
         "number": np.array([k.number for k in keyframes], np.int64),
         "name": np.array([n for n, k in zip(names, model.keyframes) if len(k.point)], np.str_),
@@ -120,11 +126,13 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         raise ConfigError(f"{path} is the map of another camera: {params} against {lens.params}")
     if sensor.tells_depth and not arrays["is_metric"]:
         raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
+    scale = arrays.get("scale")  # older files lack it
     return KnownMap(
         _model_of(arrays),
         tuple(str(n) for n in arrays["name"]),
         tuple(int(n) for n in arrays["number"]),
         bool(arrays["is_metric"]),
+        "" if scale is None else str(scale),
     )
 
 

@@ -35,6 +35,6 @@ def adjust_pair(problem: BundleProblem, config: BundleConfig) -> tuple[BundlePro
         points_in_world=result.points_in_world,
         camera_params=said.copy(),
         params_free=np.zeros_like(problem.params_free),
-        priors=None,
+        priors=replace(problem.priors, params_expected=None, params_sigma=None),
     )
     return held, adjust_bundle(held, config)

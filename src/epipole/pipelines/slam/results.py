@@ -41,7 +41,7 @@ TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt",
 CAMERA = "camera.json"
 
 WARM = 2
-"""Keyframes after which all that is needed was loaded: the largest time is that of later frames."""
+"""Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,13 +110,12 @@ def write_results(
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
-    facts = _summary(source, system, records, model, run.warnings)
+    facts = _summary(system, records, model, run.warnings)
     summary, known = {**facts, **feed.summary(), **checked}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
-    if anchoring is not None:
-        scale = anchoring.scale
-        summary |= {"scale": scale.in_words(), "is_metric": True, "anchor": scale.summary()}
+    metres, told = _metres(given, source, is_map_fixed=job.localize)
+    summary |= told
     if truth is not None:
         known = truth_at_frames(truth, records)
         summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
@@ -124,7 +123,7 @@ def write_results(
     with run.stage("write"), run.folder.publish("slam") as aside:
         submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
         _write(model, (final, causal), submaps, records, aside)
-        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera)
+        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera, metres)
         if given.camera is not None:
             given.camera.write(aside / CAMERA)
         write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
@@ -208,7 +207,6 @@ def _write(
 
 
 def _summary(
-    source: FrameSource,
     slam: Slam,
     records: Sequence[FrameRecord],
     model: Reconstruction,
@@ -220,7 +218,6 @@ def _summary(
     keyframes = [n for n, record in enumerate(records) if record.answer and record.answer.is_keyframe]
     warm = ms[keyframes[WARM - 1] + 1 :] if len(keyframes) >= WARM else ms
     placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
-    tells = source.camera.tells_depth
     return {
         "num_frames": len(records),
         "num_placed": placed,
@@ -229,11 +226,9 @@ def _summary(
         "num_keyframes": len(slam.maps[0].keyframes),
         "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
         "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
-        "scale": _scale_words(source) if tells else "up to scale: one camera cannot tell lengths",
-        "is_metric": tells,
         "ms_per_frame": {
             "median": float(np.median(ms)),
-            "p95": float(np.percentile(ms, 95)),
+            "p95": float(np.percentile(warm if len(warm) else ms, 95)),
             "max": float(warm.max() if len(warm) else ms.max()),
         },
         "reasons": _reasons(tracked),
@@ -252,7 +247,24 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
         "num_keyframes": len(slam.maps[number].keyframes),
         "from_s": float(path.timestamp_s[0]) if len(path) else None,
         "to_s": float(path.timestamp_s[-1]) if len(path) else None,
+        "is_metric": slam.camera.tells_depth,
     }
+
+
+def _metres(given: Given, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
+    """Where the map's metres come from, for its file (empty: it is up to scale), and the same for this run's summary."""
+    known, more = given.map, {}
+    if given.anchoring is not None:
+        words = scale = given.anchoring.scale.in_words()
+        more = {"anchor": given.anchoring.scale.summary()}
+    elif source.camera.tells_depth and not is_map_fixed:
+        words = scale = _scale_words(source)
+    elif known is not None and known.is_metric:
+        whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""
+        words, scale = known.scale or "metres", f"metres, as in the known map{whence}"
+    else:
+        words, scale = "", "up to scale: one camera cannot tell lengths"
+    return words, {"scale": scale, "is_metric": bool(words), **more}
 
 
 def _scale_words(source: FrameSource) -> str:

@@ -16,7 +16,7 @@ from epipole.io.atomic import atomic_write, reporting
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.pipelines.slam.checkpoint import Checkpoint
-from epipole.pipelines.slam.config import JobOptions, SlamConfig
+from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.growing_path import GROWING
 from epipole.pipelines.slam.journal import JOURNAL, Entry, read_journal
@@ -54,16 +54,16 @@ class TakenUp(NamedTuple):
 
 
 def key_of(
-    sketch: Sequence[str], source: FrameSource, known: SlamMap | None, job: JobOptions, config: SlamConfig
+    sketch: Sequence[str], source: FrameSource, system: Slam, job: JobOptions, known: SlamMap | None = None
 ) -> Key:
     """What a run is known by: another source, camera, map, version or option gives other answers.
 
     Args:
         sketch: of the source's files; not used for a camera, which has none.
         source: the frames.
-        known: the map that is gone on in.
+        system: its options and inertial unit.
         job: options that answers depend on, and others.
-        config: options.
+        known: the map that is gone on in.
     """
     camera = source.camera
     lens, depth = camera.camera, camera.depth
@@ -79,13 +79,20 @@ def key_of(
         other, there = depth.camera, depth.depth_from_color
         seen += [int(other.model), other.width, other.height, other.params, depth.scale]
         seen += [there.rotation, there.translation]
+    imu = system.imu
     own = {name: value for name, value in asdict(job).items() if name not in _OUTSIDE}
     return {
         "the version of epipole": __version__,
         "the source's files": "" if source.is_live else digest(*sketch),
         "the camera": digest(*seen),
+        "the IMU's log": ""
+        if imu is None
+        else digest(imu.log.timestamp_s, imu.log.gyro_rad_s, imu.log.accel_m_s2),
         "the known map": "" if known is None else digest(known.xyz, [k.number for k in known.keyframes]),
-        **{f"--{name.replace('_', '-')}": str(value) for name, value in _flat({**own, **asdict(config)})},
+        **{
+            f"--{name.replace('_', '-')}": str(value)
+            for name, value in _flat({**own, **asdict(system.config)})
+        },
     }
 
 

@@ -18,8 +18,8 @@ from epipole.io.bags import is_bag
 from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video
-from epipole.mapping import Anchoring, check_anchor_files
-from epipole.pipelines.slam.anchors import anchor_map, check_one_camera
+from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
+from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
 from epipole.pipelines.slam.found_camera import find_camera
@@ -88,14 +88,15 @@ def slam(
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
-    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize)
+    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
+    check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
         run.warnings += [] if found is None else [found.note()]
-        key = key_of(run.folder.source.sketch, frames, model, wanted, config)
+        key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
         feed.num_dropped = stands.num_dropped

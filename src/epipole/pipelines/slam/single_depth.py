@@ -78,7 +78,8 @@ def depth_at(depth: np.ndarray, pixels: np.ndarray, camera: Camera, sensor: Dept
     """
     rays = camera.unproject(pixels)
     rays = rays / rays[:, 2:]
-    usual = np.median(depth[depth > 0]) if (depth > 0).any() else 1.0
+    known = depth[(depth > 0) & (depth < np.inf)]
+    usual = np.median(known) if len(known) else 1.0
     z, moved = np.full(len(pixels), float(usual)), sensor.depth_from_color
     for _ in range(ROUNDS):
         at = sensor.camera.project(moved.apply(rays * z[:, None]))
@@ -98,7 +99,7 @@ def _smooth_depth(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     around = np.stack([depth[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]).astype(
         np.float64
     )
-    around[~(around > 0)] = np.nan
+    around[~((around > 0) & (around < np.inf))] = np.nan
     middle = around[4]
     spread = np.max(np.abs(around - middle), axis=0)  # NaN where any is not known
     return np.where(inside & (spread <= SMOOTH * middle), middle, np.nan)

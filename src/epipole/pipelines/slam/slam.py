@@ -8,6 +8,7 @@ import numpy as np
 
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
+from epipole.inertial import MountedImu
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.forgetting import forget
@@ -17,6 +18,7 @@ from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
 from epipole.pipelines.slam.map_covariance import carry_covariance, own_covariance, with_map_error
 from epipole.pipelines.slam.map_tracking import MapTracker
+from epipole.pipelines.slam.new_points import place_from, triangulate
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.picture_watch import Look, PictureWatch
 from epipole.pipelines.slam.place_recognition import describe_keyframe
@@ -40,8 +42,8 @@ class Slam:
     """Follows a camera, frame by frame, and makes a map. The same frames give the same answers on any machine's load.
 
     The world is the first frame's camera (of one camera, near it: nothing holds the map but itself); its unit is the metre
-    where the camera tells depth, else the median depth of the first points. After the camera was lost it is sought in the map; meanwhile a new map begins, which is joined to the
-    first when a place is seen again. One camera that turns on the spot keeps its orientation without any depth.
+    where the camera tells depth, else the median depth of the first points. A lost camera is sought in the map; meanwhile a
+    new one begins, and joins the first when a place is seen again. One camera that turns on the spot keeps its orientation.
 
     Attributes:
         config: options.
@@ -50,7 +52,7 @@ class Slam:
         map: the one that the camera is followed in.
         state: of the last frame.
         loops: every place that looked like one seen before, and what came of it.
-        first_number, first_frame: numbers of the first frame (after a known map's), and of the first one in the world.
+        first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class Slam:
         known: SlamMap | None = None,
         *,
         is_map_fixed: bool = False,
+        imu: MountedImu | None = None,
     ) -> None:
         """Begin, or go on in a map.
 
@@ -68,6 +71,7 @@ class Slam:
             config: options.
             known: a map from an earlier run, in whose world answers are given once the camera is recognised in it.
             is_map_fixed: only find the camera in the known map, which stays as it is.
+            imu: of one camera: measurements by the frames' clock, which join adjustments; not in a known map, of other clocks.
 
         Raises:
             ConfigError: depth of a camera that is no pinhole; a map that is to stay, and none is given.
@@ -75,13 +79,12 @@ class Slam:
         if is_map_fixed and known is None:
             raise ConfigError("a map that is to stay as it is must be given")
         self.config = SlamConfig() if config is None else config
-        self.camera = camera
+        self.camera, self.imu = camera, imu if known is None and not camera.tells_depth else None
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.STARTING if known is None else TrackingState.LOST
         self.is_map_fixed = is_map_fixed
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
-        self.first_number = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
-        self.first_frame = self.first_number
+        self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
         self._enter(self.maps[0])
         self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
         self.loops = self._closer.ledger
@@ -136,8 +139,7 @@ class Slam:
         turned = self._turn(frame)
         if turned is not None:
             return self._turned(frame, turned, begun)
-        if self.map is self.maps[0]:
-            self.state = TrackingState.STARTING
+        self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state
         return self._no_place(frame, begun, len(self._start.tracks))
 
     def _begin_with_one_camera(self, frame: Frame, begun: Begun) -> TrackedFrame:
@@ -166,9 +168,9 @@ class Slam:
         for keyframe in (k for k in self.map.keyframes if len(k.point)):
             describe_keyframe(keyframe)
         self._set_followed()
-        num_points = int(self.map.has_place(self.tracker.tracks.point).sum())
+        count = int(self.map.has_place(self.tracker.tracks.point).sum())
         reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
-        return self._told_from(self._newest(), frame, covariance, num_points, reason)
+        return self._told_from(self._newest(), frame, covariance, count, reason)
 
     def _set_followed(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
@@ -177,7 +179,7 @@ class Slam:
     def _enter(self, model: SlamMap) -> None:
         """Go on in this map."""
         self.map = model
-        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config)
+        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
         self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
 
     # A frame in the map.
@@ -192,7 +194,7 @@ class Slam:
         self._cam_from_world = refined.cam_from_world
         if not self.is_map_fixed:
             self.tracker.remember(self._num_frames)
-            self.mapper.place_from(self._cam_from_world, self.tracker.tracks)
+            place_from(self.map, self.camera, self.config, self._cam_from_world, self.tracker.tracks)
         age = self._num_frames - self._newest().number
         reason = self.tracker.why_keyframe(num_agreeing, age) if self._look.is_usable else ""
         if reason and self.is_map_fixed:
@@ -211,7 +213,7 @@ class Slam:
         self._insert_keyframe(frame)
         carry_covariance(self.map, refined)
         newest = len(self.map.keyframes) - 1
-        self.mapper.triangulate(newest)
+        triangulate(self.map, self.camera.camera, self.config, newest)
         self.mapper.adjust_around(newest)
         self.tracker.forget_mistakes()
         self._cam_from_world = self.map.keyframes[-1].cam_from_world
@@ -308,8 +310,7 @@ class Slam:
     def _settle(self) -> None:
         """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
         newest = len(self.map.keyframes) - 1
-        window, _ = self.mapper.window_of(newest)
-        into = fuse(self.map, window[::-1], self.camera.camera)
+        into = fuse(self.map, self.mapper.window_of(newest)[0][::-1], self.camera.camera)
         self.mapper.adjust_around(newest)
         self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
         self.tracker.rename(into)
@@ -335,8 +336,7 @@ class Slam:
                 none = np.zeros((6, 6))
                 return Turned(turning.keyframes[0], self._cam_from_world, none, 0, is_keyframe=False)
         turned = self._turning.track(frame, self._num_frames)
-        if turned is None:
-            self._turning = None
+        self._turning = None if turned is None else self._turning
         return turned
 
     def _first_to_turn(self, frame: Frame) -> Frame | None:
@@ -396,5 +396,5 @@ class Slam:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        tracks = (self.tracker if self.map.num_points else self._start).tracks
-        return snapshot_of(self.map, self.state, tracks)
+        source = self.tracker if self.map.num_points else self._start
+        return snapshot_of(self.map, self.state, source.tracks)

@@ -16,8 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from epipole.geometry import Rigid3, Similarity3
+from epipole.inertial import ImuNoise, InertialAlignment
 from epipole.pipelines.slam import (
     frames,
+    inertial_ties,
     local_mapping,
     loop_closing,
     map_tracking,
@@ -33,7 +35,7 @@ from epipole.pipelines.slam import (
 
 Json = Any
 _MODULES: tuple[ModuleType, ...] = (
-    *(frames, local_mapping, loop_closing, map_tracking, path),
+    *(frames, inertial_ties, local_mapping, loop_closing, map_tracking, path),
     *(picture_watch, recent_motion, record, slam_map, starting, tracking, turning),
 )
 KINDS: dict[str, type] = {
@@ -41,7 +43,7 @@ KINDS: dict[str, type] = {
     for module in _MODULES
     for name, kind in vars(module).items()
     if isinstance(kind, type) and kind.__module__ == module.__name__
-} | {"Rigid3": Rigid3, "Similarity3": Similarity3}
+} | {kind.__name__: kind for kind in (Rigid3, Similarity3, InertialAlignment, ImuNoise)}
 """What may be stored."""
 CUT: dict[type, tuple[str, ...]] = {slam_map.SlamMap: ("_xyz", "_anchor", "_anchor_px", "_num_agreed")}
 """Arrays of which only the first `num_points` rows are in use."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +21,10 @@ from epipole.scene import Trajectory
 
 MAX_DIFFERENCE_S = 0.01
 """Frames and truth further apart in time are not compared."""
+MOST_NAMED = 0.9
+"""Share of the pictures whose numbers the truth's first column holds, where it is no time."""
+LEAST_COVERAGE = 0.2
+"""Share of the frames, or of the truth where that has fewer rows, below which no error is told."""
 FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
 """TUM RGB-D's, KITTI's."""
 FILES_OF_EUROC = tuple(f"{root}state_groundtruth_estimate0/data.csv" for root in ("mav0/", ""))
@@ -97,7 +102,7 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
         ConfigError: there are not as many rows, and the pictures are not named by the rows' numbers either.
     """
     if truth.has_times:
-        return truth.trajectory
+        return _by_numbers(truth, records) or truth.trajectory
     rows = np.array([record.number for record in records])
     if len(truth.trajectory) != len(records):
         stems = [Path(record.name).stem for record in records]
@@ -110,6 +115,26 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
     told = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
     places = truth.trajectory.world_from_body[np.array([row for row, _ in told], np.int64)]
     return Trajectory(np.array([time for _, time in told], np.float64), places)
+
+
+def _by_numbers(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory | None:
+    """With the frames' times, where the truth's are the numbers of the pictures; None where they are times."""
+    told, numbers = truth.trajectory.timestamp_s, []
+    for record in records:
+        found = re.findall(r"\d+", Path(record.name).stem)
+        numbers.append(float(found[-1]) if found else np.nan)
+    named, frames = (
+        np.array(numbers),
+        np.array([r.answer.timestamp_s if r.answer else np.nan for r in records]),
+    )
+    row = np.searchsorted(told, named).clip(0, len(told) - 1)
+    meets = (told[row] == named) & np.isfinite(frames)
+    after = np.searchsorted(told, frames)
+    sides = np.stack([told[(after - side).clip(0, len(told) - 1)] for side in (0, 1)])
+    near = np.abs(sides - frames).min(axis=0) <= MAX_DIFFERENCE_S
+    if not (told == np.rint(told)).all() or 2 * near.sum() >= len(records) or meets.mean() < MOST_NAMED:
+        return None
+    return Trajectory(frames[meets], truth.trajectory.world_from_body[row[meets]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +175,11 @@ def truth_summary(
     for name, path in zip(("final", "causal"), paths):
         try:
             found = score_trajectory(path, known, MAX_DIFFERENCE_S)
+            if found.num_compared < LEAST_COVERAGE * min(found.num_instants, found.num_truth):
+                raise DegenerateGeometryError(
+                    f"{found.num_compared} of {found.num_instants} places have a true one within {MAX_DIFFERENCE_S:g} s: are "
+                    "the clocks and their units the same?"
+                )
         except DegenerateGeometryError as error:
             out[name] = None
             warnings.append(f"the {name} path is not compared with the truth: {error}")

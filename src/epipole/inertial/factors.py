@@ -1,0 +1,224 @@
+"""Inertial measurements as factors between the frames of a bundle adjustment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float64, Int64
+
+from epipole._declared import checked
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3, skew
+from epipole.inertial._inertial_problem import LANES, InertialProblem, States
+from epipole.inertial.alignment import InertialAlignment
+from epipole.inertial.log import MountedImu
+from epipole.inertial.preintegration import preintegrate
+
+MOST_INNER_STEPS, SETTLED = 10, 1e-9
+"""Of velocities, biases, scale and gravity, in which the residuals are almost linear."""
+RIDGE = 1e-9
+"""Share of its diagonal that is added to the inner matrix: what a path leaves open stays where it is."""
+OUTER, INNER = 6, 9
+"""Numbers of a pose, and those of a frame besides: velocity and biases. The scale and gravity's two come last."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuFactors:
+    """What an IMU says of the frames of a path: half a sum of squares of their poses, at the best of all else.
+
+    Velocities, biases, gravity and the metres of the path's unit are unknown, too. They are minimised over for any poses
+    (variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 1973), so that an adjuster sees poses alone: cost
+    min_y F(x, y), gradient dF/dx there, and the Schur complement of the inner unknowns for a matrix.
+    """
+
+    frames: Int64[np.ndarray, " n"]
+    """Rows of the adjusted frames, by their times."""
+    problem: InertialProblem
+    start: States
+    """From which the inner unknowns are sought."""
+    weight: float
+    """Of the squares: the variance of a pixel, where an adjustment counts pixels as one."""
+    _last: dict[bytes, tuple[float, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
+    """What was told last: an adjuster asks for a cost, and then for derivatives at the same poses."""
+
+    def __repr__(self) -> str:
+        return f"ImuFactors({len(self.frames)} frames)"
+
+    def linearized(
+        self, rig_from_world: Rigid3
+    ) -> tuple[float, Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n 6 n 6"]]:
+        """Half the weighed sum of squares at poses of `frames`, its gradient and matrix by xi of exp(xi) @ rig_from_world."""
+        key = rig_from_world.rotation.tobytes() + rig_from_world.translation.tobytes()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self._linearized(rig_from_world.inverse())
+        return self._last[key]
+
+    def _linearized(self, poses: Rigid3) -> tuple[float, np.ndarray, np.ndarray]:
+        states, cost = self._at_best(poses)
+        matrix, gradient = self._equations(states, poses)
+        n = len(self.frames)
+        out = matrix[: OUTER * n, : OUTER * n]
+        across = matrix[OUTER * n :, : OUTER * n]
+        out = out - across.T @ self._inner_solve(matrix, across)
+        out = 0.5 * self.weight * (out + out.T).reshape(n, OUTER, n, OUTER)
+        return self.weight * cost, self.weight * gradient[: OUTER * n].reshape(n, OUTER), out
+
+    def scale(self, rig_from_world: Rigid3) -> tuple[float, float, Float64[np.ndarray, "n 6"]]:
+        """Metres for the path's unit, at their best for the poses.
+
+        Returns:
+            their logarithm; its variance where the poses are true; its derivative by xi of exp(xi) @ rig_from_world.
+        """
+        poses = rig_from_world.inverse()
+        states, _ = self._at_best(poses)
+        matrix, _ = self._equations(states, poses)
+        n = len(self.frames)
+        unit = np.zeros(INNER * n + 3)
+        unit[INNER * n] = 1.0
+        row = self._inner_solve(matrix, unit)
+        across = matrix[OUTER * n :, : OUTER * n]
+        return states.log_scale, float(unit @ row), -(row @ across).reshape(n, OUTER)
+
+    def variance_factors(self, rig_from_world: Rigid3) -> tuple[float, float]:
+        """By how much the variances of gyroscope and accelerometer should be larger than stated, seen from adjusted poses.
+
+        An interval's nine numbers leave three to each: three turns, and six less the three of a velocity. Poses that pictures
+        hold weakly follow the unit, and show less.
+        """
+        states, _ = self._at_best(rig_from_world.inverse())
+        squares = (self.problem.imu_terms(states)[0].residual ** 2).sum(axis=0)
+        freedom = 3.0 * (len(self.frames) - 1)
+        return float(squares[:3].sum()) / freedom, float(squares[3:].sum()) / freedom
+
+    def _at_best(self, poses: Rigid3) -> tuple[States, float]:
+        """The inner unknowns that suit the poses best, by Gauss and Newton, and half the sum of squares."""
+        n, states = len(self.frames), self._placed(self.start, poses)
+        cost = self._cost(states)
+        for _ in range(MOST_INNER_STEPS):
+            matrix, gradient = self._equations(states, poses)
+            step = -self._inner_solve(matrix, gradient[OUTER * n :])
+            own, whole = step[: INNER * n].reshape(n, INNER), np.zeros((n, LANES))
+            whole[:, 3:6], whole[:, 9:] = own[:, :3], own[:, 3:]
+            moved = self.problem.moved(states, np.concatenate([whole.ravel(), step[INNER * n :]]))
+            moved = self._placed(moved, poses)
+            after = self._cost(moved)
+            if not after < cost:
+                break
+            gain, states, cost = cost - after, moved, after
+            if gain <= SETTLED * cost:
+                break
+        return states, cost
+
+    def _cost(self, states: States) -> float:
+        return 0.5 * sum(float((one.residual**2).sum()) for one in self.problem.imu_terms(states))
+
+    def _placed(self, states: States, poses: Rigid3) -> States:
+        """With rotations and places of the unit as the poses of the camera have them."""
+        rotation, place = _of_unit(poses, self.problem.camera_from_imu, float(np.exp(states.log_scale)))
+        return states._replace(rotation=rotation, place=place)
+
+    def _equations(self, states: States, poses: Rigid3) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix and gradient of all poses, then velocities and biases, scale and gravity."""
+        n = len(self.frames)
+        imu, walk, first = self.problem.imu_terms(states)
+        by_all = self._by_unknowns(imu.blocks, walk.blocks, states, poses)
+        residual = np.concatenate([imu.residual, walk.residual], axis=1)
+        frame = np.arange(n - 1)[:, None]
+        own = [OUTER * (frame + e) + np.arange(OUTER) for e in (0, 1)]
+        inner = [OUTER * n + INNER * (frame + e) + np.arange(INNER) for e in (0, 1)]
+        shared = np.broadcast_to(LANES * n + np.arange(3), (n - 1, 3))
+        at = np.concatenate([own[0], inner[0], own[1], inner[1], shared], axis=1)
+        matrix, gradient = np.zeros((LANES * n + 3, LANES * n + 3)), np.zeros(LANES * n + 3)
+        np.add.at(matrix, (at[:, :, None], at[:, None, :]), np.swapaxes(by_all, 1, 2) @ by_all)
+        np.add.at(gradient, at, np.einsum("mri,mr->mi", by_all, residual))
+        biases = OUTER * n + np.arange(3, INNER)
+        by_first = first.blocks[0][1][0]
+        matrix[np.ix_(biases, biases)] += by_first.T @ by_first
+        gradient[biases] += by_first.T @ first.residual[0]
+        return matrix, gradient
+
+    def _by_unknowns(
+        self,
+        of_imu: list[tuple[np.ndarray, np.ndarray]],
+        of_walk: list[tuple[np.ndarray, np.ndarray]],
+        states: States,
+        poses: Rigid3,
+    ) -> np.ndarray:
+        """(m, 15, 33) derivatives of an interval by both frames' xi, velocity and biases, by the scale and gravity.
+
+        Under xi = (rho, theta) the unit turns by -R_ci^T theta, and goes by -s R_wc rho + R_wc [t_ci] theta.
+        """
+        m, imu = len(self.frames) - 1, self.problem.camera_from_imu
+        scale = np.exp(states.log_scale)
+        by_lane = np.zeros((2, m, LANES, LANES))
+        by_lane[0, :, :9], by_lane[1, :, :9, :9] = of_imu[0][1], of_imu[1][1]
+        by_lane[0, :, 9:, 9:], by_lane[1, :, 9:, 9:] = of_walk[0][1], of_walk[1][1]
+        out = np.zeros((m, LANES, 2 * LANES + 3))
+        for end in (0, 1):
+            turned, there = poses.rotation[end : m + end], poses.translation[end : m + end]
+            by_turn, by_place, first = by_lane[end, ..., :3], by_lane[end, ..., 6:9], LANES * end
+            out[..., first : first + 3] = -scale * by_place @ turned
+            out[..., first + 3 : first + 6] = (
+                by_place @ turned @ skew(imu.translation) - by_turn @ imu.rotation.T
+            )
+            out[..., first + 6 : first + 9] = by_lane[end, ..., 3:6]
+            out[..., first + 9 : first + 15] = by_lane[end, ..., 9:]
+            out[..., 2 * LANES] += scale * (by_place @ there[..., None])[..., 0]
+        out[:, :9, 2 * LANES + 1 :] = of_imu[2][1]
+        return out
+
+    def _inner_solve(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+        """By Cholesky's factors of the inner matrix, its columns scaled alike."""
+        inner = matrix[OUTER * len(self.frames) :, OUTER * len(self.frames) :]
+        size = 1.0 / np.sqrt(np.maximum(inner.diagonal(), 1e-300))
+        scaled = inner * size * size[:, None]
+        scaled[np.diag_indices(len(scaled))] += RIDGE
+        by_column = size.reshape(-1, *[1] * (rhs.ndim - 1))
+        factor = scipy.linalg.cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+        return by_column * scipy.linalg.cho_solve(factor, by_column * rhs, check_finite=False)
+
+
+@checked
+def imu_factors(
+    frames: Int64[np.ndarray, " n"],
+    timestamp_s: Float64[np.ndarray, " n"],
+    world_from_camera: Rigid3,
+    imu: MountedImu,
+    aligned: InertialAlignment,
+    weight: float = 1.0,
+) -> ImuFactors:
+    """Factors between frames that follow each other.
+
+    Args:
+        frames: their rows among all that are adjusted.
+        timestamp_s: rising, by the unit's clock.
+        world_from_camera: about where they are.
+        imu: measurements that cover them.
+        aligned: about what scale, gravity and biases are; the search begins there.
+        weight: of the squares; the variance of a pixel, where an adjustment counts pixels as one.
+
+    Raises:
+        ShapeError: the arrays do not fit, or times do not rise.
+        DegenerateGeometryError: the log does not cover the times, or has a gap.
+    """
+    n = len(frames)
+    if len(timestamp_s) != n or world_from_camera.batch_shape() != (n,):
+        raise ShapeError(f"{n} frames need as many times and poses")
+    measured = preintegrate(imu.log, timestamp_s, aligned.gyro_bias, np.zeros(3), imu.noise)
+    problem = InertialProblem(
+        *(measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias)
+    )
+    rotation, places = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
+    velocity = np.gradient(places, timestamp_s, axis=0)
+    biases = np.tile(np.concatenate([aligned.gyro_bias, aligned.accel_bias]), (n, 1))
+    scale, gravity = float(np.log(aligned.scale)), aligned.gravity_in_world
+    return ImuFactors(frames, problem, States(rotation, velocity, places, biases, scale, gravity), weight)
+
+
+def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations and places of the unit in metres, of those of the camera."""
+    lever = (poses.rotation @ mounting.translation[:, None])[..., 0]
+    return poses.rotation @ mounting.rotation, scale * poses.translation + lever

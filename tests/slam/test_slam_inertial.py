@@ -1,0 +1,134 @@
+"""An inertial unit beside one camera: its measurements join the adjustments, and tell metres."""
+
+import copy
+import json
+
+import cv2
+import numpy as np
+import pytest
+from tests.slam.slam_rides import drawn, errors
+
+from epipole import CameraOptions
+from epipole.config import AnchorOptions
+from epipole.geometry import Rigid3, Rotation3
+from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
+from epipole.pipelines.slam.anchors import anchor_map
+from epipole.pipelines.slam.inertial_ties import InertialTies
+from epipole.pipelines.slam.run import slam as run_slam
+from epipole.pipelines.slam.slam import Slam
+from epipole.synthetic.inertial import imu_along, inertial_path
+
+COUNT, STEP = 108, 2
+MOUNTING = Rigid3(Rotation3.exp(np.array([0.4, -1.1, 0.7])).matrix, np.array([0.03, -0.02, 0.05]))
+NOISE = ImuNoise(accel_gain_sigma=1e-6)
+
+
+@pytest.fixture(scope="module")
+def ride():
+    return drawn("loop_room", COUNT, STEP)
+
+
+@pytest.fixture(scope="module")
+def unit(ride):
+    times = 0.1 * np.arange(len(ride.pictures))
+    return MountedImu(imu_along(times, ride.truth(), MOUNTING, 0, NOISE), MOUNTING, NOISE)
+
+
+def followed(ride, imu):
+    system = Slam(ride.sensor("mono"), imu=imu)
+    for frame in ride.frames("mono"):
+        system.track(frame)
+    system.finish()
+    return system
+
+
+@pytest.fixture(scope="module")
+def with_unit(ride, unit):
+    return followed(ride, unit)
+
+
+def test_the_path_is_no_worse_and_the_pictures_move_with_the_unit(ride, with_unit):
+    alone, truth = followed(ride, None), ride.truth()
+    error = errors(with_unit, truth, "similarity").position.rmse
+    assert error < 1.1 * errors(alone, truth, "similarity").position.rmse and error < 2e-3
+    moved = (
+        with_unit.trajectory().world_from_body.translation - alone.trajectory().world_from_body.translation
+    )
+    assert np.abs(moved).max() > 1e-6  # else the factors had no part
+
+
+def test_the_scale_is_told_with_its_deviation(ride, with_unit, tmp_path, unit):
+    system = copy.deepcopy(with_unit)
+    write_unit(tmp_path, unit)
+    options = AnchorOptions(imu=tmp_path / "imu.txt", imu_mounting=tmp_path / "mounting.yaml")
+    found = anchor_map(system, options, [f"{k.number}" for k in system.maps[0].keyframes], {})
+    (estimate,) = found.scale.estimates
+    assert estimate.kind == "imu" and "adjusted with the pictures" in estimate.note
+    off = float(errors(system, ride.truth(), "similarity").truth_from_estimate.scale) - 1.0
+    assert abs(off) < 3 * estimate.sigma / estimate.scale < 0.03
+
+
+def write_unit(folder, unit):
+    log, there = unit.log, unit.camera_from_imu
+    np.savetxt(folder / "imu.txt", np.column_stack([log.timestamp_s, log.gyro_rad_s, log.accel_m_s2]), "%.9g")
+    rows = np.column_stack([there.rotation, there.translation]).tolist()
+    (folder / "mounting.yaml").write_text(f"T_cam_imu: {json.dumps([*rows, [0, 0, 0, 1]])}\n")
+
+
+def test_another_paths_unit_changes_nothing(ride, unit):
+    other = MountedImu(inertial_path(5, seconds=6.0).log, MOUNTING)
+    alone, beside = followed(ride, None), followed(ride, other)
+    there = [one.trajectory().world_from_body.translation for one in (alone, beside)]
+    np.testing.assert_array_equal(*there)
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_path(ride, unit, tmp_path):
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    for n, (grey, _, _) in enumerate(ride.pictures.values()):
+        cv2.imwrite(str(pictures / f"{n:03d}.png"), grey)
+    write_unit(tmp_path, unit)
+    camera = CameraOptions(camera_params=",".join(map(str, ride.sensor("mono").camera.params)))
+    options = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml", "fps": 10.0}
+    whole = run_slam(pictures, tmp_path / "whole", camera=camera, **options)
+    assert whole.summary["is_metric"] and "the IMU" in whole.summary["scale"]
+    stopped = tmp_path / "stopped"
+
+    def stop(progress):
+        if progress.stage == "track" and progress.done == 40:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_slam(pictures, stopped, camera=camera, progress=stop, **options)
+    run_slam(pictures, stopped, camera=camera, resume=True, **options)
+    assert (stopped / "trajectory.txt").read_bytes() == (tmp_path / "whole" / "trajectory.txt").read_bytes()
+
+
+def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit):
+    log = unit.log
+    keyframes = with_unit.maps[0].keyframes
+    kept = (log.timestamp_s < 2.0) | (log.timestamp_s > 2.5)
+    holed = ImuLog(log.timestamp_s[kept], log.gyro_rad_s[kept], log.accel_m_s2[kept])
+    ties = InertialTies(MountedImu(holed, MOUNTING, NOISE))
+    rows = ties._in_a_row(keyframes)
+    times = np.array([k.timestamp_s for k in keyframes])
+    assert len(rows) == 2 and times[rows[0]].max() < 2.0 and times[rows[1]].min() > 2.5
+    assert ties.factors(keyframes, 0.01) == ()
+    ties.learn(keyframes)
+    assert ties.aligned is not None and len(ties.factors(keyframes[::-1], 0.01)) == 2
+    nothing = InertialTies(MountedImu(ImuLog(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3))), MOUNTING))
+    nothing.learn(keyframes)
+    assert nothing.aligned is None and nothing.factors(keyframes, 0.01) == ()
+
+
+def test_noise_grows_as_it_shows_and_never_below_what_is_stated(ride, unit, with_unit, monkeypatch):
+    keyframes, ties = with_unit.maps[0].keyframes, InertialTies(unit)
+    ties.learn(keyframes)
+    factors, poses = ties.factors(keyframes, 0.01), Rigid3.identity(len(keyframes))
+    told = [(4.0, 0.1), (1.0, 26.0), (np.nan, 1.0)]
+    monkeypatch.setattr(ImuFactors, "variance_factors", lambda *_: told.pop(0))
+    assert ties.agrees(factors, poses) and ties.aligned is not None
+    assert ties.noise.gyro_density == 2 * NOISE.gyro_density
+    assert ties.noise.accel_density == NOISE.accel_density
+    assert not ties.agrees(factors, poses) and ties.aligned is None and ties.factors(keyframes, 0.01) == ()
+    assert not ties.agrees(factors, poses)
