@@ -12,7 +12,18 @@ from epipole._version import __version__ as __version__
 if TYPE_CHECKING:
     from epipole.api import *  # noqa: F403 - the names below, for editors and type checkers
 
-_JOBS = ("reconstruct", "slam", "stereo", "calibrate", "evaluate", "undistort", "convert", "view", "demo")
+_JOBS = (
+    "reconstruct",
+    "slam",
+    "splat",
+    "stereo",
+    "calibrate",
+    "evaluate",
+    "undistort",
+    "convert",
+    "view",
+    "demo",
+)
 _MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
 _CONFIGS = (
     *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
@@ -32,10 +43,21 @@ _RESULTS = (
         "Conversion",
         "Evaluation",
     ),
-    *("DemoResult", "SlamResult", "TrackedFrame", "TrajectoryEvaluation", "ViewerHandle"),
+    *("DemoResult", "SlamResult", "SplatResult", "TrackedFrame", "TrajectoryEvaluation", "ViewerHandle"),
 )
 _ROOMS = (
-    *("api", "cameras", "config", "disparity_search", "errors", "features", "geometry", "image", "inertial"),
+    *(
+        "api",
+        "cameras",
+        "config",
+        "disparity_search",
+        "errors",
+        "features",
+        "fields",
+        "geometry",
+        "image",
+        "inertial",
+    ),
     *("io", "mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
     *("synthetic", "viewer"),
 )

@@ -24,6 +24,9 @@ from epipole.pipelines.evaluation.run import Evaluation as Evaluation
 from epipole.pipelines.evaluation.run import evaluate as evaluate
 from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory as evaluate_trajectory
+from epipole.pipelines.fields.config import FieldOptions as FieldOptions
+from epipole.pipelines.fields.run import SplatResult as SplatResult
+from epipole.pipelines.fields.run import splat as splat
 from epipole.pipelines.sfm import scene as _sfm_scene
 from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
 from epipole.pipelines.sfm.config import PairingConfig as PairingConfig

@@ -24,6 +24,7 @@ from epipole.errors import ConfigError, EpipoleError
 COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
     "epipole.pipelines.slam.command:slam",
+    "epipole.pipelines.fields.command:splat",
     "epipole.pipelines.stereo.command:stereo",
     "epipole.pipelines.stereo.command:stereo_doctor",
     "epipole.pipelines.calibration.command:calibrate",

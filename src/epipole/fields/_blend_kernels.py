@@ -11,12 +11,8 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.fields._simd_kernels import LANES, PLANE, SUMS, blend_row, unblend_row
 from epipole.fields._projection_kernels import (
-    A,
-    B,
     BLUE,
-    C,
     DEPTH,
     GREEN,
     HALF_HEIGHT,
@@ -25,9 +21,13 @@ from epipole.fields._projection_kernels import (
     REACH,
     RED,
     SLOPE,
+    A,
+    B,
+    C,
     X,
     Y,
 )
+from epipole.fields._simd_kernels import LANES, PLANE, SUMS, blend_row, unblend_row
 from epipole.fields._tile_kernels import TILE
 
 OVER = np.float32(1e-4)
@@ -39,10 +39,10 @@ HALF = TILE // 2
 
 @kernel(fuse=True)
 def _is_over(state, rows):
+    seen = 0
     for k in range(rows * TILE):
-        if state[k] > OVER:
-            return False
-    return True
+        seen += state[k] > OVER
+    return seen == 0
 
 
 @kernel
@@ -63,8 +63,8 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
         half_a, half_c = np.float32(0.5) * e[A], np.float32(-0.5) * e[C]
-        low = max(0, int(math.ceil(y - e[HALF_HEIGHT])))
-        high = min(rows - 1, int(math.floor(y + e[HALF_HEIGHT])))
+        low = max(0, math.ceil(y - e[HALF_HEIGHT]))
+        high = min(rows - 1, math.floor(y + e[HALF_HEIGHT]))
         for row in range(low, high + 1):
             dy = np.float32(row) - y
             width_sq = e[REACH] - e[NARROWING] * dy * dy
@@ -111,8 +111,8 @@ def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, s
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
         half_a, half_c = np.float32(0.5) * e[A], np.float32(-0.5) * e[C]
-        low = max(0, int(math.ceil(y - e[HALF_HEIGHT])))
-        high = min(rows - 1, int(math.floor(y + e[HALF_HEIGHT])))
+        low = max(0, math.ceil(y - e[HALF_HEIGHT]))
+        high = min(rows - 1, math.floor(y + e[HALF_HEIGHT]))
         for k in range(SUMS * LANES):
             sums[k] = zero
         for row in range(low, high + 1):

@@ -13,8 +13,6 @@ added by two threads.
 
 import math
 
-import numpy as np
-
 from epipole._jit import kernel
 
 X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_HEIGHT, SLOPE, REACH, NARROWING, HALF_WIDTH = range(15)
@@ -103,7 +101,7 @@ def project(view, cloud, start, stop, ellipses, work):
         x = r[0] * mx + r[1] * my + r[2] * mz + t[0]
         y = r[3] * mx + r[4] * my + r[5] * mz + t[1]
         z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
-        if not z > view.near:
+        if not z > view.near_plane:
             continue
         opacity = 1.0 / (1.0 + math.exp(-float(cloud.logits[n])))
         covariance(cloud.log_scales[n], cloud.quats[n], axes, cov)

@@ -59,7 +59,7 @@ class View(NamedTuple):
     """Tangents of half the view, across and down."""
     width: int
     height: int
-    near: float
+    near_plane: float
     blur: float
     antialiased: bool
 
@@ -77,7 +77,7 @@ class Rendering:
     tiles: Tiles
     """What was drawn where, for the way back."""
 
-    def over(self, background: Float32[np.ndarray, "3"]) -> Float32[np.ndarray, "h w 3"]:
+    def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture before a background of one colour."""
         return self.colour + (np.float32(1.0) - self.coverage)[..., None] * background
 
@@ -272,7 +272,10 @@ def gradient_of(
         blend_kernels.unblend_tiles(tiles, start, stop, wanted, by_pair, *scratch)
 
     _parallel.map_chunks(unblend, len(tiles.stop), -(-len(tiles.stop) // TILES_TOGETHER))
-    out = CloudGradient(*(np.zeros_like(part) for part in cloud), np.zeros((len(cloud.means), 2), np.float32))
+    centers = np.zeros((len(cloud.means), 2), np.float32)
+    out = CloudGradient(
+        **{name: np.zeros_like(part) for name, part in cloud._asdict().items()}, center=centers
+    )
 
     def gather(start: int, stop: int, _: int) -> np.ndarray:
         by_pose = np.zeros(6)
@@ -283,5 +286,5 @@ def gradient_of(
         )
         return by_pose
 
-    parts = _parallel.map_chunks(gather, len(tiles.gaussian), max(1, len(tiles.gaussian) // CHUNK))
-    return out, np.sum([np.zeros(6), *parts], axis=0)
+    by_poses = _parallel.map_chunks(gather, len(tiles.gaussian), max(1, len(tiles.gaussian) // CHUNK))
+    return out, np.sum([np.zeros(6), *by_poses], axis=0)

@@ -151,14 +151,23 @@ def read_points_ply(path: str | Path) -> PlyPoints:
         FileFormatError: it is no PLY file, has no x, y, z, or is cut short.
     """
     path = Path(path)
-    data = file_bytes(path)
-    header = _read_header(path, data)
-    columns = _binary_columns(path, data, header) if header.byte_order else _text_columns(path, data, header)
+    columns = ply_columns(path)
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         raise FileFormatError(path, f"the vertices have no {', '.join(missing)}")
     xyz = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float64)
     return PlyPoints(xyz, _colours(columns))
+
+
+def ply_columns(path: Path) -> dict[str, np.ndarray]:
+    """The vertices of a PLY file, property by property.
+
+    Raises:
+        FileFormatError: it is no PLY file, or is cut short.
+    """
+    data = file_bytes(path)
+    header = _read_header(path, data)
+    return _binary_columns(path, data, header) if header.byte_order else _text_columns(path, data, header)
 
 
 def _colours(columns: dict[str, np.ndarray]) -> np.ndarray | None:

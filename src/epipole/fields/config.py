@@ -1,0 +1,41 @@
+"""Options of training fields."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from epipole._declared import check_fields
+from epipole.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatConfig:
+    """How Gaussians are trained."""
+
+    max_gaussians: int = 50_000
+    """Gaussians at the end: time and memory grow with them."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics, 0 to 3."""
+    ssim_weight: float = 0.2
+    """Share of SSIM in the loss; the rest is L1."""
+    antialiased: bool = False
+    """Train with Mip-Splatting's filter: for pictures of many sizes."""
+    seed: int = 0
+    """Of all that is drawn."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if not 1 <= self.max_gaussians <= 100_000_000:
+            raise ConfigError(f"max_gaussians must be from 1 to 100 million, got {self.max_gaussians}")
+        if not 0 <= self.sh_degree <= 3:
+            raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        if not (math.isfinite(self.ssim_weight) and 0 <= self.ssim_weight <= 1):
+            raise ConfigError(f"ssim_weight must be from 0 to 1, got {self.ssim_weight}")
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative, got {self.seed}")

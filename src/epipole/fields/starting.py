@@ -1,0 +1,103 @@
+"""The first Gaussians: at points that are known, or drawn where all silhouettes leave room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+from scipy.spatial import cKDTree
+
+from epipole._declared import checked
+from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.fields.training_view import TrainingView
+from epipole.scene.gaussian_cloud import DC, GaussianCloud
+
+FIRST_OPACITY, NEIGHBOURS = 0.15, 3
+TRIES, MOST_VIEWS = 40, 24
+"""Points drawn for each that is wanted, and views that each is held against."""
+
+
+@checked
+def cloud_of_points(
+    points_in_world: Float64[np.ndarray, "n 3"], rgb: UInt8[np.ndarray, "n 3"]
+) -> GaussianCloud:
+    """A round Gaussian at each point, as wide as the mean distance to its three nearest (Kerbl et al. 2023).
+
+    Raises:
+        ShapeError: there are fewer than four points, or one is not finite.
+    """
+    n = len(points_in_world)
+    if n <= NEIGHBOURS or not np.isfinite(points_in_world).all():
+        raise ShapeError(f"{NEIGHBOURS + 1} or more finite points are needed, got {n}")
+    away = cKDTree(points_in_world).query(points_in_world, NEIGHBOURS + 1)[0][:, 1:].mean(axis=1)
+    away = np.clip(away, np.median(away) * 1e-2 + 1e-12, np.quantile(away, 0.99) + 1e-12)
+    return GaussianCloud(
+        points_in_world.astype(np.float32),
+        np.repeat(np.log(away)[:, None], 3, axis=1).astype(np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        np.full(n, np.log(FIRST_OPACITY / (1 - FIRST_OPACITY)), np.float32),
+        ((rgb / 255.0 - 0.5) / DC).astype(np.float32)[:, None],
+    )
+
+
+@checked
+def points_in_silhouettes(
+    views: Sequence[TrainingView], count: int, seed: int = 0
+) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Points drawn in the ball that all cameras look into, that no picture with transparency shows to be empty; and their colours.
+
+    Args:
+        views: cameras that look at one place.
+        count: points that are wanted; there may be fewer.
+        seed: of what is drawn.
+
+    Raises:
+        DegenerateGeometryError: the cameras look at nothing in common.
+    """
+    rng = np.random.default_rng([19, seed])
+    middle, radius = _common_ball(views)
+    draws = rng.normal(size=(TRIES * count, 3))
+    size = radius * np.cbrt(rng.uniform(size=(len(draws), 1)))
+    points = middle + size * draws / np.linalg.norm(draws, axis=1, keepdims=True)
+    step = max(1, len(views) // MOST_VIEWS)
+    colour, seen, kept = np.zeros((len(points), 3)), np.zeros(len(points)), np.ones(len(points), bool)
+    for view in views[::step]:
+        pixels = view.camera.project(view.cam_from_world.apply(points))
+        inside = np.isfinite(pixels).all(axis=1)
+        at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
+        inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
+        rows, columns = at[inside, 1], at[inside, 0]
+        colour[inside] += view.picture[rows, columns, :3]
+        seen[inside] += 1
+        if view.picture.shape[2] == 4:
+            kept[inside] &= view.picture[rows, columns, 3] > 0
+    kept &= seen > 0
+    if not kept.any():
+        raise DegenerateGeometryError(
+            "no place is seen by these cameras: are their axes those of the format?"
+        )
+    chosen = np.flatnonzero(kept)[:count]
+    return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
+
+
+def _common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
+    """The point nearest to all optical axes, and how far the pictures reach around it.
+
+    Raises:
+        DegenerateGeometryError: most cameras look away from it.
+    """
+    centers = np.stack([view.cam_from_world.inverse().translation for view in views])
+    axes = np.stack([view.cam_from_world.rotation[2] for view in views])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.eigvalsh(total)[0] < 1e-3 * len(views):
+        raise DegenerateGeometryError("the cameras look the same way: nothing tells how far the scene is")
+    middle = np.linalg.solve(total, (across @ centers[..., None])[..., 0].sum(axis=0))
+    depth = ((middle - centers) * axes).sum(axis=1)
+    if np.median(depth) <= 0:
+        raise DegenerateGeometryError(
+            "the cameras look away from each other's views: are their axes those of the format?"
+        )
+    reach = [0.5 * max(v.camera.width, v.camera.height) / v.camera.focal_px for v in views]
+    return middle, float(np.median(np.maximum(depth, 0.0) * reach))

@@ -1,0 +1,71 @@
+"""A picture that a field is trained on, in the sizes that training asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from epipole._declared import Declared, check_fields
+from epipole.cameras import Camera
+from epipole.errors import ShapeError
+from epipole.geometry import Rigid3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingView(Declared):
+    """A picture without distortion, and its camera."""
+
+    name: str
+    picture: UInt8[np.ndarray, "h w c"]
+    """RGB, or RGBA with straight alpha."""
+    camera: Camera
+    cam_from_world: Rigid3
+
+    def __post_init__(self) -> None:
+        """Check that picture and camera fit.
+
+        Raises:
+            ShapeError: they do not.
+        """
+        check_fields(self)
+        if self.picture.shape != (self.camera.height, self.camera.width, self.picture.shape[2]):
+            raise ShapeError(f"{self.name}: the picture is not of its camera's size")
+        if self.picture.shape[2] not in (3, 4):
+            raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.picture.shape[2]}")
+
+    def __repr__(self) -> str:
+        return f"TrainingView({self.name!r}, {self.camera.width} x {self.camera.height})"
+
+    def smaller(self, factor: int) -> TrainingView:
+        """With pictures `factor` times smaller, by the mean of pixels (of colours times alpha)."""
+        if factor == 1:
+            return self
+        width, height = self.camera.width // factor, self.camera.height // factor
+        params = self.camera.params.copy()
+        params[:2] /= factor
+        params[2:4] = (params[2:4] + 0.5) / factor - 0.5
+        camera = Camera(self.camera.model, width, height, params)
+        cut = self.picture[: height * factor, : width * factor]
+        return replace(self, picture=shrunk(cut, (width, height)), camera=camera)
+
+    def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
+        """The picture from 0 to 1, before a background of one colour."""
+        rgb = self.picture[..., :3].astype(np.float32) / np.float32(255.0)
+        if self.picture.shape[2] == 3:
+            return rgb
+        alpha = self.picture[..., 3:].astype(np.float32) / np.float32(255.0)
+        return rgb * alpha + (np.float32(1.0) - alpha) * background
+
+
+def shrunk(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A picture in another, smaller size: the mean of pixels, of colours weighed by alpha."""
+    if picture.shape[2] == 3:
+        return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    alpha = picture[..., 3:].astype(np.float32)
+    colour = cv2.resize(picture[..., :3] * alpha, size, interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(alpha, size, interpolation=cv2.INTER_AREA)[..., None]
+    rgb = np.divide(colour, mean, out=np.zeros_like(colour), where=mean > 0)
+    return np.rint(np.concatenate([rgb, mean], axis=2)).astype(np.uint8)

@@ -1,0 +1,75 @@
+"""Gaussians as PLY, in the layout of Kerbl et al. (2023), which every viewer and trainer of splats reads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.io.atomic import atomic_write
+from epipole.io.ply import ply_columns
+from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
+
+_FIRST = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2")
+_LAST = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
+
+
+def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
+    """Write Gaussians in single precision: coefficients above degree 0 channel by channel, rotations as w, x, y, z.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    n, higher = len(cloud), cloud.sh.shape[1] - 1
+    names = [*_FIRST, *(f"f_rest_{k}" for k in range(3 * higher)), *_LAST]
+    parts = (
+        *(cloud.means_in_world, np.zeros((n, 3), np.float32), cloud.sh[:, 0]),
+        cloud.sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * higher),
+        *(cloud.opacity_logits[:, None], cloud.log_scales, cloud.quats_wxyz),
+    )
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in names]
+    table = np.concatenate(parts, axis=1).astype("<f4")
+    with atomic_write(Path(path)) as part, part.open("wb") as stream:
+        stream.write("".join(f"{line}\n" for line in [*header, "end_header"]).encode("ascii"))
+        stream.write(table.tobytes())
+
+
+def read_gaussian_ply(path: str | Path) -> GaussianCloud:
+    """Read Gaussians; those with a number that is not finite are left out.
+
+    Raises:
+        FileFormatError: it is no PLY file of Gaussians, is cut short, or holds none that is finite.
+    """
+    path = Path(path)
+    columns = ply_columns(path)
+    wanted = [name for name in (*_FIRST, *_LAST) if not name.startswith("n")]
+    missing = [name for name in wanted if name not in columns]
+    if missing:
+        raise FileFormatError(path, f"is no file of Gaussians: the vertices have no {', '.join(missing[:4])}")
+    higher = sum(name.startswith("f_rest_") for name in columns)
+    rest = [f"f_rest_{k}" for k in range(higher)]
+    if higher % 3 or higher // 3 + 1 not in NUM_SH or any(name not in columns for name in rest):
+        raise FileFormatError(path, f"{higher} coefficients f_rest are those of no degree (0, 9, 24 or 45)")
+
+    def table(*names: str) -> np.ndarray:
+        rows = [columns[name].astype(np.float32) for name in names]
+        return np.stack(rows, axis=1) if rows else np.zeros((len(columns["x"]), 0), np.float32)
+
+    n = len(columns["x"])
+    dc, above = table("f_dc_0", "f_dc_1", "f_dc_2"), table(*rest).reshape(n, 3, -1).transpose(0, 2, 1)
+    quats = table(*(f"rot_{k}" for k in range(4)))
+    with np.errstate(over="ignore"):
+        quats = np.where((quats**2).sum(axis=1, keepdims=True) > 0, quats, np.array([1, 0, 0, 0], np.float32))
+    parts = (
+        table("x", "y", "z"),
+        table("scale_0", "scale_1", "scale_2"),
+        quats,
+        table("opacity")[:, 0],
+        np.concatenate([dc[:, None], above], axis=1),
+    )
+    good = np.all([np.isfinite(part).reshape(n, -1).all(axis=1) for part in parts], axis=0)
+    if not good.any():
+        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
+    return GaussianCloud(*(np.ascontiguousarray(part[good]) for part in parts))

@@ -1,0 +1,1 @@
+"""Pictures to a radiance field, and back to pictures."""

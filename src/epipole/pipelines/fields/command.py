@@ -1,0 +1,70 @@
+"""`epipole splat`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from epipole.fields.config import SplatConfig
+from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.sfm.command import STAGES
+
+if TYPE_CHECKING:
+    from epipole.pipelines.fields.run import SplatResult
+
+DEFAULTS, ALL_PICTURES = SplatConfig(), FieldOptions()
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of every command."""
+
+
+def splat(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    config: Annotated[SplatConfig, tyro.conf.arg(name="")] = DEFAULTS,
+) -> None:
+    """Train 3D Gaussians on pictures, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+
+    Args:
+        source: A folder of photographs or a video (cameras are found first), an output folder of `reconstruct`, a COLMAP model
+            with its pictures, or a transforms.json.
+        out: Output folder: splat.ply, test/NAME.png, metrics.json.
+        job: Which pictures, and for how long.
+        config: Options of the training.
+    """
+    from epipole.screen import progress_on_screen
+
+    words = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+    with progress_on_screen(words) as progress:
+        from epipole.pipelines.fields.run import splat as run
+
+        result = run(source, out, config, job, progress)
+    _show(result)
+    if result.summary["interrupted"]:
+        sys.exit(INTERRUPTED)
+
+
+def _show(result: SplatResult) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from epipole.screen import print_warnings
+
+    summary, console = result.summary, Console()
+    table = Table(box=None, show_header=False)
+    table.add_row("Gaussians", f"{summary['num_gaussians']:,}")
+    table.add_row(
+        "trained",
+        f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
+    )
+    if summary["psnr"] is not None:
+        held = f"{summary['num_test']} pictures that were held out"
+        table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
+    if summary["interrupted"]:
+        table.add_row("ended", "by Ctrl-C")
+    console.print(table)
+    print_warnings(console, result.warnings[:10])
+    console.print(f"Gaussians {result.out / 'splat.ply'}", highlight=False, markup=False)

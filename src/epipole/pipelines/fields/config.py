@@ -1,0 +1,64 @@
+"""Options of `epipole splat`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from epipole._declared import check_fields
+from epipole.errors import ConfigError
+
+USUAL_TIME = "5m"
+_UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)([smh]?)")
+
+Background = Literal["auto", "white", "black"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldOptions:
+    """What is taken of the pictures, and for how long is trained."""
+
+    time: str | None = None
+    """How long to train: 30s, 5m or 1h; 5m unless steps are given. The result depends on the machine's speed."""
+    steps: int | None = None
+    """Steps instead of a time: the same result on any machine."""
+    test_every: int = 8
+    """Every so many pictures one is held out and compared in the end; 0: none. Sets with a test split of their own keep it."""
+    max_side_px: int = 800
+    """Larger pictures are shrunk to this longest side."""
+    background: Background = "auto"
+    """Colour behind everything: white for pictures with transparency, else black."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if self.time is not None and self.steps is not None:
+            raise ConfigError("time and steps are two ways to say how long: give one")
+        if self.steps is not None and not 1 <= self.steps < 10**9:
+            raise ConfigError(f"steps must be 1 or more, got {self.steps}")
+        if self.test_every < 0 or self.test_every == 1:
+            raise ConfigError("test_every must be 0 (hold out none), or 2 or more")
+        if not 16 <= self.max_side_px <= 65536:
+            raise ConfigError(f"max_side_px must be from 16 to 65536, got {self.max_side_px}")
+        _ = self.seconds
+
+    @property
+    def seconds(self) -> float | None:
+        """For how long is trained; None where steps are counted.
+
+        Raises:
+            ConfigError: the time is not understood.
+        """
+        if self.steps is not None:
+            return None
+        words = (USUAL_TIME if self.time is None else self.time).strip()
+        found = _DURATION.fullmatch(words)
+        if found is None or not 0 < float(found[1]) < 1e7:
+            raise ConfigError(f"time is told as 30s, 5m or 1h, got {words!r}")
+        return float(found[1]) * _UNITS_S[found[2] or "s"]

@@ -1,0 +1,141 @@
+"""What a field is trained on: pictures without distortion, cameras, and points, from any of the formats here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.errors import EpipoleError, FileFormatError, NoModelError
+from epipole.fields.training_view import TrainingView, shrunk
+from epipole.image import undistort_image, undistorted_camera
+from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.names import path_inside
+from epipole.io.photographs import read_alpha, read_rgb
+from epipole.io.transforms_json import read_transforms
+from epipole.pipelines.fields.config import FieldOptions
+from epipole.scene import Reconstruction
+
+SPLITS = ("transforms_train.json", "transforms_test.json")
+"""NeRF-synthetic's; a file of validation views is not used."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldPictures:
+    """Views to train on, views that are held out, and what is known of the scene."""
+
+    train: list[TrainingView]
+    test: list[TrainingView]
+    points_in_world: np.ndarray
+    rgb: np.ndarray
+    has_alpha: bool
+    problems: list[str]
+    """Pictures that are left out, and why."""
+
+
+def is_model(source: Path) -> bool:
+    """Whether a source tells cameras; else it is photographs."""
+    if source.suffix == ".json":
+        return True
+    if any((source / name).is_file() for name in (SPLITS[0], "transforms.json")):
+        return True
+    try:
+        find_model(source)
+    except FileFormatError:
+        return False
+    return True
+
+
+def read_field_pictures(
+    source: Path, options: FieldOptions, photographs: Path | None = None
+) -> FieldPictures:
+    """Read cameras and pictures.
+
+    Args:
+        source: an output folder of `reconstruct`, a COLMAP model with `images` beside it, a transforms.json, or a folder of one.
+        options: which pictures are held out, and how large they may be.
+        photographs: where the pictures are, if not beside the model.
+
+    Raises:
+        FileFormatError: there is no model, or it is damaged.
+        NoModelError: fewer than two pictures can be used.
+    """
+    problems: list[str] = []
+    if (source / SPLITS[0]).is_file():
+        parts = [
+            (source / name, read_transforms(source / name)) for name in SPLITS if (source / name).is_file()
+        ]
+        model = parts[0][1]
+        train = _views(model, source, options, problems)
+        test = _views(parts[1][1], source, options, problems) if len(parts) > 1 else []
+    else:
+        model, folder = _model_of(source)
+        views = _views(model, photographs or folder, options, problems)
+        held = range(0, len(views), options.test_every) if options.test_every else range(0)
+        test = [views[k] for k in held]
+        train = [view for k, view in enumerate(views) if k not in held]
+    if len(train) < 2:
+        raise NoModelError(
+            f"{len(train)} of the pictures can be trained on, two are needed"
+            + "".join(f"; {p}" for p in problems[:3])
+        )
+    has_alpha = any(view.picture.shape[2] == 4 for view in train)
+    return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
+
+
+def _model_of(source: Path) -> tuple[Reconstruction, Path]:
+    """A model, and the folder that its pictures' names start from."""
+    file = source if source.suffix == ".json" else source / "transforms.json"
+    if file.is_file():
+        return read_transforms(file, image_folder=""), file.parent
+    folder = find_model(source)
+    at = folder.resolve()
+    places = (source, folder, at.parent, at.parent.parent)
+    workspace = next((place for place in places if (place / "images").is_dir()), source)
+    return read_colmap_model(folder), workspace / "images"
+
+
+def _views(
+    model: Reconstruction, folder: Path, options: FieldOptions, problems: list[str]
+) -> list[TrainingView]:
+    """By their names; a picture that cannot be read is left out."""
+    out, cams_from_world = [], model.cams_from_world()
+    rows = np.flatnonzero(model.is_registered())
+    for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
+        name = model.images.name[row]
+        try:
+            camera = model.cameras[int(model.camera_of_image[row])]
+            picture, camera = _read(path_inside(folder, name), camera, options.max_side_px)
+            out.append(TrainingView(name, picture, camera, cams_from_world[row]))
+        except EpipoleError as error:
+            problems.append(f"{name} is left out: {error}")
+    return out
+
+
+def _read(path: Path, camera: Camera, max_side_px: int) -> tuple[np.ndarray, Camera]:
+    """A picture without distortion, in the size that is wanted, and its pinhole camera."""
+    rgb, alpha = read_rgb(path), read_alpha(path)
+    if rgb.shape[:2] != (camera.height, camera.width):
+        raise FileFormatError(
+            path, f"is {rgb.shape[1]} x {rgb.shape[0]}, its camera {camera.width} x {camera.height}"
+        )
+    pinhole = undistorted_camera(camera)
+    picture = undistort_image(rgb, camera, pinhole)
+    if alpha is not None and alpha.shape == rgb.shape[:2] and (alpha < 255).any():
+        grey = undistort_image(np.repeat(alpha[..., None], 3, axis=2), camera, pinhole)
+        picture = np.concatenate([picture, grey[..., :1]], axis=2)
+    return _fitted(picture, pinhole, max_side_px)
+
+
+def _fitted(picture: np.ndarray, camera: Camera, max_side_px: int) -> tuple[np.ndarray, Camera]:
+    factor = max(camera.width, camera.height) / max_side_px
+    if factor <= 1:
+        return picture, camera
+    size = max(1, round(camera.width / factor)), max(1, round(camera.height / factor))
+    params = camera.params.copy()
+    ratio = np.array([size[0] / camera.width, size[1] / camera.height])
+    params[:2] *= ratio
+    params[2:4] = (params[2:4] + 0.5) * ratio - 0.5
+    return shrunk(picture, size), Camera(camera.model, *size, params)
