@@ -205,9 +205,9 @@ def _minimum(problem: InertialProblem, states: States) -> States:
         normal, gradient = problem.normal_equations(states)
         while True:
             damped = normal + scipy.sparse.diags(damping * normal.diagonal() + 1e-12, format="csc")
-            step = -scipy.sparse.linalg.splu(damped).solve(gradient)
-            moved = problem.moved(states, step)
-            after = problem.cost(moved)
+            step = _solved(damped, gradient)
+            moved = states if step is None else problem.moved(states, -step)
+            after = np.inf if step is None else problem.cost(moved)
             if after <= cost or damping > 1e8:
                 break
             damping *= 10.0
@@ -224,9 +224,17 @@ def _sigma_of_log_scale(problem: InertialProblem, states: States) -> float:
     normal, _ = problem.normal_equations(states)
     unit = np.zeros(normal.shape[0])
     unit[problem.scale_column] = 1.0
-    tied = normal + 1e-12 * scipy.sparse.eye(len(unit), format="csc")
-    variance = scipy.sparse.linalg.splu(tied).solve(unit)[problem.scale_column]
+    row = _solved(normal + 1e-12 * scipy.sparse.eye(len(unit), format="csc"), unit)
+    variance = -1.0 if row is None else row[problem.scale_column]
     return float(np.sqrt(variance)) if variance >= 0 else np.inf
+
+
+def _solved(matrix: scipy.sparse.csc_matrix, rhs: np.ndarray) -> np.ndarray | None:
+    """None where the matrix is singular."""
+    try:
+        return scipy.sparse.linalg.splu(matrix).solve(rhs)
+    except RuntimeError:
+        return None
 
 
 def _judged(problem: InertialProblem, states: States, extent: float, stated: float) -> InertialAlignment:

@@ -9,7 +9,7 @@ import scipy.linalg
 from jaxtyping import Float64, Int64
 
 from epipole._declared import checked
-from epipole.errors import ShapeError
+from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, skew
 from epipole.inertial._inertial_problem import LANES, InertialProblem, States
 from epipole.inertial.alignment import InertialAlignment
@@ -49,7 +49,11 @@ class ImuFactors:
     def linearized(
         self, rig_from_world: Rigid3
     ) -> tuple[float, Float64[np.ndarray, "n 6"], Float64[np.ndarray, "n 6 n 6"]]:
-        """Half the weighed sum of squares at poses of `frames`, its gradient and matrix by xi of exp(xi) @ rig_from_world."""
+        """Half the weighed sum of squares at poses of `frames`, its gradient and matrix by xi of exp(xi) @ rig_from_world.
+
+        Raises:
+            DegenerateGeometryError: the poses are not finite.
+        """
         key = rig_from_world.rotation.tobytes() + rig_from_world.translation.tobytes()
         if key not in self._last:
             self._last.clear()
@@ -177,7 +181,10 @@ class ImuFactors:
         scaled = inner * size * size[:, None]
         scaled[np.diag_indices(len(scaled))] += RIDGE
         by_column = size.reshape(-1, *[1] * (rhs.ndim - 1))
-        factor = scipy.linalg.cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+        try:
+            factor = scipy.linalg.cho_factor(scaled, lower=True, overwrite_a=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            raise DegenerateGeometryError("the poses leave the inertial unit's motion open") from None
         return by_column * scipy.linalg.cho_solve(factor, by_column * rhs, check_finite=False)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from epipole.cameras import CameraModel
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
 from epipole.optim import (
@@ -278,9 +279,10 @@ class LocalMapper:
         paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
         if paths:
             tied = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
-            tied, result = adjust_pair(tied, config)
-            if self.inertial.agrees(paths, result.rig_from_world):
-                return tied, result
+            with suppress(DegenerateGeometryError):
+                tied, result = adjust_pair(tied, config)
+                if self.inertial.agrees(paths, result.rig_from_world):
+                    return tied, result
         return adjust_pair(problem, config)
 
     def learn_inertial(self) -> None:
