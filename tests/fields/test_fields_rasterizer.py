@@ -7,15 +7,23 @@ from plain_rasterizer import plain_render
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields import RenderOptions, render
+from epipole.fields import (
+    RenderOptions,
+    _blend_kernels,
+    _gradient_kernels,
+    _projection_kernels,
+    _tile_kernels,
+    render,
+)
 from epipole.fields.rasterizer import arrays_of, blend, gradient_of, tiles_of, view_of
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
+from kernel_references import reference_of
 
 CAMERA = Camera("PINHOLE", 45, 35, [40.0, 42.0, 22.0, 17.0])
 SEEN = look_at((0.5, -2.5, 0.6), (0, 0, 0))
-PARTS = ("means", "log_scales", "quats", "logits", "sh")
+PARTS = ("means", "log_scales", "quats_wxyz", "logits", "sh")
 
 
 def cloud_of(rng, count=60, num_sh=16):
@@ -32,6 +40,12 @@ def cloud_of(rng, count=60, num_sh=16):
     return GaussianCloud(*(array.astype(np.float32) for array in arrays))
 
 
+@reference_of(
+    _projection_kernels.project,
+    _tile_kernels.count_tiles,
+    _tile_kernels.fill_tiles,
+    _blend_kernels.blend_tiles,
+)
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
 def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
@@ -46,6 +60,7 @@ def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
     assert found.over(np.ones(3, np.float32)) == pytest.approx(colour + (1 - coverage)[..., None], abs=2e-2)
 
 
+@reference_of(_blend_kernels.unblend_tiles, _gradient_kernels.gather)
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
 def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):

@@ -53,8 +53,10 @@ from epipole.io.calibration_files import (
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
 from epipole.io.frame_tables import read_frame_table
+from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.rgba_pictures import read_rgba
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
@@ -75,6 +77,7 @@ from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
+from epipole.scene.gaussian_cloud import GaussianCloud
 from hostile_bytes import assert_model, assert_motions
 from io_models import small_model
 
@@ -310,6 +313,17 @@ def _cloud(folder: Path) -> None:
     assert found.rgb is None or found.rgb.shape == found.xyz.shape
 
 
+def _gaussians(folder: Path) -> None:
+    found = read_gaussian_ply(folder / "splat.ply")
+    assert len(found) and np.isfinite(found.sh).all() and found.quats_wxyz.any(axis=1).all()
+
+
+def _put_gaussians(folder: Path) -> None:
+    shapes = ((4, 3), (4, 3), (4, 4), (4,), (4, 4, 3))
+    arrays = (np.ones(shape, np.float32) for shape in shapes)
+    write_gaussian_ply(folder / "splat.ply", GaussianCloud(*arrays))
+
+
 def _bal(name: str) -> Callable[[Path], None]:
     def read(folder: Path) -> None:
         found = read_bal(folder / name)
@@ -393,6 +407,8 @@ def _photograph(folder: Path) -> None:
     assert header.gps is None or (abs(header.gps.lat_deg) <= 90 and abs(header.gps.lon_deg) <= 180)
     rgb = read_rgb(path)
     assert rgb.shape[2] == 3 and rgb.dtype == np.uint8
+    rgba = read_rgba(path)
+    assert rgba is None or rgba.shape[2] == 4
     grey = read_grey(path, 16)
     assert grey.ndim == 2 and max(grey.shape) <= 16
     copy_or_rotate(path, folder / "copy.jpg")
@@ -484,7 +500,7 @@ def _calibrated(kind: str, write: Callable[[Path], None], *names: str, size: Any
 
 
 def _pictured(kind: str, damage: str = "binary") -> Format:
-    readers = ("read_header", "read_rgb", "read_grey", "copy_or_rotate")
+    readers = ("read_header", "read_rgb", "read_rgba", "read_grey", "copy_or_rotate")
     return Format(_put("photograph", _picture(kind)), "photograph", damage, _photograph, readers)
 
 
@@ -613,6 +629,7 @@ FORMATS: dict[str, Format] = {
         lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
+    "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
     "ply-text": Format(_put("cloud.ply", TEXT_PLY), "cloud.ply", "text", _cloud, ("read_points_ply",)),
     "bal": Format(_put("a.txt", BAL), "a.txt", "text", _bal("a.txt"), ("read_bal",)),
     "bal-bz2": Format(

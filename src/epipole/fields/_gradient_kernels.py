@@ -60,7 +60,7 @@ def gather(view, cloud, gaussian, pair, by_pair, start, stop, gradient, by_pose,
         x = r[0] * mx + r[1] * my + r[2] * mz + t[0]
         y = r[3] * mx + r[4] * my + r[5] * mz + t[1]
         z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
-        covariance(cloud.log_scales[n], cloud.quats[n], axes, cov)
+        covariance(cloud.log_scales[n], cloud.quats_wxyz[n], axes, cov)
         held_u, held_v = in_picture(view, x, y, z, jac)
         v[0], v[1], v[2] = seen_covariance(jac, cov)
         plain = v[0] * v[2] - v[1] * v[1]
@@ -82,7 +82,9 @@ def gather(view, cloud, gaussian, pair, by_pair, start, stop, gradient, by_pose,
             q = jac[1, 0] * c0 + jac[1, 1] * c1 + jac[1, 2] * c2
             by_jac[0, k] = 2.0 * (m00 * p + m01 * q)
             by_jac[1, k] = 2.0 * (m01 * p + m11 * q)
-        back_to_shape(cloud.quats[n], axes, by_cov, scratch, gradient.log_scales[n], gradient.quats[n])
+        back_to_shape(
+            cloud.quats_wxyz[n], axes, by_cov, scratch, gradient.log_scales[n], gradient.quats_wxyz[n]
+        )
         # T0 = ju (r0 - u r2) with ju = f / z, and the like for T1.
         ju, jv = view.focal[0] / z, view.focal[1] / z
         by_ju = by_jv = by_u = by_vv = 0.0

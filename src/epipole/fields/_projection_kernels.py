@@ -104,7 +104,7 @@ def project(view, cloud, start, stop, ellipses, work):
         if not z > view.near_plane:
             continue
         opacity = 1.0 / (1.0 + math.exp(-float(cloud.logits[n])))
-        covariance(cloud.log_scales[n], cloud.quats[n], axes, cov)
+        covariance(cloud.log_scales[n], cloud.quats_wxyz[n], axes, cov)
         in_picture(view, x, y, z, jac)
         vxx, vxy, vyy = seen_covariance(jac, cov)
         plain = vxx * vyy - vxy * vxy

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from epipole.fields.rasterizer import Cloud, CloudGradient
@@ -16,17 +14,16 @@ APART, NARROWER, THINNER, FAINTER = 0.5, 0.5, 0.85, 0.6
 others and of the opacity."""
 
 
-@dataclass(slots=True)
 class Growth:
-    """Scores since the last change: the mean pull at where each Gaussian is seen (Kerbl et al. 2023, section 5.2)."""
+    """Scores since the last change: the mean pull at where each Gaussian is seen (Kerbl et al. 2023, section 5.2).
 
-    pull: np.ndarray
-    views: np.ndarray
+    Attributes:
+        pull: (n,) summed.
+        views: (n,) in which each was seen.
+    """
 
-    @classmethod
-    def of(cls, count: int) -> Growth:
-        """Nothing is known of any."""
-        return cls(np.zeros(count, np.float32), np.zeros(count, np.float32))
+    def __init__(self, count: int) -> None:
+        self.pull, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
     def add(self, gradient: CloudGradient, seen: np.ndarray, width: int) -> None:
         """Count a view: pulls are told in shares of the picture's width, so that sizes can be mixed."""
@@ -48,7 +45,7 @@ def halves(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
     """Two parts of each Gaussian, side by side along its longest axis."""
     longest = cloud.log_scales[rows].argmax(axis=1)
     own = np.arange(len(rows))
-    axes = Rotation3.from_quat_wxyz(cloud.quats[rows].astype(np.float64)).matrix
+    axes = Rotation3.from_quat_wxyz(cloud.quats_wxyz[rows].astype(np.float64)).matrix
     size = np.exp(cloud.log_scales[rows, longest].astype(np.float64))
     shift = (APART * size[:, None] * axes[own, :, longest]).astype(np.float32)
     scales = cloud.log_scales[rows] + np.float32(np.log(THINNER))
@@ -56,7 +53,7 @@ def halves(cloud: Cloud, rows: np.ndarray) -> tuple[Cloud, Cloud]:
     opacity = FAINTER / (1.0 + np.exp(-cloud.logits[rows].astype(np.float64)))
     logits = np.log(opacity / (1.0 - opacity)).astype(np.float32)
     both = [
-        Cloud(cloud.means[rows] + way * shift, scales, cloud.quats[rows], logits, cloud.sh[rows])
+        Cloud(cloud.means[rows] + way * shift, scales, cloud.quats_wxyz[rows], logits, cloud.sh[rows])
         for way in (np.float32(1.0), np.float32(-1.0))
     ]
     return both[0], both[1]

@@ -42,7 +42,7 @@ class Cloud(NamedTuple):
 
     means: np.ndarray
     log_scales: np.ndarray
-    quats: np.ndarray
+    quats_wxyz: np.ndarray
     logits: np.ndarray
     sh: np.ndarray
 
@@ -230,7 +230,7 @@ class CloudGradient(NamedTuple):
 
     means: np.ndarray
     log_scales: np.ndarray
-    quats: np.ndarray
+    quats_wxyz: np.ndarray
     logits: np.ndarray
     sh: np.ndarray
     center: np.ndarray

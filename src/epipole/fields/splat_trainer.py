@@ -84,7 +84,7 @@ class SplatTrainer:
         self._size = _size_of(self._arrays.means)
         self._means = Cloud(*(np.zeros_like(part) for part in self._arrays))
         self._squares = Cloud(*(np.zeros_like(part) for part in self._arrays))
-        self._growth, self._num_changes = Growth.of(len(start)), 0
+        self._growth, self._num_changes = Growth(len(start)), 0
         self._order: list[int] = []
         self._smaller: dict[tuple[int, int], TrainingView] = {}
 
@@ -177,7 +177,7 @@ class SplatTrainer:
             Cloud(*(np.concatenate(pair) for pair in zip(one, more)))
             for one, more in zip(kept, (second, none, none))
         )
-        self._growth = Growth.of(len(self))
+        self._growth = Growth(len(self))
 
 
 def _adam(parts: Sequence[np.ndarray], is_seen: np.ndarray, rates: np.ndarray, unbias: np.ndarray) -> None:

@@ -34,8 +34,6 @@ from epipole.errors import FileFormatError
 from epipole.io._photograph_pixels import (
     AVIF_SUFFIXES,
     HEIF_SUFFIXES,
-    MAX_LOSSLESS_PX,
-    PILLOW_ERRORS,
     RAW_SUFFIXES,
     decode,
     exif_of,
@@ -214,40 +212,6 @@ def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarr
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
     return decode(Path(path), False, max_size_px)
-
-
-def read_alpha(path: Path | str) -> UInt8[np.ndarray, "h w"] | None:
-    """How opaque each pixel of a PNG, TIFF or WebP is, from 0 to 255; None where the picture has no transparency.
-
-    Raises:
-        FileFormatError: it is damaged, too large or not a picture.
-    """
-    path = Path(path)
-    data = file_bytes(path)
-    kind = format_of(path, data[:32])
-    if kind not in ("PNG", "TIFF", "WEBP"):
-        return None
-    with open_with_pillow(path, io.BytesIO(data), kind) as image:
-        if "A" not in image.getbands():
-            return None
-        if image.width * image.height > MAX_LOSSLESS_PX:
-            raise FileFormatError(path, "the picture is too large")
-        try:
-            return np.asarray(image.getchannel("A")).astype(np.uint8)
-        except PILLOW_ERRORS as error:
-            raise FileFormatError(path, f"the {kind} picture is damaged ({error})") from error
-
-
-def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write a picture as PNG.
-
-    Raises:
-        WorkspaceError: the file cannot be written.
-    """
-    data = io.BytesIO()
-    Image.fromarray(rgb).save(data, "PNG", compress_level=3)
-    with atomic_write(Path(path)) as aside:
-        aside.write_bytes(data.getvalue())
 
 
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:

@@ -13,7 +13,8 @@ from epipole.fields.training_view import TrainingView, shrunk
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_alpha, read_rgb
+from epipole.io.photographs import read_rgb
+from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.scene import Reconstruction
@@ -48,7 +49,7 @@ def is_model(source: Path) -> bool:
     return True
 
 
-def read_field_pictures(
+def gather_field_pictures(
     source: Path, options: FieldOptions, photographs: Path | None = None
 ) -> FieldPictures:
     """Read cameras and pictures.
@@ -65,7 +66,9 @@ def read_field_pictures(
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
         parts = [
-            (source / name, read_transforms(source / name)) for name in SPLITS if (source / name).is_file()
+            (source / name, read_transforms(source / name, image_folder=""))
+            for name in SPLITS
+            if (source / name).is_file()
         ]
         model = parts[0][1]
         train = _views(model, source, options, problems)
@@ -116,16 +119,17 @@ def _views(
 
 def _read(path: Path, camera: Camera, max_side_px: int) -> tuple[np.ndarray, Camera]:
     """A picture without distortion, in the size that is wanted, and its pinhole camera."""
-    rgb, alpha = read_rgb(path), read_alpha(path)
+    rgba = read_rgba(path)
+    rgb = read_rgb(path) if rgba is None else np.ascontiguousarray(rgba[..., :3])
     if rgb.shape[:2] != (camera.height, camera.width):
         raise FileFormatError(
             path, f"is {rgb.shape[1]} x {rgb.shape[0]}, its camera {camera.width} x {camera.height}"
         )
     pinhole = undistorted_camera(camera)
     picture = undistort_image(rgb, camera, pinhole)
-    if alpha is not None and alpha.shape == rgb.shape[:2] and (alpha < 255).any():
-        grey = undistort_image(np.repeat(alpha[..., None], 3, axis=2), camera, pinhole)
-        picture = np.concatenate([picture, grey[..., :1]], axis=2)
+    if rgba is not None and (rgba[..., 3] < 255).any():
+        alpha = undistort_image(np.repeat(rgba[..., 3:], 3, axis=2), camera, pinhole)
+        picture = np.concatenate([picture, alpha[..., :1]], axis=2)
     return _fitted(picture, pinhole, max_side_px)
 
 

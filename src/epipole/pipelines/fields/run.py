@@ -20,9 +20,9 @@ from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.starting import cloud_of_points, points_in_silhouettes
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussian_ply import write_gaussian_ply
-from epipole.io.photographs import write_png
+from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import FieldPictures, is_model, read_field_pictures
+from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -95,11 +95,11 @@ def splat(
 
 def _pictures(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
     if is_model(source):
-        return read_field_pictures(source, wanted)
+        return gather_field_pictures(source, wanted)
     model = run.root / MODEL
     reconstruct(source, model, progress=run.job.progress)
     pictures = source if source.is_dir() else model / "images"
-    return read_field_pictures(model, wanted, pictures)
+    return gather_field_pictures(model, wanted, pictures)
 
 
 def _background(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:

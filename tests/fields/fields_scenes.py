@@ -1,0 +1,44 @@
+"""A small scene of Gaussians, seen from all around."""
+
+from functools import cache
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.fields import render
+from epipole.fields.training_view import TrainingView
+from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.synthetic import look_at
+
+CAMERA = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5])
+WHITE = np.ones(3, np.float32)
+
+
+@cache
+def scene():
+    """Gaussians in the unit ball, coloured by their place."""
+    rng = np.random.default_rng(7)
+    n = 80
+    means = rng.normal(size=(n, 3))
+    means *= (rng.uniform(0.1, 0.8, n) / np.linalg.norm(means, axis=1))[:, None]
+    arrays = (
+        *(means, np.log(rng.uniform(0.06, 0.16, (n, 3))), rng.normal(size=(n, 4)), np.full(n, 1.5)),
+        np.clip(2.0 * means[:, None] / 0.8, -1.5, 1.5),
+    )
+    return GaussianCloud(*(np.asarray(array, np.float32) for array in arrays))
+
+
+@cache
+def views(count=14, with_alpha=True):
+    """Pictures of it, with transparency or before white."""
+    out = []
+    for n in range(count):
+        angle, up = 2.399963 * n, -0.7 + 1.4 * (n + 0.5) / count
+        place = look_at(2.6 * np.array([np.cos(angle), np.sin(angle), up]), (0, 0, 0))
+        drawn = render(scene(), CAMERA, place)
+        alpha = drawn.coverage[..., None]
+        colour = np.divide(drawn.colour, alpha, out=np.zeros_like(drawn.colour), where=alpha > 0)
+        whole = np.concatenate([colour, alpha], axis=2) if with_alpha else drawn.over(WHITE)
+        picture = np.rint(255 * np.clip(whole, 0, 1)).astype(np.uint8)
+        out.append(TrainingView(f"{n:02d}.png", picture, CAMERA, place))
+    return tuple(out)

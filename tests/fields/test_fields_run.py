@@ -1,0 +1,133 @@
+"""`epipole.splat`: from cameras and pictures to Gaussians, held-out pictures and figures; and what is wrong with them."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from fields_scenes import CAMERA, views
+
+from epipole import splat
+from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.pipelines.fields.config import FieldOptions
+
+OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
+
+
+def frames_of(chosen, folder):
+    """Pictures in a folder, and their entries in a transforms.json."""
+    out = []
+    for view in chosen:
+        picture = cv2.cvtColor(view.picture, cv2.COLOR_RGBA2BGRA)
+        (folder / "images").mkdir(exist_ok=True)
+        cv2.imwrite(str(folder / "images" / view.name), picture)
+        matrix = view.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
+        out.append({"file_path": f"images/{view.name}", "transform_matrix": matrix.tolist()})
+    return out
+
+
+def lens():
+    fx, fy, cx, cy = CAMERA.params
+    return {"w": CAMERA.width, "h": CAMERA.height, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("splat") / "scene"
+    folder.mkdir()
+    content = lens() | {"frames": frames_of(views(), folder)}
+    (folder / "transforms.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(source, tmp_path_factory):
+    return splat(source, tmp_path_factory.mktemp("splat") / "out", test_every=7, **OPTIONS)
+
+
+def test_results_are_written(result):
+    out = result.out
+    cloud = read_gaussian_ply(out / "splat.ply")
+    assert len(cloud) == len(result.cloud) == result.summary["num_gaussians"]
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["num_train"] == 12 and metrics["num_test"] == 2 and metrics["steps"] == 80
+    assert [view["name"] for view in metrics["views"]] == ["images/00.png", "images/07.png"]
+    assert metrics["psnr"] == pytest.approx(np.mean([view["psnr"] for view in metrics["views"]]))
+    assert metrics["psnr"] > 20 and metrics["background"] == "white" and len(metrics["curve"]["rows"]) > 5
+    names = sorted(path.name for path in (out / "test").iterdir())
+    assert names == ["images_00.png", "images_07.png"]
+    drawn = cv2.imread(str(out / "test" / "images_00.png"))[..., ::-1].astype(float) / 255
+    error = np.mean((drawn - views()[0].over(np.ones(3, np.float32))) ** 2)
+    assert -10 * np.log10(error) == pytest.approx(metrics["views"][0]["psnr"], abs=0.1)
+
+
+def test_the_same_steps_give_the_same(source, result, tmp_path):
+    again = splat(source / "transforms.json", tmp_path / "out", test_every=7, **OPTIONS)
+    assert (again.out / "splat.ply").read_bytes() == (result.out / "splat.ply").read_bytes()
+
+
+def test_pictures_that_are_missing_are_left_out_and_named(source, tmp_path):
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    frames = frames_of(views(), folder)
+    (folder / "images" / "03.png").unlink()
+    (folder / "images" / "04.png").write_bytes(b"no picture")
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    found = splat(folder, tmp_path / "out", **OPTIONS | {"steps": 3})
+    assert found.summary["num_train"] + found.summary["num_test"] == 12
+    assert [warning.split()[0] for warning in found.warnings] == ["images/03.png", "images/04.png"]
+
+
+def test_sets_with_a_split_of_their_own_keep_it(tmp_path):
+    frames = frames_of(views(), tmp_path)
+    for name, own in (("train", frames[:10]), ("test", frames[10:])):
+        angle = 2 * np.arctan(0.5 * CAMERA.width / CAMERA.params[0])
+        (tmp_path / f"transforms_{name}.json").write_text(
+            json.dumps({"camera_angle_x": angle, "frames": own})
+        )
+    found = splat(tmp_path, tmp_path / "out", **OPTIONS | {"steps": 3})
+    assert (found.summary["num_train"], found.summary["num_test"]) == (10, 4)
+
+
+def test_an_interrupt_keeps_what_was_learnt(source, tmp_path):
+    def stop(progress):
+        if progress.stage == "train" and progress.done > 30:
+            raise KeyboardInterrupt
+
+    found = splat(source, tmp_path / "out", progress=stop, **OPTIONS)
+    assert found.summary["interrupted"] and 10 < found.summary["steps"] < 80
+    assert len(read_gaussian_ply(tmp_path / "out" / "splat.ply")) == found.summary["num_gaussians"]
+
+
+def test_what_cannot_be_trained_on_is_refused(source, tmp_path):
+    one = tmp_path / "one"
+    one.mkdir()
+    (one / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views()[:1], one)}))
+    with pytest.raises(NoModelError, match="two are needed"):
+        splat(one, tmp_path / "out", test_every=0)
+    with pytest.raises(FileFormatError, match="no such"):
+        splat(tmp_path / "nowhere", tmp_path / "out")
+    wrong = tmp_path / "wrong"
+    wrong.mkdir()
+    (wrong / "transforms.json").write_text(
+        json.dumps(
+            lens() | {"frames": [{"file_path": "a.png", "transform_matrix": [[float("nan")] * 4] * 4}]}
+        )
+    )
+    with pytest.raises(FileFormatError, match="finite"):
+        splat(wrong, tmp_path / "out")
+
+
+def test_time_is_told_in_words():
+    assert FieldOptions(time="90s").seconds == 90 and FieldOptions(time="1.5m").seconds == 90
+    assert FieldOptions().seconds == 300 and FieldOptions(steps=5).seconds is None
+    for wrong in (
+        {"time": "soon"},
+        {"time": "0s"},
+        {"time": "5m", "steps": 3},
+        {"steps": 0},
+        {"test_every": 1},
+    ):
+        with pytest.raises(ConfigError):
+            FieldOptions(**wrong)

@@ -1,0 +1,162 @@
+"""Training: a scene that is known is learnt, whatever the number of threads; its parts against their formulas."""
+
+import numpy as np
+import pytest
+from fields_scenes import CAMERA, WHITE, scene, views
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.fields import _adam_kernels, render
+from epipole.fields.config import SplatConfig
+from epipole.fields.growth import FAINTER, Growth, halves
+from epipole.fields.photometric import psnr
+from epipole.fields.rasterizer import Cloud, CloudGradient, arrays_of
+from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.training_view import TrainingView
+from epipole.geometry import Rigid3
+from epipole.scene.gaussian_cloud import DC
+from kernel_references import reference_of
+
+
+@reference_of(_adam_kernels.adam_rows)
+def test_adam_moves_what_was_seen_as_the_paper_says(rng):
+    values, gradient, mean = (rng.normal(size=(50, 4)).astype(np.float32) for _ in range(3))
+    square = rng.uniform(0, 1, (50, 4)).astype(np.float32)
+    seen, rates = rng.uniform(size=50) < 0.5, rng.uniform(1e-3, 1e-2, 4).astype(np.float32)
+    unbias = np.array([2.0, 5.0], np.float32)
+    m = 0.9 * mean.astype(float) + 0.1 * gradient
+    v = 0.99 * square.astype(float) + 0.01 * gradient.astype(float) ** 2
+    wanted = np.where(seen[:, None], values - rates * m * 2.0 / np.sqrt(5.0 * v), values)
+    _adam_kernels.adam_rows(values, gradient, mean, square, seen, 0, 50, rates, unbias)
+    np.testing.assert_allclose(values, wanted, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(mean[seen], m[seen], rtol=1e-5, atol=1e-7)
+
+
+def trained(steps=260, threads=None, **options):
+    points, rgb = points_in_silhouettes(views(), 300, seed=1)
+    config = SplatConfig(max_gaussians=700, sh_degree=1, **options)
+    _parallel.set_num_threads(threads)
+    try:
+        trainer = SplatTrainer(views()[2:], cloud_of_points(points, rgb), config, WHITE)
+        for step in range(steps):
+            trainer.step(step / steps)
+    finally:
+        _parallel.set_num_threads(None)
+    return trainer
+
+
+def likeness_of(cloud, view):
+    return psnr(render(cloud, view.camera, view.cam_from_world).over(WHITE), view.over(WHITE))
+
+
+def test_views_that_were_held_out_are_drawn():
+    trainer = trained()
+    first = SplatTrainer(views(), cloud_of_points(*points_in_silhouettes(views(), 300)), SplatConfig(), WHITE)
+    for view in views()[:2]:
+        assert likeness_of(trainer.cloud, view) > max(27.0, likeness_of(first.cloud, view) + 8.0)
+    assert 300 < len(trainer) <= 700 and trainer.cloud.sh_degree == 1 and trainer.num_steps == 260
+
+
+def test_any_number_of_threads_gives_the_same():
+    clouds = [trained(30, threads).cloud for threads in (1, 3)]
+    for one, other in zip(arrays_of(clouds[0]), arrays_of(clouds[1])):
+        np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(trained(30, seed=5).cloud.means_in_world, clouds[0].means_in_world)
+
+
+def test_what_pulls_is_split_and_what_is_faint_goes():
+    cloud = arrays_of(scene())
+    cloud.logits[:5] = -9.0
+    growth, count = Growth(len(cloud.means)), len(cloud.means)
+    center = np.zeros((count, 2), np.float32)
+    center[[10, 20, 3]] = [[3.0, 4.0], [1.0, 0.0], [9.0, 0.0]]
+    gradient = CloudGradient(*cloud, center=center)
+    growth.add(gradient, np.arange(count), 64)
+    rows, stays = growth.changes(cloud, count)
+    assert rows.tolist() == [10, 20] and not stays[:5].any() and stays[5:].all()
+    assert growth.changes(cloud, count - 4)[0].tolist() == [10]
+
+
+def test_halves_lie_side_by_side_along_the_longest_axis():
+    cloud = Cloud(
+        *(
+            np.asarray(array, np.float32)
+            for array in (
+                np.zeros((1, 3)),
+                np.log([[0.1, 0.5, 0.2]]),
+                [[1, 0, 0, 0]],
+                [0.0],
+                np.zeros((1, 1, 3)),
+            )
+        )
+    )
+    first, second = halves(cloud, np.array([0]))
+    np.testing.assert_allclose(first.means, [[0, 0.25, 0]], atol=1e-6)
+    np.testing.assert_allclose(second.means, -first.means, atol=1e-6)
+    np.testing.assert_allclose(np.exp(first.log_scales), [[0.085, 0.25, 0.17]], rtol=1e-5)
+    np.testing.assert_allclose(1 / (1 + np.exp(-first.logits)), [0.5 * FAINTER], rtol=1e-5)
+
+
+def test_gaussians_at_points_reach_to_their_neighbours(rng):
+    points = np.array([[x, y, 0.0] for x in range(4) for y in range(4)], np.float64)
+    cloud = cloud_of_points(points, np.full((16, 3), 255, np.uint8))
+    np.testing.assert_allclose(np.exp(cloud.log_scales[5]), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(0.5 + DC * cloud.sh[:, 0], 1.0, atol=1e-6)
+    with pytest.raises(ShapeError, match="4 or more"):
+        cloud_of_points(points[:3], np.zeros((3, 3), np.uint8))
+
+
+def test_points_are_drawn_within_all_silhouettes():
+    points, rgb = points_in_silhouettes(views(), 200)
+    assert len(points) == 200 and rgb.dtype == np.uint8
+    for view in views():
+        at = np.rint(view.camera.project(view.cam_from_world.apply(points))).astype(int)
+        inside = (at >= 0).all(axis=1) & (at < [CAMERA.width, CAMERA.height]).all(axis=1)
+        assert (view.picture[at[inside, 1], at[inside, 0], 3] > 0).all()
+
+
+def test_cameras_that_see_nothing_in_common_are_refused():
+    ahead = [TrainingView(v.name, v.picture, v.camera, Rigid3.identity()) for v in views()]
+    with pytest.raises(DegenerateGeometryError, match="the same way"):
+        points_in_silhouettes(ahead, 10)
+    half = np.diag([-1.0, 1.0, -1.0])
+    away = [
+        TrainingView(
+            v.name,
+            v.picture,
+            v.camera,
+            Rigid3(half @ v.cam_from_world.rotation, half @ v.cam_from_world.translation),
+        )
+        for v in views()
+    ]
+    with pytest.raises(DegenerateGeometryError, match="axes"):
+        points_in_silhouettes(away, 10)
+
+
+def test_smaller_pictures_are_means_and_their_camera_sees_the_same():
+    view = views()[0]
+    half = view.smaller(2)
+    assert half.picture.shape == (24, 32, 4)
+    corner = np.array([[0.5, 0.5], [60.5, 40.5]])
+    np.testing.assert_allclose(
+        half.camera.unproject((corner + 0.5) / 2 - 0.5), view.camera.unproject(corner), atol=1e-9
+    )
+    whole = view.over(WHITE).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(half.over(WHITE), whole, atol=0.01)
+
+
+def test_what_does_not_fit_is_refused():
+    view, cloud = views()[0], scene()
+    with pytest.raises(ConfigError, match="no picture"):
+        SplatTrainer([], cloud, SplatConfig(), WHITE)
+    with pytest.raises(ShapeError, match="no Gaussian"):
+        SplatTrainer([view], cloud.rows(np.zeros(0, np.int64)), SplatConfig(), WHITE)
+    with pytest.raises(ShapeError, match="size"):
+        TrainingView("x", view.picture, Camera("PINHOLE", 60, 48, CAMERA.params), view.cam_from_world)
+    with pytest.raises(ShapeError, match="3 or 4"):
+        TrainingView("x", view.picture[..., :2], CAMERA, view.cam_from_world)
+    for wrong in ({"max_gaussians": 0}, {"sh_degree": 4}, {"ssim_weight": 1.5}, {"seed": -1}):
+        with pytest.raises(ConfigError):
+            SplatConfig(**wrong)
