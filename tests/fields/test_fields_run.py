@@ -62,6 +62,13 @@ def test_results_are_written(result):
     assert -10 * np.log10(error) == pytest.approx(metrics["views"][0]["psnr"], abs=0.1)
 
 
+def test_pictures_can_be_held_out_by_name(source, tmp_path):
+    found = splat(source, tmp_path / "out", test="images/03.png, images/05.png", **OPTIONS | {"steps": 3})
+    assert (found.summary["num_train"], found.summary["num_test"]) == (12, 2)
+    with pytest.raises(ConfigError, match="nowhere"):
+        splat(source, tmp_path / "other", test="nowhere.png", **OPTIONS)
+
+
 def test_the_same_steps_give_the_same(source, result, tmp_path):
     again = splat(source / "transforms.json", tmp_path / "out", test_every=7, **OPTIONS)
     assert (again.out / "splat.ply").read_bytes() == (result.out / "splat.ply").read_bytes()

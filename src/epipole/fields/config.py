@@ -13,8 +13,8 @@ from epipole.errors import ConfigError
 class SplatConfig:
     """How Gaussians are trained."""
 
-    max_gaussians: int = 50_000
-    """Gaussians at the end: time and memory grow with them."""
+    max_gaussians: int | None = None
+    """Gaussians at the end: time and memory grow with them; None: as many as the time bears."""
     sh_degree: int = 3
     """Degree of the spherical harmonics, 0 to 3."""
     ssim_weight: float = 0.2
@@ -31,7 +31,7 @@ class SplatConfig:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
-        if not 1 <= self.max_gaussians <= 100_000_000:
+        if self.max_gaussians is not None and not 1 <= self.max_gaussians <= 100_000_000:
             raise ConfigError(f"max_gaussians must be from 1 to 100 million, got {self.max_gaussians}")
         if not 0 <= self.sh_degree <= 3:
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")

@@ -32,13 +32,14 @@ DEGREES = ((0.10, 0), (0.25, 1), (0.45, 2), (1.0, 3))
 """Degree of the harmonics until that share."""
 GROWN, CHANGES = 0.6, 40
 """Share after which no Gaussian is split any more, and how often some are until then."""
-PLACE_RATES = (2e-3, 2e-5)
+PLACE_RATES = (3e-3, 1e-4)
 """Of places at the begin and the end, in the scene's size a step."""
-LAST_RATES = 0.1
+LAST_RATES = 0.3
 """What is left of the other rates at the end."""
-RATES = Cloud(np.nan, 7e-3, 2e-3, 4e-2, 4e-3)  # type: ignore[arg-type]
-"""Of logarithms of scales, quaternions, opacities and colours; harmonics above degree 0 have a twentieth."""
-HIGHER_SH = 1.0 / 20.0
+RATES = Cloud(np.nan, 2e-2, 8e-3, 6e-2, 8e-3)  # type: ignore[arg-type]
+"""Of logarithms of scales, quaternions, opacities and colours; those of harmonics above degree 0 are a share of that."""
+HIGHER_SH = 0.4
+USUAL_MOST = 50_000
 LEAST_SIDE_PX = 24
 """Of the smallest pictures."""
 
@@ -60,7 +61,7 @@ class SplatTrainer:
 
         Args:
             views: pictures and cameras.
-            start: the first Gaussians; more than `max_gaussians` are thinned out.
+            start: the first Gaussians; more than `max_gaussians` (None: 50,000) are thinned out.
             config: options.
             background: (3,) colour behind everything.
 
@@ -76,8 +77,9 @@ class SplatTrainer:
         self.background = background.astype(np.float32)
         self.options = RenderOptions(antialiased=config.antialiased)
         self._rng = np.random.default_rng([20, config.seed])
-        if len(start) > config.max_gaussians:
-            kept = np.sort(self._rng.choice(len(start), config.max_gaussians, replace=False))
+        self._most = USUAL_MOST if config.max_gaussians is None else config.max_gaussians
+        if len(start) > self._most:
+            kept = np.sort(self._rng.choice(len(start), self._most, replace=False))
             start = start.rows(kept)
         self._arrays = arrays_of(start.rows(np.arange(len(start))))
         self._num_first = len(start)
@@ -163,7 +165,7 @@ class SplatTrainer:
     def _change(self, progress: float) -> None:
         """Split where pictures pull, up to the count of the schedule, and drop what is not seen."""
         share = min(1.0, progress / GROWN)
-        wanted = self._num_first + (self.config.max_gaussians - self._num_first) * share
+        wanted = self._num_first + (self._most - self._num_first) * share
         rows, stays = self._growth.changes(self._arrays, int(wanted))
         first, second = halves(self._arrays, rows)
         for part, half in zip(self._arrays, first):

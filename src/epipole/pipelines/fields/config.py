@@ -26,6 +26,8 @@ class FieldOptions:
     """Steps instead of a time: the same result on any machine."""
     test_every: int = 8
     """Every so many pictures one is held out and compared in the end; 0: none. Sets with a test split of their own keep it."""
+    test: str | None = None
+    """Names of pictures that are held out instead, separated by commas."""
     max_side_px: int = 800
     """Larger pictures are shrunk to this longest side."""
     background: Background = "auto"

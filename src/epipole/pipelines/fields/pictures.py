@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.errors import EpipoleError, FileFormatError, NoModelError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelError
 from epipole.fields.training_view import TrainingView, shrunk
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
@@ -62,6 +62,7 @@ def gather_field_pictures(
     Raises:
         FileFormatError: there is no model, or it is damaged.
         NoModelError: fewer than two pictures can be used.
+        ConfigError: a picture that is to be held out has no camera.
     """
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
@@ -76,9 +77,9 @@ def gather_field_pictures(
     else:
         model, folder = _model_of(source)
         views = _views(model, photographs or folder, options, problems)
-        held = range(0, len(views), options.test_every) if options.test_every else range(0)
-        test = [views[k] for k in held]
-        train = [view for k, view in enumerate(views) if k not in held]
+        held = _held_out([view.name for view in views], options)
+        test = [view for view in views if view.name in held]
+        train = [view for view in views if view.name not in held]
     if len(train) < 2:
         raise NoModelError(
             f"{len(train)} of the pictures can be trained on, two are needed"
@@ -86,6 +87,21 @@ def gather_field_pictures(
         )
     has_alpha = any(view.picture.shape[2] == 4 for view in train)
     return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
+
+
+def _held_out(names: list[str], options: FieldOptions) -> set[str]:
+    """Names of pictures that are not trained on.
+
+    Raises:
+        ConfigError: one that is asked for is not there.
+    """
+    if options.test is None:
+        return set(names[:: options.test_every]) if options.test_every else set()
+    wanted = {name.strip() for name in options.test.split(",") if name.strip()}
+    missing = sorted(wanted - set(names))
+    if missing:
+        raise ConfigError(f"test names pictures that have no camera: {', '.join(missing[:4])}")
+    return wanted
 
 
 def _model_of(source: Path) -> tuple[Reconstruction, Path]:

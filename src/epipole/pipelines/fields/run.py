@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -30,9 +30,11 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 SPLAT, METRICS, MODEL = "splat.ply", "metrics.json", "sfm"
 LEAST_POINTS = 100
 """Of a model: with fewer the first Gaussians are drawn."""
-FIRST_SHARE = 0.4
+FIRST_SHARE = 0.1
 """Of the Gaussians in the end, where they are drawn."""
 CURVE_POINTS = 200
+BORNE, STEP_S = 3600.0, 0.02
+"""Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +78,9 @@ def splat(
     """
     own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
     wanted, config = options_of(FieldOptions, job, own), options_of(SplatConfig, config, options)
+    seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
+    if config.max_gaussians is None:
+        config = replace(config, max_gaussians=max(LEAST_POINTS, int(BORNE * seconds**0.5)))
     source, out = as_path(source), as_path(out)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
@@ -111,7 +116,7 @@ def _start(pictures: FieldPictures, config: SplatConfig) -> GaussianCloud:
     points, rgb = pictures.points_in_world, pictures.rgb
     good = np.isfinite(points).all(axis=1)
     if good.sum() < LEAST_POINTS:
-        count = max(LEAST_POINTS, int(FIRST_SHARE * config.max_gaussians))
+        count = max(LEAST_POINTS, int(FIRST_SHARE * (config.max_gaussians or 0)))
         points, rgb = points_in_silhouettes(pictures.train, count, config.seed)
         good = np.ones(len(points), bool)
     return cloud_of_points(points[good], rgb[good])
