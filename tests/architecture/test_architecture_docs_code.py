@@ -69,6 +69,18 @@ def model(folder: Path) -> None:
     write_colmap_model(bundle_problem(6, 100, 4).truth, folder / "OUT" / "sparse" / "0")
 
 
+def seen_model(folder: Path) -> dict[str, Any]:
+    """A model with its pictures, which are of one colour."""
+    truth = bundle_problem(6, 100, 4).truth
+    write_colmap_model(truth, folder / "MODEL" / "sparse" / "0")
+    for row, name in enumerate(truth.images.name):
+        camera = truth.cameras[int(truth.camera_of_image[row])]
+        path = folder / "MODEL" / "images" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (camera.width, camera.height), (200, 150, 90)).save(path)
+    return {}
+
+
 def bundle(folder: Path) -> dict[str, Any]:
     """A file of Bundle Adjustment in the Large: cameras look along -z."""
     rng = np.random.default_rng(2)
@@ -132,6 +144,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bundle_adjustment": bundle,
     "calibration": board_pictures,
     "cameras": cameras,
+    "fields": seen_model,
     "fundamental_matrix": lambda _: two_views(),
     "homography": lambda _: two_views(),
     "pairs": lambda _: two_views(),
