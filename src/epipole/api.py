@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from epipole._checks import as_path
 from epipole.cameras import Camera as Camera
 from epipole.cameras import CameraModel as CameraModel
 from epipole.config import AnchorOptions as AnchorOptions
@@ -27,13 +24,11 @@ from epipole.pipelines.evaluation.trajectories import evaluate_trajectory as eva
 from epipole.pipelines.fields.config import FieldOptions as FieldOptions
 from epipole.pipelines.fields.run import SplatResult as SplatResult
 from epipole.pipelines.fields.run import splat as splat
-from epipole.pipelines.sfm import scene as _sfm_scene
 from epipole.pipelines.sfm.config import MapperConfig as MapperConfig
 from epipole.pipelines.sfm.config import PairingConfig as PairingConfig
 from epipole.pipelines.sfm.config import ReconstructConfig as ReconstructConfig
 from epipole.pipelines.sfm.run import ReconstructionResult as ReconstructionResult
 from epipole.pipelines.sfm.run import reconstruct as reconstruct
-from epipole.pipelines.slam import scene as _slam_scene
 from epipole.pipelines.slam.config import CameraOptions as CameraOptions
 from epipole.pipelines.slam.config import JobOptions as JobOptions
 from epipole.pipelines.slam.config import SlamConfig as SlamConfig
@@ -46,7 +41,6 @@ from epipole.pipelines.slam.map_files import write_slam_map as write_slam_map
 from epipole.pipelines.slam.results import SlamResult as SlamResult
 from epipole.pipelines.slam.run import slam as slam
 from epipole.pipelines.slam.slam import Slam as Slam
-from epipole.pipelines.stereo import scene as _stereo_scene
 from epipole.pipelines.stereo.config import StereoConfig as StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis as Diagnosis
 from epipole.pipelines.stereo.pair import StereoResult as StereoResult
@@ -56,28 +50,8 @@ from epipole.pipelines.stereo.run import stereo as stereo
 from epipole.pipelines.stereo.run import stereo_many as stereo_many
 from epipole.pipelines.stereo.run import stereo_of_model as stereo_of_model
 from epipole.pipelines.undistortion.run import undistort as undistort
+from epipole.pipelines.viewing.run import view as view
 from epipole.scene import Reconstruction as Reconstruction
 from epipole.scene import RectifiedRig as RectifiedRig
 from epipole.scene import StereoRig as StereoRig
 from epipole.viewer import ViewerHandle as ViewerHandle
-
-
-def view(
-    out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
-) -> ViewerHandle:
-    """Show an output folder in the browser: a model with its pictures, a path and its map, or a pair's depth.
-
-    Args:
-        out: output folder of a job, or a COLMAP model.
-        port: where to listen; None: 8080, or the next free port if that is in use, which the handle's note says.
-        host: the address to listen on; "0.0.0.0" lets other machines in.
-        block: return only when the user interrupts with Ctrl-C.
-
-    Raises:
-        FileFormatError: the folder holds nothing that can be shown.
-        ConfigError: the port is in use or out of range, or the host is no address of this machine.
-    """
-    path = as_path(out)
-    own = (scene for scene in (_stereo_scene, _slam_scene) if scene.is_mine(path))
-    scene = next(own, _sfm_scene)
-    return scene.show(path, port=port, host=host, block=block)

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from fields_scenes import CAMERA, views
 
-from epipole import splat
+from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.gaussian_ply import read_gaussian_ply
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.scene import is_mine, splat_view
 
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 
@@ -18,12 +19,12 @@ OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 def frames_of(chosen, folder):
     """Pictures in a folder, and their entries in a transforms.json."""
     out = []
-    for view in chosen:
-        picture = cv2.cvtColor(view.picture, cv2.COLOR_RGBA2BGRA)
+    for seen in chosen:
+        picture = cv2.cvtColor(seen.picture, cv2.COLOR_RGBA2BGRA)
         (folder / "images").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "images" / view.name), picture)
-        matrix = view.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
-        out.append({"file_path": f"images/{view.name}", "transform_matrix": matrix.tolist()})
+        cv2.imwrite(str(folder / "images" / seen.name), picture)
+        matrix = seen.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
+        out.append({"file_path": f"images/{seen.name}", "transform_matrix": matrix.tolist()})
     return out
 
 
@@ -60,6 +61,19 @@ def test_results_are_written(result):
     drawn = cv2.imread(str(out / "test" / "images_00.png"))[..., ::-1].astype(float) / 255
     error = np.mean((drawn - views()[0].over(np.ones(3, np.float32))) ** 2)
     assert -10 * np.log10(error) == pytest.approx(metrics["views"][0]["psnr"], abs=0.1)
+
+
+def test_results_are_shown_from_where_a_picture_was_taken(result, tmp_path):
+    assert is_mine(result.out) and is_mine(result.out / "splat.ply") and not is_mine(tmp_path)
+    shown = splat_view(result.out)
+    np.testing.assert_allclose(shown.position, views()[1].cam_from_world.inverse().translation, atol=1e-9)
+    assert np.linalg.norm(shown.look_at) < 0.5 and shown.up[2] > 0.9
+    (tmp_path / "alone.ply").write_bytes((result.out / "splat.ply").read_bytes())
+    (tmp_path / "summary.json").write_text('{"first_view": {"position": [1, 2]}}')
+    alone = splat_view(tmp_path / "alone.ply")
+    assert len(alone.cloud) == len(shown.cloud) and np.isfinite(alone.position).all()
+    handle = view(result.out, block=False)
+    handle.stop()
 
 
 def test_pictures_can_be_held_out_by_name(source, tmp_path):

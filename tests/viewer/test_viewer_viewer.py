@@ -15,11 +15,14 @@ from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks
+from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic.stereo_rooms import stereo_room
 from epipole.viewer import DepthView, view
 from epipole.viewer.depth_viewer import DepthViewer
 from epipole.viewer.model_viewer import ModelViewer
 from epipole.viewer.server import open_server
+from epipole.viewer.splat_view import SplatView
+from epipole.viewer.splat_viewer import SplatViewer
 
 OPEN = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
 
@@ -170,3 +173,23 @@ def test_nothing_to_show():
             *[np.zeros((2, 2, 3), np.uint8)] * 2,
             1.0,
         )
+
+
+def test_gaussians_are_served_and_faint_ones_can_be_taken_away(rng):
+    shapes = ((30, 3), (30, 3), (30, 4), (30,), (30, 4, 3))
+    cloud = GaussianCloud(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+    view = SplatView(cloud, np.array([0.0, -5.0, 1.0]), np.zeros(3), np.array([0.0, 0.0, 1.0]), "metres")
+    server = open_server("127.0.0.1", free_port())
+    viewer = SplatViewer(server, view)
+    try:
+        assert viewer.counts.content == "30 of 30 Gaussians"
+        viewer.least.value = 0.5
+        viewer._choose()
+        assert viewer.counts.content == f"{int((cloud.opacity_logits >= 0).sum())} of 30 Gaussians"
+        with OPEN(f"http://127.0.0.1:{server.get_port()}", timeout=10) as answer:
+            assert answer.status == 200
+    finally:
+        viewer.stop()
+        viewer.stop()
+    with pytest.raises(ShapeError, match="no Gaussian"):
+        SplatView(cloud.rows(np.zeros(0, np.int64)), np.zeros(3), np.zeros(3), np.ones(3), "")

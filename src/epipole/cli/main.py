@@ -13,9 +13,8 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, NoReturn, get_args, get_origin
+from typing import Any, NoReturn, get_args, get_origin
 
 import tyro
 
@@ -29,7 +28,7 @@ COMMANDS = (
     "epipole.pipelines.stereo.command:stereo_doctor",
     "epipole.pipelines.calibration.command:calibrate",
     "epipole.pipelines.demo.command:demo",
-    "epipole.cli.main:view",
+    "epipole.pipelines.viewing.command:view",
     "epipole.pipelines.evaluation.command:evaluate",
     "epipole.pipelines.undistortion.command:undistort",
     "epipole.pipelines.conversion.command:convert",
@@ -51,32 +50,6 @@ EVERYWHERE_HELP = (
 WRONG_USAGE = 2
 
 logger = logging.getLogger("epipole")
-
-
-def view(
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
-    port: int | None = None,
-    host: str = "127.0.0.1",
-) -> None:
-    """Show a model, a path with its map, or the depth of a pair in the browser.
-
-    Args:
-        out: Output folder of `reconstruct`, `slam` or `stereo`, or a COLMAP model.
-        port: The port to listen on; None: 8080, or the next free one if it is in use.
-        host: The address to listen on; 0.0.0.0 lets other machines in.
-    """
-    import threading
-
-    from epipole.api import view as run
-
-    handle = run(out, port=port, host=host, block=False)
-    if handle.note:
-        print(f"epipole: {handle.note}", file=sys.stderr)
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
-    try:
-        threading.Event().wait()
-    finally:
-        handle.stop()
 
 
 def version() -> None:

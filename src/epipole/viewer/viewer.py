@@ -1,4 +1,4 @@
-"""A reconstruction, or the depth of a pair, in the browser."""
+"""A reconstruction, the depth of a pair, or Gaussians, in the browser."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from epipole.scene import Curve, Reconstruction
 from epipole.viewer.depth_view import DepthView
 from epipole.viewer.handle import ViewerHandle, serve
 from epipole.viewer.selection import LoadImage
+from epipole.viewer.splat_view import SplatView
 
 
 def view(
@@ -68,3 +69,26 @@ def view_depth(
     server = open_server(host, port)
     shown = server.get_port()
     return serve(DepthViewer(server, view), shown, host, note_on_port(port, shown), block=block)
+
+
+def view_splats(
+    view: SplatView, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
+) -> ViewerHandle:
+    """Show Gaussians in the browser.
+
+    Args:
+        view: what is shown.
+        port: where to listen; None: 8080, or the next free port if that is in use.
+        host: the address to listen on.
+        block: return only when the user interrupts with Ctrl-C, and stop the viewer then.
+
+    Raises:
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+    """
+    # viser is slow to import, and few runs end in a viewer.
+    from epipole.viewer.server import note_on_port, open_server
+    from epipole.viewer.splat_viewer import SplatViewer
+
+    server = open_server(host, port)
+    shown = server.get_port()
+    return serve(SplatViewer(server, view), shown, host, note_on_port(port, shown), block=block)

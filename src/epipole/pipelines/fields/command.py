@@ -68,3 +68,4 @@ def _show(result: SplatResult) -> None:
     console.print(table)
     print_warnings(console, result.warnings[:10])
     console.print(f"Gaussians {result.out / 'splat.ply'}", highlight=False, markup=False)
+    console.print(f"look      epipole view {result.out}", highlight=False, markup=False)

@@ -23,11 +23,12 @@ from epipole.io.gaussian_ply import write_gaussian_ply
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
+from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, first_view_of
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-SPLAT, METRICS, MODEL = "splat.ply", "metrics.json", "sfm"
+METRICS, MODEL = "metrics.json", "sfm"
 LEAST_POINTS = 100
 """Of a model: with fewer the first Gaussians are drawn."""
 FIRST_SHARE = 0.1
@@ -175,6 +176,7 @@ def _written(
         "ssim": float(np.mean([one["ssim"] for one in scores])) if scores else None,
         "background": "white" if trainer.background[0] else "black",
         "interrupted": is_interrupted,
+        FIRST_VIEW: first_view_of(cloud, pictures.train),
         "timings_s": run.timings_s,
     }
     content = {

@@ -1,0 +1,77 @@
+"""What the viewer shows of trained Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.fields.training_view import TrainingView
+from epipole.io.files import read_json
+from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.viewer import SplatView, ViewerHandle, view_splats
+
+SPLAT, SUMMARY, FIRST_VIEW = "splat.ply", "summary.json", "first_view"
+LENGTHS = "Lengths are in the unit of the cameras, metres only where these are metric"
+
+
+def is_mine(path: Path) -> bool:
+    """Whether a folder holds trained Gaussians, or a PLY file is one of Gaussians."""
+    if path.suffix == ".ply" and path.is_file():
+        with path.open("rb") as stream:
+            return b" f_dc_0" in stream.read(4096)
+    return (path / SPLAT).is_file()
+
+
+def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
+    """The Gaussians, from where one of their pictures was taken.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    return view_splats(splat_view(path), port=port, host=host, block=block)
+
+
+def splat_view(path: Path) -> SplatView:
+    """Gaussians of an output folder or a file, as the viewer takes them.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    file = path if path.is_file() else path / SPLAT
+    cloud = read_gaussian_ply(file)
+    known = _first_view(file.with_name(SUMMARY))
+    if known is None:
+        middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
+        size = float(np.median(np.linalg.norm(cloud.means_in_world - middle, axis=1)))
+        known = [
+            middle + 3.0 * max(size, 1e-6) * np.array([0.0, -1.0, 0.3]),
+            middle,
+            np.array([0.0, 0.0, 1.0]),
+        ]
+    position, look_at, up = known
+    return SplatView(cloud, position, look_at, up, LENGTHS)
+
+
+def first_view_of(cloud: GaussianCloud, views: Sequence[TrainingView]) -> dict[str, list[float]]:
+    """The place of the first view, the middle of what it sees, and what is up, for a job's summary."""
+    world_from_camera = views[0].cam_from_world.inverse()
+    up = -np.mean([view.cam_from_world.rotation[1] for view in views], axis=0)
+    middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    return {"position": world_from_camera.translation.tolist(), "look_at": middle.tolist(), "up": up.tolist()}
+
+
+def _first_view(summary: Path) -> list[np.ndarray] | None:
+    """None where no job has told it, or not in three times three numbers."""
+    try:
+        content: Any = read_json(summary)
+        told = [np.array(content[FIRST_VIEW][name], np.float64) for name in ("position", "look_at", "up")]
+    except (FileFormatError, OSError, KeyError, TypeError, ValueError):
+        return None
+    good = all(part.shape == (3,) and np.isfinite(part).all() for part in told)
+    return told if good and np.linalg.norm(told[0] - told[1]) > 0 and told[2].any() else None

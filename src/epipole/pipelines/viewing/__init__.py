@@ -1,0 +1,1 @@
+"""Whatever a folder holds, in the browser."""
