@@ -1,0 +1,82 @@
+"""How like their pictures splats are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
+
+Held-out views alone are compared. The rates of the training were chosen on lego's test views: that row is in-sample.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+import epipole
+from benchmarks.measure import REPOSITORY, describe_machine
+
+RESULTS = REPOSITORY / "benchmarks" / "results" / "splats.json"
+
+
+class Task(NamedTuple):
+    """Pictures, and for how long is trained on them."""
+
+    folder: str
+    time: str
+    options: dict[str, Any]
+
+
+TASKS = {
+    "lego, 1 minute": Task("fields/lego", "60s", {}),
+    "lego, 5 minutes": Task("fields/lego", "5m", {}),
+    "lego, 15 minutes": Task("fields/lego", "15m", {}),
+    "fountain-P11, 384 wide": Task(
+        "sfm/fountain-P11/images", "30s", {"max_side_px": 384, "test": "0005.jpg"}
+    ),
+    "fountain-P11, 768 wide": Task("sfm/fountain-P11/images", "4m", {"max_side_px": 768, "test": "0005.jpg"}),
+}
+
+
+def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
+    """Figures of one training; of photographs the seconds of finding their cameras are apart."""
+    with tempfile.TemporaryDirectory(prefix="epipole-splats-") as folder:
+        found = epipole.splat(
+            data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options
+        )
+        kept = ("psnr", "ssim", "steps", "num_gaussians", "train_s", "timings_s")
+        return {"seed": seed, **{name: found.summary[name] for name in kept}}
+
+
+def main() -> None:
+    """Train, print the table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--task", nargs="+", choices=list(TASKS), default=list(TASKS), metavar="TASK")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    known = json.loads(RESULTS.read_text())["tasks"] if RESULTS.is_file() else {}
+    for name in arguments.task:
+        runs = [trained(TASKS[name], data, seed) for seed in range(arguments.seeds)]
+        known[name] = sorted(runs, key=lambda run: run["psnr"])
+        RESULTS.write_text(json.dumps({"machine": describe_machine(2), "tasks": known}, indent=1) + "\n")
+    table = Table(
+        "task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "Gaussians"
+    )
+    for name, runs in known.items():
+        middle = runs[len(runs) // 2]
+        ends = (f"{run['psnr']:.2f}" for run in (middle, runs[0], runs[-1]))
+        more = (
+            f"{middle['ssim']:.3f}",
+            str(middle["steps"]),
+            f"{1e3 * middle['train_s'] / middle['steps']:.1f}",
+        )
+        table.add_row(name, str(len(runs)), *ends, *more, f"{middle['num_gaussians']:,}")
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main()
