@@ -36,8 +36,8 @@ PLACE_RATES = (3e-3, 1e-4)
 """Of places at the begin and the end, in the scene's size a step."""
 LAST_RATES = 0.3
 """What is left of the other rates at the end."""
-RATES = Cloud(np.nan, 2e-2, 8e-3, 6e-2, 8e-3)  # type: ignore[arg-type]
-"""Of logarithms of scales, quaternions, opacities and colours; those of harmonics above degree 0 are a share of that."""
+RATES = {"log_scales": 2e-2, "quats_wxyz": 8e-3, "logits": 6e-2, "sh": 8e-3}
+"""A step, of all but places; those of harmonics above degree 0 are a share of that."""
 HIGHER_SH = 0.4
 USUAL_MOST = 50_000
 LEAST_SIDE_PX = 24
@@ -156,7 +156,7 @@ class SplatTrainer:
         place = self._size * PLACE_RATES[0] * (PLACE_RATES[1] / PLACE_RATES[0]) ** progress
         for name in Cloud._fields:
             values = _flat(getattr(self._arrays, name))
-            rates = np.full(values.shape[1], place if name == "means" else fallen * getattr(RATES, name))
+            rates = np.full(values.shape[1], place if name == "means" else fallen * RATES[name])
             if name == "sh":
                 rates[3:] *= HIGHER_SH
             parts = [values, *(_flat(getattr(one, name)) for one in (gradient, self._means, self._squares))]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from epipole.scene import Curve, Reconstruction
 from epipole.viewer.depth_view import DepthView
-from epipole.viewer.handle import ViewerHandle, serve
+from epipole.viewer.handle import Stoppable, ViewerHandle, serve
 from epipole.viewer.selection import LoadImage
 from epipole.viewer.splat_view import SplatView
+
+if TYPE_CHECKING:
+    import viser
 
 
 def view(
@@ -64,11 +68,8 @@ def view_depth(
     """
     # viser is slow to import, and few runs end in a viewer.
     from epipole.viewer.depth_viewer import DepthViewer
-    from epipole.viewer.server import note_on_port, open_server
 
-    server = open_server(host, port)
-    shown = server.get_port()
-    return serve(DepthViewer(server, view), shown, host, note_on_port(port, shown), block=block)
+    return _shown(lambda server: DepthViewer(server, view), port, host, block=block)
 
 
 def view_splats(
@@ -86,9 +87,17 @@ def view_splats(
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     # viser is slow to import, and few runs end in a viewer.
-    from epipole.viewer.server import note_on_port, open_server
     from epipole.viewer.splat_viewer import SplatViewer
+
+    return _shown(lambda server: SplatViewer(server, view), port, host, block=block)
+
+
+def _shown(
+    viewer_on: Callable[[viser.ViserServer], Stoppable], port: int | None, host: str, *, block: bool
+) -> ViewerHandle:
+    """A viewer on a server of its own."""
+    from epipole.viewer.server import note_on_port, open_server
 
     server = open_server(host, port)
     shown = server.get_port()
-    return serve(SplatViewer(server, view), shown, host, note_on_port(port, shown), block=block)
+    return serve(viewer_on(server), shown, host, note_on_port(port, shown), block=block)
