@@ -15,7 +15,7 @@ from epipole.fields import (
     _tile_kernels,
     render,
 )
-from epipole.fields.rasterizer import arrays_of, blend, gradient_of, tiles_of, view_of
+from epipole.fields.rasterizer import arrays_of, blend, gradient_of, sums_of_pairs, tiles_of, view_of
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
@@ -70,7 +70,7 @@ def test_derivatives_are_those_of_differences(rng, num_sh, antialiased):
     wanted = [
         rng.normal(size=part.shape).astype(np.float32) for part in (drawn.colour, drawn.depth, drawn.coverage)
     ]
-    found, by_pose = gradient_of(arrays, view, drawn, *wanted)
+    found, by_pose = gradient_of(arrays, view, drawn.tiles, sums_of_pairs(drawn, *wanted))
 
     def loss(parts, place):
         drawn = plain_render(parts, CAMERA, place, antialiased=antialiased)
@@ -104,7 +104,8 @@ def test_any_number_of_threads_gives_the_same(rng):
         _parallel.set_num_threads(threads)
         view, arrays = view_of(CAMERA, SEEN, RenderOptions()), arrays_of(cloud)
         drawn = blend(tiles_of(arrays, view), view)
-        results.append((drawn.colour, *gradient_of(arrays, view, drawn, drawn.colour)[0]))
+        sums = sums_of_pairs(drawn, drawn.colour)
+        results.append((drawn.colour, *gradient_of(arrays, view, drawn.tiles, sums)[0]))
     _parallel.set_num_threads(None)
     for one, other in zip(*results):
         np.testing.assert_array_equal(one, other)
@@ -131,9 +132,9 @@ def test_what_is_behind_beside_or_transparent_is_not_drawn(rng):
     ):
         found = render(other, CAMERA, SEEN)
         np.testing.assert_array_equal(found.coverage, empty)
-        gradient, by_pose = gradient_of(
-            arrays_of(other), view_of(CAMERA, SEEN, RenderOptions()), found, np.ones_like(found.colour)
-        )
+        sums = sums_of_pairs(found, np.ones_like(found.colour))
+        view = view_of(CAMERA, SEEN, RenderOptions())
+        gradient, by_pose = gradient_of(arrays_of(other), view, found.tiles, sums)
         assert not any(part.any() for part in gradient) and not by_pose.any()
 
 

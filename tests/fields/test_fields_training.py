@@ -7,11 +7,12 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.fields import _adam_kernels, render
+from epipole.fields import RenderOptions, _gradient_kernels, render
 from epipole.fields.config import SplatConfig
+from epipole.fields.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.growth import FAINTER, Growth, halves
 from epipole.fields.photometric import psnr
-from epipole.fields.rasterizer import Cloud, CloudGradient, arrays_of
+from epipole.fields.rasterizer import Cloud, arrays_of, blend, gradient_of, sums_of_pairs, tiles_of, view_of
 from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.starting import cloud_of_points, points_in_silhouettes
 from epipole.fields.training_view import TrainingView
@@ -20,18 +21,58 @@ from epipole.scene.gaussian_cloud import DC
 from kernel_references import reference_of
 
 
-@reference_of(_adam_kernels.adam_rows)
-def test_adam_moves_what_was_seen_as_the_paper_says(rng):
-    values, gradient, mean = (rng.normal(size=(50, 4)).astype(np.float32) for _ in range(3))
-    square = rng.uniform(0, 1, (50, 4)).astype(np.float32)
-    seen, rates = rng.uniform(size=50) < 0.5, rng.uniform(1e-3, 1e-2, 4).astype(np.float32)
-    unbias = np.array([2.0, 5.0], np.float32)
-    m = 0.9 * mean.astype(float) + 0.1 * gradient
-    v = 0.99 * square.astype(float) + 0.01 * gradient.astype(float) ** 2
-    wanted = np.where(seen[:, None], values - rates * m * 2.0 / np.sqrt(5.0 * v), values)
-    _adam_kernels.adam_rows(values, gradient, mean, square, seen, 0, 50, rates, unbias)
-    np.testing.assert_allclose(values, wanted, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(mean[seen], m[seen], rtol=1e-5, atol=1e-7)
+def with_harmonics(rng, num_sh):
+    """The arrays of the scene, with colours that depend on the direction."""
+    cloud = Cloud(*(part.copy() for part in arrays_of(scene())))
+    sh = np.concatenate([cloud.sh, 0.1 * rng.normal(size=(len(cloud.sh), num_sh - 1, 3))], axis=1)
+    return cloud._replace(sh=sh.astype(np.float32))
+
+
+@reference_of(_gradient_kernels.gather_and_move)
+@pytest.mark.parametrize("num_sh", [1, 9])
+def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
+    view = view_of(CAMERA, views()[0].cam_from_world, RenderOptions())
+    cloud = with_harmonics(rng, num_sh)
+    drawn = blend(tiles_of(cloud, view), view)
+    by_pair = sums_of_pairs(drawn, rng.normal(size=drawn.colour.shape).astype(np.float32))
+    gradient, by_pose = gradient_of(cloud, view, drawn.tiles, by_pair)
+    adam, moved = GaussianAdam(cloud), Cloud(*(part.copy() for part in cloud))
+    for part in adam.mean:
+        part[:] = 0.1 * rng.normal(size=part.shape)
+    for part in adam.square:
+        part[:] = rng.uniform(0.1, 1, part.shape)
+    mean, square = (Cloud(*(part.astype(float) for part in one)) for one in (adam.mean, adam.square))
+    pull, also = adam.move(moved, view, drawn.tiles, by_pair, Rates(1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 6e-3), 7)
+    np.testing.assert_allclose(also, by_pose, rtol=1e-9)
+    seen = drawn.tiles.gaussian
+    np.testing.assert_allclose(pull, np.linalg.norm(gradient.center[seen], axis=1), rtol=1e-5)
+    is_seen = np.isin(np.arange(80), seen)
+    assert 0 < is_seen.sum()
+    for name, rate in zip(Cloud._fields, (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)):
+        g, start, end = (getattr(one, name).astype(float) for one in (gradient, cloud, moved))
+        m, v = 0.9 * getattr(mean, name) + 0.1 * g, 0.99 * getattr(square, name) + 0.01 * g**2
+        step = rate * (m / (1 - 0.9**7)) / np.sqrt(v / (1 - 0.99**7))
+        if name == "sh":
+            step[:, 1:] *= 6 / 5
+        np.testing.assert_allclose(end[is_seen], (start - step)[is_seen], rtol=1e-5, atol=1e-6)
+        np.testing.assert_array_equal(end[~is_seen], start[~is_seen])
+        np.testing.assert_allclose(getattr(adam.mean, name)[is_seen], m[is_seen], rtol=1e-4, atol=1e-6)
+
+
+def test_a_gaussian_that_is_left_out_is_not_drawn_and_others_make_up_for_it(rng):
+    view = view_of(CAMERA, views()[0].cam_from_world, RenderOptions())
+    cloud = with_harmonics(rng, 4)
+    cloud.logits[:] = rng.uniform(-2, 1, len(cloud.logits))
+    shown = np.where(rng.uniform(size=len(cloud.means)) < 0.3, 0.0, 1.25).astype(np.float32)
+    found = blend(tiles_of(cloud, view, shown), view)
+    opacity = 1.25 / (1 + np.exp(-cloud.logits.astype(float)))
+    left = Cloud(*(part[shown > 0] for part in cloud))
+    logits = np.log(opacity / np.maximum(1 - opacity, 1e-3))[shown > 0].astype(np.float32)
+    wanted = blend(tiles_of(left._replace(logits=logits), view), view)
+    can_tell = opacity[shown > 0].max() < 0.99
+    assert can_tell
+    np.testing.assert_allclose(found.colour, wanted.colour, atol=2e-3)
+    assert not np.isin(np.flatnonzero(shown == 0), found.tiles.gaussian).any()
 
 
 def trained(steps=260, threads=None, **options):
@@ -70,10 +111,9 @@ def test_what_pulls_is_split_and_what_is_faint_goes():
     cloud = arrays_of(scene())
     cloud.logits[:5] = -9.0
     growth, count = Growth(len(cloud.means)), len(cloud.means)
-    center = np.zeros((count, 2), np.float32)
-    center[[10, 20, 3]] = [[3.0, 4.0], [1.0, 0.0], [9.0, 0.0]]
-    gradient = CloudGradient(*cloud, center=center)
-    growth.add(gradient, np.arange(count), 64)
+    pull = np.zeros(count, np.float32)
+    pull[[10, 20, 3]] = 5.0, 1.0, 9.0
+    growth.add(pull, np.arange(count), 64)
     rows, stays = growth.changes(cloud, count)
     assert rows.tolist() == [10, 20] and not stays[:5].any() and stays[5:].all()
     assert growth.changes(cloud, count - 4)[0].tolist() == [10]

@@ -89,15 +89,23 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
 
 
 @kernel
-def blend_tiles(tiles, begin, end, height, planes, evaluated):
-    """Blend the tiles begin..end into planes (tiles, 5 * 256)."""
+def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
+    """Blend the tiles begin..end into pictures (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
+    height, width = coverage.shape
     for tile in range(begin, end):
-        down, across = tile // tiles.num_across, tile % tiles.num_across
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        rows = min(TILE, height - top)
         tiles.stop[tile], evaluated[tile] = blend_tile(
             *(tiles.ellipses, tiles.pairs_of_tile, tiles.start[tile], tiles.start[tile + 1]),
-            *(np.float32(across * TILE), np.float32(down * TILE), min(TILE, height - down * TILE)),
-            planes[tile],
+            *(np.float32(left), np.float32(top), rows, state),
         )
+        for row in range(rows):
+            for column in range(min(TILE, width - left)):
+                at, i, j = row * TILE + column, top + row, left + column
+                coverage[i, j] = np.float32(1.0) - state[at]
+                for channel in range(3):
+                    colour[i, j, channel] = state[(1 + channel) * PLANE + at]
+                depth[i, j] = state[4 * PLANE + at]
 
 
 @kernel

@@ -45,53 +45,78 @@ def harmonics(x, y, z, count, basis):
 
 
 @kernel(fuse=True)
-def covariance(log_scale, quat, axes, out):
-    """Axes = R S (3, 3) and C = axes axes^T as (xx, xy, xz, yy, yz, zz)."""
+def axes_of(log_scale, quat):
+    """R S of a Gaussian, by rows."""
     w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
+    inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
     s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
-    axes[0, 0], axes[0, 1], axes[0, 2] = (
+    return (
         (1.0 - 2.0 * (y * y + z * z)) * s0,
         2.0 * (x * y - w * z) * s1,
         2.0 * (x * z + w * y) * s2,
-    )
-    axes[1, 0], axes[1, 1], axes[1, 2] = (
         2.0 * (x * y + w * z) * s0,
         (1.0 - 2.0 * (x * x + z * z)) * s1,
         2.0 * (y * z - w * x) * s2,
-    )
-    axes[2, 0], axes[2, 1], axes[2, 2] = (
         2.0 * (x * z - w * y) * s0,
         2.0 * (y * z + w * x) * s1,
         (1.0 - 2.0 * (x * x + y * y)) * s2,
     )
-    at = 0
-    for i in range(3):
-        for j in range(i, 3):
-            out[at] = axes[i, 0] * axes[j, 0] + axes[i, 1] * axes[j, 1] + axes[i, 2] * axes[j, 2]
-            at += 1
 
 
 @kernel(fuse=True)
-def in_picture(view, x, y, z, jac):
-    """Rows of J W (2, 3) at a point in the camera, held within the widest view; whether x, and y, were held."""
-    inverse = 1.0 / z
-    u, v = x * inverse, y * inverse
+def covariance_of(axes):
+    """Axes axes^T as (xx, xy, xz, yy, yz, zz)."""
+    a, b, c, d, e, f, g, h, i = axes
+    return (
+        a * a + b * b + c * c,
+        a * d + b * e + c * f,
+        a * g + b * h + c * i,
+        d * d + e * e + f * f,
+        d * g + e * h + f * i,
+        g * g + h * h + i * i,
+    )
+
+
+@kernel(fuse=True)
+def held_in_picture(view, x, y, z):
+    """The direction (x / z, y / z), within the widest view; and whether each number already was."""
     limit_u, limit_v = WIDEST * view.reach[0], WIDEST * view.reach[1]
-    held_u, held_v = min(max(u, -limit_u), limit_u), min(max(v, -limit_v), limit_v)
-    ju, jv = view.focal[0] * inverse, view.focal[1] * inverse
+    u, v = min(max(x / z, -limit_u), limit_u), min(max(y / z, -limit_v), limit_v)
+    return u, v, abs(x) <= limit_u * z, abs(y) <= limit_v * z
+
+
+@kernel(fuse=True)
+def derivative_of_picture(view, u, v, z):
+    """J W by rows, at depth z in direction (u, v, 1)."""
+    ju, jv = view.focal[0] / z, view.focal[1] / z
     r = view.rotation
-    for k in range(3):
-        jac[0, k] = ju * (r[k] - held_u * r[6 + k])
-        jac[1, k] = jv * (r[3 + k] - held_v * r[6 + k])
-    return held_u, held_v
+    return (
+        ju * (r[0] - u * r[6]),
+        ju * (r[1] - u * r[7]),
+        ju * (r[2] - u * r[8]),
+        jv * (r[3] - v * r[6]),
+        jv * (r[4] - v * r[7]),
+        jv * (r[5] - v * r[8]),
+    )
+
+
+@kernel(fuse=True)
+def seen_covariance(jac, cov):
+    """J C J^T as (xx, xy, yy)."""
+    p, q, s, t, u, v = jac
+    xx, xy, xz, yy, yz, zz = cov
+    a0, a1, a2 = p * xx + q * xy + s * xz, p * xy + q * yy + s * yz, p * xz + q * yz + s * zz
+    b0, b1, b2 = t * xx + u * xy + v * xz, t * xy + u * yy + v * yz, t * xz + u * yz + v * zz
+    return a0 * p + a1 * q + a2 * s, a0 * t + a1 * u + a2 * v, b0 * t + b1 * u + b2 * v
 
 
 @kernel
-def project(view, cloud, start, stop, ellipses, work):
-    """Fill rows start..stop of `ellipses`; OPACITY is 0 for what is not seen."""
-    axes, cov, jac, basis = work
+def project(view, cloud, shown, start, stop, ellipses, basis):
+    """Fill rows start..stop of `ellipses`; OPACITY is 0 for what is not seen.
+
+    shown (n,): factors of the opacities; basis (16,) is scratch.
+    """
     r, t = view.rotation, view.translation
     count = cloud.sh.shape[1]
     for n in range(start, stop):
@@ -101,12 +126,13 @@ def project(view, cloud, start, stop, ellipses, work):
         x = r[0] * mx + r[1] * my + r[2] * mz + t[0]
         y = r[3] * mx + r[4] * my + r[5] * mz + t[1]
         z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
-        if not z > view.near_plane:
+        opacity = shown[n] / (1.0 + math.exp(-float(cloud.logits[n])))
+        if not (z > view.near_plane and opacity > LEAST_ALPHA):
             continue
-        opacity = 1.0 / (1.0 + math.exp(-float(cloud.logits[n])))
-        covariance(cloud.log_scales[n], cloud.quats_wxyz[n], axes, cov)
-        in_picture(view, x, y, z, jac)
-        vxx, vxy, vyy = seen_covariance(jac, cov)
+        u, v, _, _ = held_in_picture(view, x, y, z)
+        jac = derivative_of_picture(view, u, v, z)
+        axes = axes_of(cloud.log_scales[n], cloud.quats_wxyz[n])
+        vxx, vxy, vyy = seen_covariance(jac, covariance_of(axes))
         plain = vxx * vyy - vxy * vxy
         vxx, vyy = vxx + view.blur, vyy + view.blur
         det = vxx * vyy - vxy * vxy
@@ -142,24 +168,8 @@ def project(view, cloud, start, stop, ellipses, work):
 
 
 @kernel(fuse=True)
-def seen_covariance(jac, cov):
-    """Upper half of J C J^T."""
-    a0 = jac[0, 0] * cov[0] + jac[0, 1] * cov[1] + jac[0, 2] * cov[2]
-    a1 = jac[0, 0] * cov[1] + jac[0, 1] * cov[3] + jac[0, 2] * cov[4]
-    a2 = jac[0, 0] * cov[2] + jac[0, 1] * cov[4] + jac[0, 2] * cov[5]
-    b0 = jac[1, 0] * cov[0] + jac[1, 1] * cov[1] + jac[1, 2] * cov[2]
-    b1 = jac[1, 0] * cov[1] + jac[1, 1] * cov[3] + jac[1, 2] * cov[4]
-    b2 = jac[1, 0] * cov[2] + jac[1, 1] * cov[4] + jac[1, 2] * cov[5]
-    return (
-        a0 * jac[0, 0] + a1 * jac[0, 1] + a2 * jac[0, 2],
-        a0 * jac[1, 0] + a1 * jac[1, 1] + a2 * jac[1, 2],
-        b0 * jac[1, 0] + b1 * jac[1, 1] + b2 * jac[1, 2],
-    )
-
-
-@kernel(fuse=True)
-def add_direction(x, y, z, count, by_basis, out):
-    """Out += derivative by a unit direction, with dL/dharmonics."""
+def by_direction(x, y, z, count, by_basis):
+    """Derivative by a unit direction, with dL/dharmonics."""
     g = by_basis
     dx = dy = dz = 0.0
     if count > 1:
@@ -184,46 +194,35 @@ def add_direction(x, y, z, count, by_basis, out):
             + SH3D * (6.0 * zz - 3.0 * xx - 3.0 * yy) * g[12]
         )
         dz += -8.0 * SH3C * x * z * g[13] + SH3E * (xx - yy) * g[14]
-    out[0] += dx
-    out[1] += dy
-    out[2] += dz
+    return dx, dy, dz
 
 
 @kernel(fuse=True)
-def back_to_shape(quat, axes, by_cov, g, by_log_scale, by_quat):
-    """From dL/dC, a symmetric matrix (3, 3), to logarithms of deviations and quaternion; axes = R S, g (3, 3) is scratch."""
+def back_to_shape(quat, axes, by_cov, by_log_scale, by_quat):
+    """From dL/dC = (xx, xy, xz, yy, yz, zz) of a symmetric matrix to logarithms of deviations and quaternion; axes = R S."""
     w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
-    for j in range(3):
-        scale = math.sqrt(axes[0, j] * axes[0, j] + axes[1, j] * axes[1, j] + axes[2, j] * axes[2, j])
-        total = 0.0
-        for i in range(3):
-            by_axis = 2.0 * (
-                by_cov[i, 0] * axes[0, j] + by_cov[i, 1] * axes[1, j] + by_cov[i, 2] * axes[2, j]
-            )
-            total += by_axis * axes[i, j]
-            g[i, j] = by_axis * scale
-        by_log_scale[j] = total
-    dw = 2.0 * (x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]))
-    dx = 2.0 * (
-        y * (g[0, 1] + g[1, 0])
-        + z * (g[0, 2] + g[2, 0])
-        + w * (g[2, 1] - g[1, 2])
-        - 2.0 * x * (g[1, 1] + g[2, 2])
-    )
-    dy = 2.0 * (
-        x * (g[0, 1] + g[1, 0])
-        + z * (g[1, 2] + g[2, 1])
-        + w * (g[0, 2] - g[2, 0])
-        - 2.0 * y * (g[0, 0] + g[2, 2])
-    )
-    dz = 2.0 * (
-        x * (g[0, 2] + g[2, 0])
-        + y * (g[1, 2] + g[2, 1])
-        + w * (g[1, 0] - g[0, 1])
-        - 2.0 * z * (g[0, 0] + g[1, 1])
-    )
+    inverse = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
+    a0, b0, c0, a1, b1, c1, a2, b2, c2 = axes
+    s0, g00, g10, g20 = _back_to_axis(by_cov, a0, a1, a2)
+    s1, g01, g11, g21 = _back_to_axis(by_cov, b0, b1, b2)
+    s2, g02, g12, g22 = _back_to_axis(by_cov, c0, c1, c2)
+    by_log_scale[0], by_log_scale[1], by_log_scale[2] = s0, s1, s2
+    dw = 2.0 * (x * (g21 - g12) + y * (g02 - g20) + z * (g10 - g01))
+    dx = 2.0 * (y * (g01 + g10) + z * (g02 + g20) + w * (g21 - g12) - 2.0 * x * (g11 + g22))
+    dy = 2.0 * (x * (g01 + g10) + z * (g12 + g21) + w * (g02 - g20) - 2.0 * y * (g00 + g22))
+    dz = 2.0 * (x * (g02 + g20) + y * (g12 + g21) + w * (g10 - g01) - 2.0 * z * (g00 + g11))
     along = dw * w + dx * x + dy * y + dz * z
-    by_quat[0], by_quat[1] = (dw - along * w) / length, (dx - along * x) / length
-    by_quat[2], by_quat[3] = (dy - along * y) / length, (dz - along * z) / length
+    by_quat[0], by_quat[1] = (dw - along * w) * inverse, (dx - along * x) * inverse
+    by_quat[2], by_quat[3] = (dy - along * y) * inverse, (dz - along * z) * inverse
+
+
+@kernel(fuse=True)
+def _back_to_axis(by_cov, x, y, z):
+    """Of a column of R S: dL/d of its length's logarithm, and of the column of R."""
+    xx, xy, xz, yy, yz, zz = by_cov
+    bx = 2.0 * (xx * x + xy * y + xz * z)
+    by = 2.0 * (xy * x + yy * y + yz * z)
+    bz = 2.0 * (xz * x + yz * y + zz * z)
+    length = math.sqrt(x * x + y * y + z * z)
+    return bx * x + by * y + bz * z, bx * length, by * length, bz * length

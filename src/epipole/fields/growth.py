@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from epipole.fields.rasterizer import Cloud, CloudGradient
+from epipole.fields.rasterizer import Cloud
 from epipole.geometry import Rotation3
 
 LEAST_OPACITY = 0.005
@@ -25,10 +25,9 @@ class Growth:
     def __init__(self, count: int) -> None:
         self.pull, self.views = np.zeros(count, np.float32), np.zeros(count, np.float32)
 
-    def add(self, gradient: CloudGradient, seen: np.ndarray, width: int) -> None:
+    def add(self, pull: np.ndarray, seen: np.ndarray, width: int) -> None:
         """Count a view: pulls are told in shares of the picture's width, so that sizes can be mixed."""
-        own = gradient.center[seen]
-        self.pull[seen] += 0.5 * width * np.sqrt(own[:, 0] ** 2 + own[:, 1] ** 2)
+        self.pull[seen] += np.float32(0.5 * width) * pull
         self.views[seen] += 1.0
 
     def changes(self, cloud: Cloud, wanted: int) -> tuple[np.ndarray, np.ndarray]:

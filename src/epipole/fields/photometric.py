@@ -14,6 +14,8 @@ from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
 
 WINDOW_PX, SIGMA_PX = 11, 1.5
+TOGETHER = 32_768
+"""Numbers in one piece of work."""
 _WINDOW = cv2.getGaussianKernel(WINDOW_PX, SIGMA_PX).astype(np.float32)
 
 
@@ -48,17 +50,20 @@ def likeness(
     if not picture.size:
         raise ShapeError("a picture without pixels is like nothing")
     n = picture.size
-    sources = [picture, truth, picture * picture, truth * truth, picture * truth]
-    blurred = _parallel.map_items(lambda k: _blurred(sources[k]), 5)
-    total = kernels.ssim_terms(*(part.reshape(-1) for part in blurred), np.float32(-ssim_weight / n))
+    pairs = ((picture, None), (truth, None), (picture, picture), (truth, truth), (picture, truth))
+    blurred = _parallel.map_items(lambda k: _blurred(*pairs[k]), 5)
+    flat, scale = [part.reshape(-1) for part in blurred], np.float32(-ssim_weight / n)
+    totals = _parallel.map_chunks(
+        lambda a, b, _: kernels.ssim_terms(*flat, a, b, scale), n, -(-n // TOGETHER)
+    )
     back = [blurred[0], blurred[2], blurred[4]]
     by = _parallel.map_items(lambda k: _blurred(back[k]), 3)
-    out = np.empty_like(picture)
-    absolute = kernels.add_up(
-        *(part.reshape(-1) for part in (picture, truth, *by)),
-        np.float32((1.0 - ssim_weight) / n),
-        out.reshape(-1),
+    out, share = np.empty_like(picture), np.float32((1.0 - ssim_weight) / n)
+    flat = [part.reshape(-1) for part in (np.ascontiguousarray(picture), np.ascontiguousarray(truth), *by)]
+    absolutes = _parallel.map_chunks(
+        lambda a, b, _: kernels.add_up(*flat, a, b, share, out.reshape(-1)), n, -(-n // TOGETHER)
     )
+    absolute, total = sum(absolutes), sum(totals)
     l1, ssim = float(absolute) / n, float(total) / n
     return Likeness((1.0 - ssim_weight) * l1 + ssim_weight * (1.0 - ssim), l1, ssim, out)
 
@@ -70,5 +75,7 @@ def psnr(picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 
     return float(-10.0 * np.log10(error)) if error > 0 else float("inf")
 
 
-def _blurred(picture: np.ndarray) -> np.ndarray:
-    return cv2.sepFilter2D(picture, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)
+def _blurred(picture: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
+    """Of a picture, or of its product with another."""
+    source = picture if other is None else picture * other
+    return cv2.sepFilter2D(source, -1, _WINDOW, _WINDOW, borderType=cv2.BORDER_CONSTANT)

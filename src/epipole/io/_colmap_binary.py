@@ -42,6 +42,11 @@ def read_binary(folder: Path) -> tables.ColmapTables:
     )
 
 
+def read_binary_points(path: Path) -> tables.PointTable:
+    """Read points3D.bin alone."""
+    return _read(path, _read_points)
+
+
 def _read(path: Path, parse: Callable[[ByteReader], Table]) -> Table:
     reader = ByteReader(path, file_bytes(path))
     table = parse(reader)

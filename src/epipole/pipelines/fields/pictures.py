@@ -12,6 +12,7 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelEr
 from epipole.fields.training_view import TrainingView, shrunk
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.io.rgba_pictures import read_rgba
@@ -40,7 +41,7 @@ def is_model(source: Path) -> bool:
     """Whether a source tells cameras; else it is photographs."""
     if source.suffix == ".json":
         return True
-    if any((source / name).is_file() for name in (SPLITS[0], "transforms.json")):
+    if any((source / name).is_file() for name in (SPLITS[0], "transforms.json", LLFF)):
         return True
     try:
         find_model(source)
@@ -55,7 +56,8 @@ def gather_field_pictures(
     """Read cameras and pictures.
 
     Args:
-        source: an output folder of `reconstruct`, a COLMAP model with `images` beside it, a transforms.json, or a folder of one.
+        source: an output folder of `reconstruct`, a COLMAP model with `images` beside it, a transforms.json, or a folder of one
+            or of LLFF's poses_bounds.npy.
         options: which pictures are held out, and how large they may be.
         photographs: where the pictures are, if not beside the model.
 
@@ -75,7 +77,7 @@ def gather_field_pictures(
         train = _views(model, source, options, problems)
         test = _views(parts[1][1], source, options, problems) if len(parts) > 1 else []
     else:
-        model, folder = _model_of(source)
+        model, folder = _model_of(source, options.max_side_px)
         views = _views(model, photographs or folder, options, problems)
         held = _held_out([view.name for view in views], options)
         test = [view for view in views if view.name in held]
@@ -104,8 +106,11 @@ def _held_out(names: list[str], options: FieldOptions) -> set[str]:
     return wanted
 
 
-def _model_of(source: Path) -> tuple[Reconstruction, Path]:
+def _model_of(source: Path, max_side_px: int) -> tuple[Reconstruction, Path]:
     """A model, and the folder that its pictures' names start from."""
+    if (source / LLFF).is_file():
+        scene = read_llff(source, max_side_px)
+        return scene.reconstruction, scene.image_folder
     file = source if source.suffix == ".json" else source / "transforms.json"
     if file.is_file():
         return read_transforms(file, image_folder=""), file.parent

@@ -36,6 +36,8 @@ FIRST_SHARE = 0.1
 CURVE_POINTS = 200
 BORNE, STEP_S = 3600.0, 0.02
 """Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
+PIXELS_OF_EACH = 80
+"""Pixels for each Gaussian, which has 59 numbers: with fewer, what few pictures show is learnt by heart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,9 +81,6 @@ def splat(
     """
     own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
     wanted, config = options_of(FieldOptions, job, own), options_of(SplatConfig, config, options)
-    seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
-    if config.max_gaussians is None:
-        config = replace(config, max_gaussians=max(LEAST_POINTS, int(BORNE * seconds**0.5)))
     source, out = as_path(source), as_path(out)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
@@ -91,6 +90,8 @@ def splat(
         with run.stage("read"):
             pictures = _pictures(source, run, wanted)
         run.warnings += pictures.problems
+        if config.max_gaussians is None:
+            config = replace(config, max_gaussians=_borne(pictures, wanted))
         background = _background(wanted, pictures)
         with run.stage("start"):
             trainer = SplatTrainer(pictures.train, _start(pictures, config), config, background)
@@ -106,6 +107,13 @@ def _pictures(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
     reconstruct(source, model, progress=run.job.progress)
     pictures = source if source.is_dir() else model / "images"
     return gather_field_pictures(model, wanted, pictures)
+
+
+def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
+    """As many Gaussians as the time bears, and as the pictures tell apart."""
+    seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
+    told = sum(view.camera.width * view.camera.height for view in pictures.train) / PIXELS_OF_EACH
+    return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, told)))
 
 
 def _background(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
