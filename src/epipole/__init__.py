@@ -16,6 +16,7 @@ _JOBS = (
     "reconstruct",
     "slam",
     "splat",
+    "render",
     "stereo",
     "calibrate",
     "evaluate",
@@ -43,7 +44,15 @@ _RESULTS = (
         "Conversion",
         "Evaluation",
     ),
-    *("DemoResult", "SlamResult", "SplatResult", "TrackedFrame", "TrajectoryEvaluation", "ViewerHandle"),
+    *(
+        "DemoResult",
+        "Drawn",
+        "SlamResult",
+        "SplatResult",
+        "TrackedFrame",
+        "TrajectoryEvaluation",
+        "ViewerHandle",
+    ),
 )
 _ROOMS = (
     *(

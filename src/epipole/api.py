@@ -22,6 +22,9 @@ from epipole.pipelines.evaluation.run import evaluate as evaluate
 from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory as evaluate_trajectory
 from epipole.pipelines.fields.config import FieldOptions as FieldOptions
+from epipole.pipelines.fields.config import RenderJob as RenderJob
+from epipole.pipelines.fields.rendering import Drawn as Drawn
+from epipole.pipelines.fields.rendering import render as render
 from epipole.pipelines.fields.run import SplatResult as SplatResult
 from epipole.pipelines.fields.run import splat as splat
 from epipole.pipelines.sfm.config import MapperConfig as MapperConfig

@@ -9,8 +9,10 @@ import pytest
 
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io import read_colmap_model, read_points_ply, read_transforms, write_colmap_model
+from epipole.io.gaussian_files import read_gaussians, write_gaussians
 from epipole.pipelines.conversion.run import convert
 from epipole.scene import Reconstruction
+from epipole.scene.gaussian_cloud import GaussianCloud
 from io_models import mappable_model
 
 
@@ -133,7 +135,7 @@ def test_only_a_ply_file_is_replaced_by_one(tmp_path: Path) -> None:
     out = output_folder(tmp_path / "out", model)
     for name in (f"images/{model.images.name[0]}", "sparse/0/points3D.bin"):
         before = (out / name).read_bytes()
-        with pytest.raises(WorkspaceError, match="is no PLY file"):
+        with pytest.raises(WorkspaceError, match="is no PLY or SPZ file"):
             convert(out, out / name, "ply")
         assert (out / name).read_bytes() == before
     for _ in range(2):
@@ -148,3 +150,21 @@ def test_what_convert_wrote_can_be_read_and_a_ply_is_no_model(tmp_path: Path) ->
     convert(one, tmp_path / "scene.ply", "ply")
     with pytest.raises(FileFormatError, match="points without cameras"):
         convert(tmp_path / "scene.ply", tmp_path / "x", "txt")
+
+
+def test_gaussians_are_written_in_the_format_of_the_name(tmp_path: Path, rng) -> None:
+    shapes = ((9, 3), (9, 3), (9, 4), (9,), (9, 4, 3))
+    cloud = GaussianCloud(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+    (tmp_path / "trained").mkdir()
+    write_gaussians(tmp_path / "trained" / "splat.ply", cloud)
+    for name in ("a.spz", "a.compressed.ply", "a.splat", "a.spz", "a.ply"):
+        assert convert(tmp_path / "trained", tmp_path / name, "splat").out == tmp_path / name
+        found = read_gaussians(tmp_path / name)
+        order = np.argsort(found.means_in_world[:, 0]), np.argsort(cloud.means_in_world[:, 0])
+        assert found.means_in_world[order[0]] == pytest.approx(cloud.means_in_world[order[1]], abs=3e-3)
+    with pytest.raises(WorkspaceError, match="give another name"):
+        convert(tmp_path / "a.ply", tmp_path / "a.splat", "splat")
+    with pytest.raises(ConfigError, match="are written to"):
+        convert(tmp_path / "a.ply", tmp_path / "b.txt", "splat")
+    with pytest.raises(WorkspaceError, match="is a folder"):
+        convert(tmp_path / "a.ply", tmp_path / "trained", "splat")

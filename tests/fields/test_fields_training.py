@@ -47,7 +47,7 @@ def test_adam_moves_what_was_seen_as_the_paper_says(rng, num_sh):
     seen = drawn.tiles.gaussian
     np.testing.assert_allclose(pull, np.linalg.norm(gradient.center[seen], axis=1), rtol=1e-5)
     is_seen = np.isin(np.arange(80), seen)
-    assert 0 < is_seen.sum()
+    assert is_seen.sum() > 10
     for name, rate in zip(Cloud._fields, (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)):
         g, start, end = (getattr(one, name).astype(float) for one in (gradient, cloud, moved))
         m, v = 0.9 * getattr(mean, name) + 0.1 * g, 0.99 * getattr(square, name) + 0.01 * g**2

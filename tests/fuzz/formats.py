@@ -53,8 +53,10 @@ from epipole.io.calibration_files import (
 from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 from epipole.io.exif import new_exif
 from epipole.io.frame_tables import read_frame_table
+from epipole.io.gaussian_files import read_gaussians, write_gaussians
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
+from epipole.io.llff import read_llff
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.stereo_video import extract_pairs
@@ -322,6 +324,35 @@ def _put_gaussians(folder: Path) -> None:
     shapes = ((4, 3), (4, 3), (4, 4), (4,), (4, 4, 3))
     arrays = (np.ones(shape, np.float32) for shape in shapes)
     write_gaussian_ply(folder / "splat.ply", GaussianCloud(*arrays))
+
+
+def _splats(name: str) -> Format:
+    def put(folder: Path) -> None:
+        rng = np.random.default_rng(0)
+        shapes = ((6, 3), (6, 3), (6, 4), (6,), (6, 4, 3))
+        cloud = GaussianCloud(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
+        write_gaussians(folder / name, cloud)
+
+    def read(folder: Path) -> None:
+        found = read_gaussians(folder / name)
+        assert len(found) and np.isfinite(found.sh).all() and found.quats_wxyz.any(axis=1).all()
+        assert np.isfinite(found.opacity_logits).all() and np.isfinite(found.log_scales).all()
+
+    return Format(put, name, "ply" if name.endswith("ply") else "binary", read, ("read_gaussians",))
+
+
+def _llff(folder: Path) -> None:
+    found = read_llff(folder)
+    assert_motions(found.reconstruction.frames.rig_from_world)
+    assert len(found.near_far) == 2 and (found.near_far > 0).all()
+
+
+def _put_llff(folder: Path) -> None:
+    row = [*np.array([[0, 1, 0, 0, 30], [1, 0, 0, 0, 40], [0, 0, -1, 0, 35]], float).reshape(-1), 1.0, 9.0]
+    np.save(folder / "poses_bounds.npy", np.array([row, row]))
+    (folder / "images").mkdir(exist_ok=True)
+    for name in ("a.png", "b.png"):
+        Image.new("RGB", (40, 30)).save(folder / "images" / name)
 
 
 def _bal(name: str) -> Callable[[Path], None]:
@@ -629,6 +660,8 @@ FORMATS: dict[str, Format] = {
         lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
+    "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
+    **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
     "ply-text": Format(_put("cloud.ply", TEXT_PLY), "cloud.ply", "text", _cloud, ("read_points_ply",)),
     "bal": Format(_put("a.txt", BAL), "a.txt", "text", _bal("a.txt"), ("read_bal",)),

@@ -47,9 +47,7 @@ def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_p
             continue
         _add_pairs(by_pair, pair[e], pair[e + 1], work.total)
         _one(view, cloud, n, one, 0, by_pose, work)
-        adam.pull[e] = math.sqrt(
-            one.center[0, 0] * one.center[0, 0] + one.center[0, 1] * one.center[0, 1]
-        )
+        adam.pull[e] = math.sqrt(one.center[0, 0] * one.center[0, 0] + one.center[0, 1] * one.center[0, 1])
         mean, square, rates = adam.mean, adam.square, adam.rates
         _move(cloud.means[n], one.means[0], mean.means[n], square.means[n], rates[0], adam.unbias)
         _move(

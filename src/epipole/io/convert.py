@@ -12,7 +12,7 @@ from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
 from epipole.io.transforms_json import read_transforms, write_transforms
 from epipole.scene import Reconstruction
 
-ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler"]
+ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler", "splat"]
 IMAGE_FOLDER = "images"
 """Where the pictures are beside a transforms.json or a bundle.out."""
 

@@ -10,6 +10,7 @@ import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from jaxtyping import Float64
@@ -61,9 +62,11 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     image_folder, size = _pictures(folder, max_side_px)
     names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in _PICTURES)
     if len(names) != len(rows):
-        raise FileFormatError(path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} pictures")
+        raise FileFormatError(
+            path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} pictures"
+        )
     n = len(rows)
-    cameras = [_camera(path, *matrix[:, 4].tolist(), size) for matrix in matrices]
+    cameras = [_camera(path, matrix[:, 4], size) for matrix in matrices]
     motions = _cams_from_world(path, matrices)
     numbers = np.arange(n, dtype=np.int32)
     points = _points(folder / _POINTS)
@@ -82,7 +85,7 @@ def _rows(path: Path) -> np.ndarray:
     """The numbers of the file (n, 17), checked."""
     try:
         rows = np.load(io.BytesIO(file_bytes(path, _MOST_BYTES)), allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
+    except (ValueError, EOFError, OSError, SyntaxError, MemoryError, TokenError, TypeError) as error:
         raise FileFormatError(path, f"not an array of numbers ({error})") from error
     if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != _COLUMNS or not len(rows):
         raise FileFormatError(path, f"not rows of {_COLUMNS} numbers")
@@ -121,8 +124,9 @@ def _size_of(file: Path) -> tuple[int, int]:
         raise FileFormatError(file, "is no picture that can be read") from error
 
 
-def _camera(path: Path, height: float, width: float, focal: float, size: tuple[int, int]) -> Camera:
+def _camera(path: Path, told: np.ndarray, size: tuple[int, int]) -> Camera:
     """A pinhole of the pictures in the size that they have; its middle is that of the picture."""
+    height, width, focal = told.tolist()
     if not (height >= 1 and width >= 1 and focal > 0):
         raise FileFormatError(path, f"impossible camera: {width:g} x {height:g}, focal length {focal:g}")
     fx, fy = focal * size[0] / width, focal * size[1] / height

@@ -11,14 +11,14 @@ import tyro
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
-    format: Literal["txt", "bin", "ply", "transforms", "bundler"],
+    format: Literal["txt", "bin", "ply", "transforms", "bundler", "splat"],
 ) -> None:
     """Write a model in another format.
 
     Args:
-        source: Output folder of a reconstruction, a COLMAP model, or a transforms.json.
-        target: For PLY a file, otherwise a new folder; transforms and bundler get their pictures, too.
-        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, or Bundler.
+        source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.
+        target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz or .splat), otherwise a new folder; transforms and bundler get their pictures, too.
+        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat.
     """
     from rich.console import Console
 

@@ -12,6 +12,7 @@ from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.files import open_file
+from epipole.io.gaussian_files import SUFFIXES, read_gaussians, write_gaussians
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
@@ -38,11 +39,12 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     """Write a model in another format.
 
     Args:
-        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json.
-        target: for `ply` a file; for the other formats, which are of several files, a new folder, or that of an earlier
+        source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of `splat`, or a
+            file of Gaussians.
+        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
             conversion of the same model, whose other formats stay. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
             where the disk is the same): the paths in these files are then right.
-        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler or ply.
+        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat.
 
     Raises:
         ConfigError: unknown format, or one that cannot hold the cameras.
@@ -54,6 +56,8 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
+    if format == "splat":
+        return _convert_gaussians(source, target)
     model = read_model(source)
     if format == "ply":
         return _convert_to_ply(model, target)
@@ -72,6 +76,17 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     return Conversion(target, len(found), tuple(name for name in names if name not in found))
 
 
+def _convert_gaussians(source: Path, target: Path) -> Conversion:
+    """Read and write files of Gaussians, of the formats that their names tell."""
+    file = source / "splat.ply" if source.is_dir() else source
+    if target.is_dir():
+        raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
+    cloud = read_gaussians(file)
+    _refuse_to_replace(target)
+    write_gaussians(target, cloud)
+    return Conversion(target, 0, ())
+
+
 def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
     if target.is_dir():
         target = target / "scene.ply"
@@ -84,7 +99,7 @@ def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
 
 
 def _refuse_to_replace(target: Path) -> None:
-    """Only a PLY file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
+    """Only a PLY or SPZ file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
 
     Raises:
         WorkspaceError: a file of another kind stands there.
@@ -93,8 +108,8 @@ def _refuse_to_replace(target: Path) -> None:
         return
     with open_file(target) as stream:
         head = stream.read(4)
-    if head and not head.startswith(b"ply"):
-        raise WorkspaceError(f"{target} is there already and is no PLY file: give another name")
+    if head and not head.startswith((b"ply", b"NGSP", b"\x1f\x8b")):
+        raise WorkspaceError(f"{target} is there already and is no PLY or SPZ file: give another name")
 
 
 def _names_with_place(model: Reconstruction) -> list[str]:

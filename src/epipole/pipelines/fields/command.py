@@ -1,4 +1,4 @@
-"""`epipole splat`."""
+"""`epipole splat` and `epipole render`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from epipole.fields.config import SplatConfig
-from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.config import FieldOptions, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
 if TYPE_CHECKING:
     from epipole.pipelines.fields.run import SplatResult
 
-DEFAULTS, ALL_PICTURES = SplatConfig(), FieldOptions()
+DEFAULTS, ALL_PICTURES, CIRCLE = SplatConfig(), FieldOptions(), RenderJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -45,6 +45,30 @@ def splat(
     _show(result)
     if result.summary["interrupted"]:
         sys.exit(INTERRUPTED)
+
+
+def render(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SPLAT")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    job: Annotated[RenderJob, tyro.conf.arg(name="")] = CIRCLE,
+) -> None:
+    """Draw trained Gaussians from a circle or given cameras, to a video or pictures.
+
+    Args:
+        source: Output folder of `splat`, or a file of Gaussians (.ply, .compressed.ply, .spz, .splat).
+        out: A video (.mp4), or a folder for PNG pictures.
+        job: From where, and how large.
+    """
+    from rich.console import Console
+
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen({"draw": "Drawing"}) as progress:
+        from epipole.pipelines.fields.rendering import render as run
+
+        done = run(source, out, job, progress)
+    text = f"Written {done.out}: {done.num_frames} pictures, {done.frames_per_s:.1f} drawn a second"
+    Console().print(text, highlight=False, markup=False)
 
 
 def _show(result: SplatResult) -> None:

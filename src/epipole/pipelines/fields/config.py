@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from epipole._declared import check_fields
@@ -64,3 +65,47 @@ class FieldOptions:
         if found is None or not 0 < float(found[1]) < 1e7:
             raise ConfigError(f"time is told as 30s, 5m or 1h, got {words!r}")
         return float(found[1]) * _UNITS_S[found[2] or "s"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderJob:
+    """From where a field is drawn, and how large."""
+
+    cameras: Path | None = None
+    """Draw from these cameras: a transforms.json, a COLMAP model or an output folder; else on a circle around the scene."""
+    frames: int = 120
+    """Pictures of the circle."""
+    turn_deg: float = 360.0
+    """How far the circle goes round."""
+    width: int | None = None
+    """Of the pictures; as the cameras' own, 800 for a circle."""
+    height: int | None = None
+    """Of the circle's pictures; 3/4 of the width."""
+    fov_deg: float = 50.0
+    """Across, of the circle's camera."""
+    fps: float = 30.0
+    """Pictures a second of a video."""
+    background: Background = "auto"
+    """Colour behind everything: as it was trained, else black."""
+    antialiased: bool = False
+    """With Mip-Splatting's filter: if it was trained with it."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if not 1 <= self.frames <= 1_000_000:
+            raise ConfigError(f"frames must be from 1 to a million, got {self.frames}")
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if size is not None and not 1 <= size <= 16384:
+                raise ConfigError(f"{name} must be from 1 to 16384, got {size}")
+        if not 1.0 <= self.fov_deg <= 170.0:
+            raise ConfigError(f"fov_deg must be from 1 to 170, got {self.fov_deg}")
+        if not 0.0 < self.fps <= 1000.0:
+            raise ConfigError(f"fps must be above 0 and at most 1000, got {self.fps}")
+        if not -3600.0 <= self.turn_deg <= 3600.0:
+            raise ConfigError(f"turn_deg must be within 3600 degrees, got {self.turn_deg}")

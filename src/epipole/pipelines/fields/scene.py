@@ -11,7 +11,7 @@ import numpy as np
 from epipole.errors import FileFormatError
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
-from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.io.gaussian_files import read_gaussians
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
@@ -20,10 +20,13 @@ LENGTHS = "Lengths are in the unit of the cameras, metres only where these are m
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds trained Gaussians, or a PLY file is one of Gaussians."""
-    if path.suffix == ".ply" and path.is_file():
+    """Whether a folder holds trained Gaussians, or a file is one of Gaussians."""
+    if path.suffix.lower() in (".spz", ".splat") and path.is_file():
+        return True
+    if path.suffix.lower() == ".ply" and path.is_file():
         with path.open("rb") as stream:
-            return b" f_dc_0" in stream.read(4096)
+            head = stream.read(8192)
+        return b" f_dc_0" in head or b" packed_position" in head
     return (path / SPLAT).is_file()
 
 
@@ -43,16 +46,14 @@ def splat_view(path: Path) -> SplatView:
         FileFormatError: the file is damaged.
     """
     file = path if path.is_file() else path / SPLAT
-    cloud = read_gaussian_ply(file)
+    cloud = read_gaussians(file)
     known = _first_view(file.with_name(SUMMARY))
     if known is None:
         middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
         size = float(np.median(np.linalg.norm(cloud.means_in_world - middle, axis=1)))
-        known = [
-            middle + 3.0 * max(size, 1e-6) * np.array([0.0, -1.0, 0.3]),
-            middle,
-            np.array([0.0, 0.0, 1.0]),
-        ]
+        # As most such files are: the world of a camera, y down.
+        away = 3.0 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
+        known = [middle + away, middle, np.array([0.0, -1.0, 0.0])]
     position, look_at, up = known
     return SplatView(cloud, position, look_at, up, LENGTHS)
 

@@ -1,0 +1,92 @@
+"""Where a field is drawn from: the cameras of a file, or a circle around the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import NoModelError
+from epipole.geometry import Rigid3
+from epipole.image import undistorted_camera
+from epipole.io.convert import read_model
+from epipole.io.llff import LLFF, read_llff
+from epipole.pipelines.fields.config import RenderJob
+from epipole.scene import Reconstruction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """One picture that is to be drawn."""
+
+    name: str
+    """Of its file, without ending."""
+    camera: Camera
+    cam_from_world: Rigid3
+
+
+def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
+    """The registered cameras of a model, without distortion, by their names.
+
+    Raises:
+        FileFormatError: there is no model that can be read.
+        NoModelError: it has no camera with a pose.
+    """
+    model: Reconstruction = (
+        read_llff(source).reconstruction if (source / LLFF).is_file() else read_model(source)
+    )
+    cams_from_world, out = model.cams_from_world(), []
+    rows = np.flatnonzero(model.is_registered()).tolist()
+    for row in sorted(rows, key=lambda k: model.images.name[k]):
+        camera = undistorted_camera(model.cameras[int(model.camera_of_image[row])])
+        name = str(PurePosixPath(model.images.name[row]).with_suffix("")).replace("/", "_")
+        out.append(Shot(name, sized(camera, job.width), cams_from_world[row]))
+    if not out:
+        raise NoModelError(f"{source} holds no camera with a pose")
+    return out
+
+
+def sized(camera: Camera, width: int | None) -> Camera:
+    """A pinhole with pictures of another width, of the same view."""
+    if width is None or width == camera.width:
+        return camera
+    height = max(1, round(camera.height * width / camera.width))
+    ratio = np.array([width / camera.width, height / camera.height])
+    params = camera.params.copy()
+    params[:2] *= ratio
+    params[2:4] = (params[2:4] + 0.5) * ratio - 0.5
+    return Camera(camera.model, width, height, params)
+
+
+def orbit(position: np.ndarray, look_at: np.ndarray, up: np.ndarray, job: RenderJob) -> list[Shot]:
+    """A circle from `position` around the axis `up` through `look_at`, in even steps; it closes where it goes all the way round."""
+    width, height = job.width or 800, job.height or round((job.width or 800) * 3 / 4)
+    focal = 0.5 * width / np.tan(0.5 * np.deg2rad(job.fov_deg))
+    params = np.array([focal, focal, 0.5 * (width - 1), 0.5 * (height - 1)])
+    camera = Camera(CameraModel.PINHOLE, width, height, params)
+    is_closed = abs(job.turn_deg) >= 360
+    angles = np.deg2rad(np.linspace(0.0, job.turn_deg, job.frames, endpoint=not is_closed))
+    axis = up / np.linalg.norm(up)
+    arm = position - look_at
+    out = []
+    for n, angle in enumerate(angles.tolist()):
+        turned = (
+            arm * np.cos(angle)
+            + np.cross(axis, arm) * np.sin(angle)
+            + axis * (axis @ arm) * (1 - np.cos(angle))
+        )
+        out.append(Shot(f"{n:05d}", camera, _looking(look_at + turned, look_at, axis)))
+    return out
+
+
+def _looking(position: np.ndarray, look_at: np.ndarray, up: np.ndarray) -> Rigid3:
+    """cam_from_world of a camera with x right, y down, z towards what it looks at."""
+    ahead = (look_at - position) / np.linalg.norm(look_at - position)
+    right = np.cross(ahead, up)
+    if np.linalg.norm(right) < 1e-6:  # straight down or up
+        right = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(ahead, right), ahead])
+    return Rigid3(rotation, -rotation @ position)

@@ -1,0 +1,107 @@
+"""The job: a field drawn from given cameras, to pictures or a video."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole.config import options_of
+from epipole.errors import FileFormatError
+from epipole.fields import RenderOptions
+from epipole.fields import render as draw
+from epipole.io.atomic import atomic_write
+from epipole.io.files import read_json
+from epipole.io.rgba_pictures import write_png
+from epipole.io.video_files import VIDEO_SUFFIX, write_video
+from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
+from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.scene import SUMMARY, splat_view
+from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
+
+BACKGROUNDS = {"white": 1.0, "black": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """What `render` has written."""
+
+    out: Path
+    num_frames: int
+    frames_per_s: float
+    """Drawing alone, without writing."""
+
+
+def render(
+    source: str | Path,
+    out: str | Path,
+    job: RenderJob | None = None,
+    progress: ProgressCallback = ignore_progress,
+    **options: Any,
+) -> Drawn:
+    """Draw Gaussians.
+
+    Args:
+        source: an output folder of `splat`, or a file of Gaussians.
+        out: a video (.mp4), or a new folder for PNG pictures, or that of an earlier call, which they replace.
+        job: from where, and how large; None for the defaults.
+        progress: called with the progress.
+        **options: single options by name, which override `job`.
+
+    Raises:
+        ConfigError: an option is unknown or makes no sense, or the pictures of a video would differ in size.
+        FileFormatError: the source, or the cameras, cannot be read.
+        NoModelError: there is no camera with a pose.
+        WorkspaceError: the output cannot be written.
+    """
+    source, out, wanted = as_path(source), as_path(out), options_of(RenderJob, job, options)
+    if not source.exists():
+        raise FileFormatError(source, "there is no such file or folder")
+    known = splat_view(source)
+    shots = (
+        orbit(known.position, known.look_at, known.up, wanted)
+        if wanted.cameras is None
+        else shots_of_model(wanted.cameras, wanted)
+    )
+    colour = np.full(3, _background(source, wanted), np.float32)
+    options_of_drawing = RenderOptions(antialiased=wanted.antialiased)
+    spent = [0.0]
+
+    def pictures() -> Iterator[tuple[Shot, np.ndarray]]:
+        for n, shot in enumerate(shots):
+            begin = perf_counter()
+            drawn = draw(known.cloud, shot.camera, shot.cam_from_world, options_of_drawing).over(colour)
+            spent[0] += perf_counter() - begin
+            yield shot, np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
+            progress(Progress("draw", n + 1, len(shots)))
+
+    if out.suffix.lower() == VIDEO_SUFFIX:
+        with atomic_write(out) as aside:
+            write_video(aside, (picture for _, picture in pictures()), wanted.fps)
+    else:
+        settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
+        task = Job(kind="render", inputs=(source,), settings=settings, progress=progress)
+        with open_run(task, out) as run:
+            with run.stage("draw"), run.folder.publish("pictures") as aside:
+                for shot, picture in pictures():
+                    write_png(aside / f"{shot.name}.png", picture)
+            run.finish()
+    return Drawn(out, len(shots), len(shots) / max(spent[0], 1e-9))
+
+
+def _background(source: Path, wanted: RenderJob) -> float:
+    """As it was trained, where that is known."""
+    if wanted.background != "auto":
+        return BACKGROUNDS[wanted.background]
+    summary = (source if source.is_dir() else source.parent) / SUMMARY
+    try:
+        content = read_json(summary)
+    except FileFormatError:
+        return 0.0
+    told = content.get("background") if isinstance(content, dict) else None
+    return BACKGROUNDS.get(told, 0.0) if isinstance(told, str) else 0.0

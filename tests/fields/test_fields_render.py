@@ -1,0 +1,82 @@
+"""`epipole.render`: circles and given cameras, to pictures and a video."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from fields_scenes import CAMERA, scene, views
+from test_fields_run import frames_of, lens
+
+from epipole import render
+from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.fields import render as draw
+from epipole.io.gaussian_files import write_gaussians
+from epipole.io.photographs import read_rgb
+from epipole.pipelines.fields.cameras import orbit
+from epipole.pipelines.fields.config import RenderJob
+
+
+@pytest.fixture
+def splats(tmp_path):
+    write_gaussians(tmp_path / "splat.ply", scene())
+    return tmp_path / "splat.ply"
+
+
+def test_given_cameras(splats, tmp_path):
+    content = lens() | {"frames": frames_of(views()[:3], tmp_path)}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    done = render(splats, tmp_path / "out", cameras=tmp_path / "transforms.json")
+    assert done.num_frames == 3 and done.frames_per_s > 0
+    for seen in views()[:3]:
+        found = read_rgb(tmp_path / "out" / f"{seen.name[:2]}.png")
+        wanted = draw(scene(), CAMERA, seen.cam_from_world).over(np.zeros(3, np.float32))
+        assert np.abs(found / 255.0 - np.clip(wanted, 0, 1)).max() < 0.01
+    render(splats, tmp_path / "out", cameras=tmp_path / "transforms.json", width=32, background="white")
+    small = read_rgb(tmp_path / "out" / "00.png")
+    assert small.shape == (24, 32, 3) and small[0, 0].min() == 255
+
+
+def test_a_circle_goes_round_and_looks_at_the_middle():
+    middle, up = np.array([1.0, 2.0, 3.0]), np.array([0.0, -2.0, 0.0])
+    shots = orbit(middle + np.array([3.0, -1.0, 0.0]), middle, up, RenderJob(frames=8, width=100))
+    centers = np.array([shot.cam_from_world.centers() for shot in shots])
+    assert np.linalg.norm(centers - middle, axis=1) == pytest.approx(np.full(8, np.sqrt(10.0)))
+    assert centers.mean(axis=0) == pytest.approx(middle - np.array([0, 1, 0]))
+    for shot in shots:
+        assert shot.camera.project(shot.cam_from_world.apply(middle[None]))[0] == pytest.approx([49.5, 37.0])
+        above = shot.camera.project(shot.cam_from_world.apply(middle[None] + [0, -0.1, 0]))[0]
+        assert above[1] < 37.0  # up in the world is up in the picture
+    half = orbit(middle + np.array([3.0, 0.0, 0.0]), middle, up, RenderJob(frames=3, turn_deg=180.0))
+    assert half[2].cam_from_world.centers() == pytest.approx(middle - [3, 0, 0])
+    straight = orbit(middle + np.array([0.0, -3.0, 0.0]), middle, up, RenderJob(frames=2))
+    assert np.isfinite(straight[0].cam_from_world.rotation).all()
+
+
+def test_a_video(splats, tmp_path):
+    render(splats, tmp_path / "a.mp4", frames=5, width=64, height=48)
+    video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
+    pictures = []
+    while (read := video.read())[0]:
+        pictures.append(read[1])
+    assert len(pictures) == 5 and pictures[0].shape == (48, 64, 3)
+    assert np.abs(pictures[0].astype(int) - pictures[2]).mean() > 1 and max(p.max() for p in pictures) > 100
+
+
+def test_what_does_not_fit(splats, tmp_path):
+    with pytest.raises(FileFormatError, match="no such file"):
+        render(tmp_path / "none", tmp_path / "out")
+    with pytest.raises(ConfigError, match="frames"):
+        render(splats, tmp_path / "out", frames=0)
+    with pytest.raises(ConfigError, match="fov_deg"):
+        render(splats, tmp_path / "out", fov_deg=180.0)
+    frames = [frame | lens() | {"w": 64 - 8 * k} for k, frame in enumerate(frames_of(views()[:2], tmp_path))]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    with pytest.raises(ConfigError, match="one size"):
+        render(splats, tmp_path / "a.mp4", cameras=tmp_path / "transforms.json")
+    assert not (tmp_path / "a.mp4").exists()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    with pytest.raises(WorkspaceError):
+        render(splats, tmp_path / "full", frames=2, width=32)
+    assert (tmp_path / "full" / "mine.txt").read_text() == "mine"
