@@ -33,6 +33,7 @@ TASKS = {
     "lego, 1 minute": Task("fields/lego", "60s", {}),
     "lego, 5 minutes": Task("fields/lego", "5m", {}),
     "lego, 15 minutes": Task("fields/lego", "15m", {}),
+    "fern, 5 minutes": Task("fields/fern", "5m", {}),
     "fountain-P11, 384 wide": Task(
         "sfm/fountain-P11/images", "30s", {"max_side_px": 384, "test": "0005.jpg"}
     ),

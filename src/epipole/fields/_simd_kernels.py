@@ -15,6 +15,10 @@ from numba.core import cgutils
 from epipole._simd_kernels import row_intrinsic
 
 LANES = 8
+MOMENTUM, SQUARES, LEAST = np.float32(0.9), np.float32(0.99), np.float32(1e-15)
+"""Adam's betas and epsilon."""
+ROW = 16
+"""Numbers of a voxel: one cache line."""
 PLANE = 256
 """Pixels of a tile: numbers between a plane of its state and the next."""
 LARGEST_ALPHA, LEAST_ALPHA = np.float32(0.99), np.float32(1.0 / 255.0)
@@ -102,6 +106,10 @@ class _Vector:
     def largest(self, other: Any) -> "_Vector":
         """The larger of both, lane by lane."""
         return self._call("maxnum", other)
+
+    def root(self) -> "_Vector":
+        """The square root."""
+        return self._call("sqrt")
 
     def where(self, relation: str, first: "_Vector", second: Any) -> "_Vector":
         """Itself where the relation of first and second holds, else 0."""
@@ -210,6 +218,59 @@ def unblend_row(typingctx, state, at, sums, x, dy, q, half_a, b_dy, opacity, red
         parts = [by_power, by_x, by_x * dx, by_y, by_y * dx, by_y * down, *(weight * by for by in wanted[:4])]
         for k, part in enumerate(parts):
             total.put(k * LANES, total.get(k * LANES) + part)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _add_row(out, at, values, row, weight):
+    out[at : at + ROW] += weight * values[row : row + ROW]
+
+
+@row_intrinsic(_add_row)
+def add_row(typingctx, out, at, values, row, weight):
+    """out[at : at + 16] += weight * values[row : row + 16], of flat arrays."""
+    signature = types.void(out, types.int64, values, types.int64, types.float32)
+
+    def generate(context, builder, signature, arguments):
+        total = _Row(context, builder, signature.args[0], arguments[0], arguments[1])
+        source = _Row(context, builder, signature.args[2], arguments[2], arguments[3])
+        weight = _spread(builder, arguments[4])
+        for offset in range(0, ROW, LANES):
+            total.put(offset, source.get(offset).times_plus(weight, total.get(offset)))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _adam_row(values, gradient, mean, square, at, rates):
+    row = slice(at, at + ROW)
+    mean[row] = MOMENTUM * mean[row] + (1 - MOMENTUM) * gradient[row]
+    square[row] = SQUARES * square[row] + (1 - SQUARES) * gradient[row] * gradient[row]
+    values[row] -= rates * mean[row] / (np.sqrt(square[row]) + LEAST)
+    gradient[row] = 0.0
+
+
+@row_intrinsic(_adam_row)
+def adam_row(typingctx, values, gradient, mean, square, at, rates):
+    """Adam's step (Kingma and Ba, ICLR 2015) of numbers at : at + 16 of flat arrays, whose derivatives are cleared.
+
+    What is moved for the first time moves by its rate: with these betas that needs no correction.
+    """
+    signature = types.void(values, gradient, mean, square, types.int64, rates)
+
+    def generate(context, builder, signature, arguments):
+        rows = [_Row(context, builder, signature.args[k], arguments[k], arguments[4]) for k in range(4)]
+        rates = _Row(context, builder, signature.args[5], arguments[5], cgutils.intp_t(0))
+        moved, by, mean, square = rows
+        for offset in range(0, ROW, LANES):
+            g = by.get(offset)
+            m = mean.get(offset) * MOMENTUM + g * (1 - MOMENTUM)
+            v = square.get(offset) * SQUARES + g * g * (1 - SQUARES)
+            mean.put(offset, m)
+            square.put(offset, v)
+            moved.put(offset, moved.get(offset) - rates.get(offset) * m / (v.root() + LEAST))
+            by.put(offset, _Vector(builder, _constant(0.0)))
         return context.get_dummy_value()
 
     return signature, generate

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
 from epipole._declared import checked
@@ -56,7 +57,7 @@ def points_in_silhouettes(
         DegenerateGeometryError: the cameras look at nothing in common.
     """
     rng = np.random.default_rng([19, seed])
-    middle, radius = _common_ball(views)
+    middle, radius = common_ball(views)
     draws = rng.normal(size=(TRIES * count, 3))
     size = radius * np.cbrt(rng.uniform(size=(len(draws), 1)))
     points = middle + size * draws / np.linalg.norm(draws, axis=1, keepdims=True)
@@ -81,7 +82,26 @@ def points_in_silhouettes(
     return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
 
 
-def _common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
+def may_be_full(
+    views: Sequence[TrainingView], centers_in_world: np.ndarray, radius: float
+) -> Bool[np.ndarray, " n"]:
+    """Which balls (n, 3) touch every silhouette of the pictures with transparency that see their middles."""
+    kept = np.ones(len(centers_in_world), bool)
+    for view in views:
+        if view.picture.shape[2] != 4:
+            continue
+        pixels = view.camera.project(view.cam_from_world.apply(centers_in_world))
+        depth = view.cam_from_world.apply(centers_in_world)[:, 2]
+        wide = int(np.ceil(view.camera.focal_px * radius / max(float(np.median(depth)) - radius, 1e-9)))
+        full = cv2.dilate(view.picture[..., 3], np.ones((2 * wide + 1, 2 * wide + 1), np.uint8))
+        inside = np.isfinite(pixels).all(axis=1)
+        at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
+        inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
+        kept[inside] &= full[at[inside, 1], at[inside, 0]] > 0
+    return kept
+
+
+def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     """The point nearest to all optical axes, and how far the pictures reach around it.
 
     Raises:

@@ -1,0 +1,155 @@
+"""A grid of densities and colours, drawn by marching along rays: an explicit radiance field (Sun et al., DVGO; Fridovich-Keil et al., Plenoxels; 2022)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.fields import _voxel_kernels as kernels
+from epipole.fields._simd_kernels import ROW
+from epipole.fields._voxel_kernels import BLOCK, MOST_SAMPLES
+from epipole.fields.training_view import TrainingView
+from epipole.geometry import Rigid3
+
+TOGETHER = 2048
+"""Rays in one piece of work."""
+FULL = 255
+
+
+class Voxels(NamedTuple):
+    """What kernels read of a grid; a place p of the world is at (p - low) / size."""
+
+    row_of: np.ndarray
+    """(x, y, z) int32 row of each corner, -1 for none; rows are in the order of corners."""
+    occupied: np.ndarray
+    """(x - 1, y - 1, z - 1) whether something may be seen in a cell."""
+    seen: np.ndarray
+    """(x - 1, y - 1, z - 1) where training has seen something."""
+    blocks: np.ndarray
+    """Whether a block of 8 x 8 x 8 cells holds an occupied one."""
+    values: np.ndarray
+    """(rows, 16) density, then harmonics of degree 0 and 1 of red, green and blue: 1 + 3 basis + channel."""
+    low: np.ndarray
+    size: float
+    delta: np.float32
+    """Length of a step, in the unit in which densities are told: the first grid's voxels."""
+
+
+class Rays(NamedTuple):
+    """Pictures and cameras, as kernels read them."""
+
+    pixels: np.ndarray
+    """(total, 4) uint8, of all pictures."""
+    offset: np.ndarray
+    width: np.ndarray
+    lens: np.ndarray
+    """(views, 4) focal lengths and middle."""
+    rotation: np.ndarray
+    center: np.ndarray
+
+
+class MarchWork(NamedTuple):
+    """What a thread needs to follow a ray."""
+
+    acc: np.ndarray
+    light: np.ndarray
+    place: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    by: np.ndarray
+    wanted: np.ndarray
+
+
+def march_work() -> MarchWork:
+    """Scratch of a thread."""
+    shapes = (ROW, (MOST_SAMPLES, 6), (MOST_SAMPLES, 6), 3, 3, 3, 3)
+    return MarchWork(*(np.zeros(shape, np.float32) for shape in shapes))
+
+
+def rays_of(views: Sequence[TrainingView]) -> Rays:
+    """All pixels of all views."""
+    pixels, offset = [], [0]
+    for view in views:
+        flat = view.picture.reshape(-1, view.picture.shape[2])
+        if flat.shape[1] == 3:
+            flat = np.concatenate([flat, np.full((len(flat), 1), FULL, np.uint8)], axis=1)
+        pixels.append(flat)
+        offset.append(offset[-1] + len(flat))
+    return Rays(
+        np.ascontiguousarray(np.concatenate(pixels)),
+        np.array(offset, np.int64),
+        np.array([view.camera.width for view in views], np.int64),
+        *_places([view.camera for view in views], [view.cam_from_world for view in views]),
+    )
+
+
+def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
+    """Rays without pictures."""
+    none = np.zeros((0, 4), np.uint8)
+    return Rays(none, np.zeros(2, np.int64), np.array([camera.width]), *_places([camera], [cam_from_world]))
+
+
+def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, ...]:
+    lens = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
+    rotation = [place.rotation.reshape(9) for place in places]
+    centers = [place.inverse().translation for place in places]
+    return np.array(lens), np.array(rotation), np.array(centers)
+
+
+def cells_of(corners: np.ndarray) -> np.ndarray:
+    """Cells all of whose eight corners are there: (x - 1, y - 1, z - 1)."""
+    out = corners[:-1, :-1, :-1].copy()
+    for i, j, k in np.ndindex(2, 2, 2):
+        x, y, z = out.shape
+        out &= corners[i : i + x, j : j + y, k : k + z]
+    return out
+
+
+def corners_of(cells: np.ndarray) -> np.ndarray:
+    """Corners of any of these cells."""
+    x, y, z = cells.shape
+    out = np.zeros((x + 1, y + 1, z + 1), bool)
+    for i, j, k in np.ndindex(2, 2, 2):
+        out[i : i + x, j : j + y, k : k + z] |= cells
+    return out
+
+
+def voxels_on(
+    cells: np.ndarray, low: np.ndarray, size: float, unit: float, values: np.ndarray | None = None
+) -> Voxels:
+    """A grid whose given cells (x, y, z) are occupied, with rows for their corners; values None: zeros."""
+    corners = corners_of(cells)
+    index = np.full(corners.shape, -1, np.int32)
+    rows = int(corners.sum())
+    index[corners] = np.arange(rows, dtype=np.int32)
+    padded = np.zeros([-(-side // BLOCK) * BLOCK for side in cells.shape], bool)
+    padded[tuple(slice(side) for side in cells.shape)] = cells
+    shape = [part for side in padded.shape for part in (side // BLOCK, BLOCK)]
+    blocks = padded.reshape(shape).any(axis=(1, 3, 5))
+    own = np.zeros((rows, ROW), np.float32) if values is None else values
+    delta = np.float32(kernels.STEP * size / unit)
+    seen = np.zeros(cells.shape, np.uint8)
+    marks = cells.astype(np.uint8), seen, np.asarray(blocks, np.uint8)
+    return Voxels(index, *marks, own, low.astype(np.float64), size, delta)
+
+
+def draw_voxels(
+    voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up."""
+    rays, count = rays_of_camera(camera, cam_from_world), camera.width * camera.height
+    picture, depth = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    samples = _parallel.map_chunks(
+        lambda a, b, _: kernels.draw_pixels(
+            *(rays, 0, camera.width, voxels, background.astype(np.float32)),
+            *(a, b, picture, depth, march_work()),
+        ),
+        count,
+        -(-count // TOGETHER),
+    )
+    shape = camera.height, camera.width
+    return picture.reshape(*shape, 3), depth.reshape(shape) * np.float32(voxels.size), sum(samples)

@@ -1,0 +1,214 @@
+"""An explicit grid learnt from pictures, coarse to fine: what is empty at one size is left out at the next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from epipole import _parallel
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.fields import _voxel_kernels as kernels
+from epipole.fields._simd_kernels import ROW
+from epipole.fields.starting import common_ball, may_be_full
+from epipole.fields.training_view import TrainingView
+from epipole.fields.voxel_field import (
+    Voxels,
+    draw_voxels,
+    march_work,
+    rays_of,
+    voxels_on,
+)
+
+SIZES = ((0.0, 64), (0.08, 128), (0.30, 256))
+"""Cells along the side of the grid from that share of the training on."""
+RAYS, TOGETHER = 4096, 512
+"""Of a step, and in one piece of work."""
+SAMPLES = 96
+"""Of a ray that room is made for; a ray that finds none is left out of the step."""
+PLANES_TOGETHER = 4
+DENSITY_RATE, COLOUR_RATE, LAST_RATES = 0.3, 0.015, 0.1
+REACH = 1.0
+"""Half the side of the grid, in the radius of what the pictures show around the middle."""
+
+
+class GridAdam(NamedTuple):
+    """State of Adam, flat, and what a step adds."""
+
+    gradient: np.ndarray
+    mean: np.ndarray
+    square: np.ndarray
+    touched: np.ndarray
+    rates: np.ndarray
+
+
+class VoxelTrainer:
+    """Trains a grid on views; the same views and steps give the same grid for any number of threads.
+
+    Attributes:
+        voxels: the grid as it is.
+        num_steps: taken.
+        num_samples: of the last step.
+    """
+
+    def __init__(self, views: Sequence[TrainingView], background: np.ndarray, seed: int = 0) -> None:
+        """Begin with everything that the cameras look into.
+
+        Raises:
+            ConfigError: there is no view.
+            DegenerateGeometryError: the cameras look at nothing in common.
+        """
+        if not views:
+            raise ConfigError("there is no picture to train on")
+        self.rays = rays_of(views)
+        self.background = background.astype(np.float32)
+        self.num_steps = self.num_samples = 0
+        self._rng = np.random.default_rng([21, seed])
+        low, self._unit, full = _first_cells(views)
+        self.voxels = voxels_on(full, low, self._unit, self._unit)
+        self._pixel = _pixel_size(views, low + 0.5 * self._unit * np.array(full.shape))
+        self._level, self._looks = 0, False
+        self._adam = self._new_adam()
+
+    def _new_adam(self) -> GridAdam:
+        n = self.voxels.values.size
+        gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
+        return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
+
+    def step(self, progress: float) -> float:
+        """A batch of rays of all pictures; returns the mean squared error.
+
+        Args:
+            progress: share of the training that is done, from 0 to 1.
+        """
+        while self._can_refine() and progress >= SIZES[self._level + 1][0]:
+            self._refine()
+        if not self._looks and progress >= self._half_way():
+            self._looks = True
+            self.voxels.seen[:] = 0
+        fallen = LAST_RATES**progress
+        self._adam.rates[:] = fallen * COLOUR_RATE
+        self._adam.rates[0] = fallen * DENSITY_RATE
+        chosen = self._rng.integers(0, len(self.rays.pixels), RAYS)
+        first = self._rng.random(RAYS, np.float32)
+        parts = self._followed(chosen, first)
+        records = np.concatenate([part[0] for part in parts])
+        cells = np.concatenate([part[1] for part in parts])
+        self._move(records, cells)
+        self.num_samples = sum(part[3] for part in parts)
+        self.num_steps += 1
+        return sum(part[2] for part in parts) / (3 * RAYS)
+
+    def _followed(
+        self, chosen: np.ndarray, first: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray, float, int]]:
+        scale = np.float32(1.0 / (3 * RAYS))
+
+        def follow(start: int, stop: int, _: int) -> tuple[np.ndarray, np.ndarray, float, int]:
+            room = SAMPLES * (stop - start)
+            records = np.empty((room, kernels.RECORD), np.float32)
+            cells = np.empty(room, np.int64)
+            found, error, samples = kernels.learn_rays(
+                *(self.rays, chosen, first, self.voxels, self.background, scale),
+                *(start, stop, records, cells, march_work()),
+            )
+            return records[:found], cells[:found], error, samples
+
+        return _parallel.map_chunks(follow, RAYS, RAYS // TOGETHER)
+
+    def _move(self, records: np.ndarray, cells: np.ndarray) -> None:
+        """Each plane of constant x is one thread's: what touches it is added in the order of cells and rays."""
+        planes, ny, nz = self.voxels.row_of.shape
+        keys = cells.astype(np.uint64) << np.uint64(32) | np.arange(len(cells), dtype=np.uint64)
+        keys.sort()
+        order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+        first_keys = np.arange(planes + 1, dtype=np.uint64) * np.uint64(ny * nz) << np.uint64(32)
+        start = np.searchsorted(keys, first_keys)
+        _parallel.map_chunks(
+            lambda a, b, _: kernels.move_planes(
+                *(self.voxels, records, cells, order, start, self._row_start(), a, b),
+                *(self._adam, np.zeros(ROW, np.float32)),
+            ),
+            planes,
+            -(-planes // PLANES_TOGETHER),
+        )
+
+    def _row_start(self) -> np.ndarray:
+        """(planes + 1,) the first row of each plane of constant x."""
+        if self._rows_at is None:
+            counts = (self.voxels.row_of >= 0).sum(axis=(1, 2))
+            self._rows_at = np.concatenate([[0], np.cumsum(counts)])
+        return self._rows_at
+
+    _rows_at: np.ndarray | None = None
+
+    def _can_refine(self) -> bool:
+        """Whether a finer grid comes, which is so while voxels are larger than the pictures' pixels."""
+        return self._level + 1 < len(SIZES) and self.voxels.size > self._pixel
+
+    def _half_way(self) -> float:
+        """Of this size: from there on counts what is seen, for at first there is fog everywhere."""
+        ends = [*(share for share, _ in SIZES), 1.0]
+        return 0.5 * (ends[self._level] + ends[self._level + 1])
+
+    def _refine(self) -> None:
+        """Leave out what is empty, and halve the voxels."""
+        self._level, self._looks = self._level + 1, False
+        voxels = self.voxels
+        cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
+        finer = voxels_on(cells, voxels.low, voxels.size / 2, self._unit)
+        values = _between(voxels, np.argwhere(finer.row_of >= 0))
+        self.voxels = finer._replace(values=values)
+        self._rows_at, self._adam = None, self._new_adam()
+
+    def _seen_cells(self) -> np.ndarray:
+        """Cells that some ray has seen something in, and those beside."""
+        occupied, seen = self.voxels.occupied.astype(bool), self.voxels.seen
+        if not seen.any():
+            return occupied
+        return ndimage.binary_dilation(seen, np.ones((3, 3, 3), bool)) & occupied
+
+    def draw(self, view: TrainingView) -> np.ndarray:
+        """The picture of a view."""
+        return draw_voxels(self.voxels, view.camera, view.cam_from_world, self.background)[0]
+
+
+def _first_cells(views: Sequence[TrainingView]) -> tuple[np.ndarray, float, np.ndarray]:
+    """Corner, voxel size and cells of the first grid: around what silhouettes leave of what the cameras look at."""
+    middle, radius = common_ball(views)
+    side, low, size = SIZES[0][1], middle - REACH * radius, 2.0 * REACH * radius / SIZES[0][1]
+    full = _full(views, low, size, (side, side, side))
+    if not full.any():
+        raise DegenerateGeometryError("the silhouettes of the pictures have no place in common")
+    places = np.argwhere(full)
+    first, last = places.min(axis=0), places.max(axis=0) + 1
+    low, finer = low + size * first, size * (last - first).max() / side
+    shape = tuple(int(n) for n in np.ceil((last - first) * size / finer - 1e-9))
+    return low, float(finer), _full(views, low, float(finer), shape)
+
+
+def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:
+    """Of a pixel at the middle of the scene: the median of all views."""
+    depths = [view.cam_from_world.apply(middle[None])[0, 2] for view in views]
+    return float(np.median([depth / view.camera.focal_px for depth, view in zip(depths, views)]))
+
+
+def _full(views: Sequence[TrainingView], low: np.ndarray, size: float, shape: tuple[int, ...]) -> np.ndarray:
+    middles = low + size * (np.argwhere(np.ones(shape, bool)) + 0.5)
+    return may_be_full(views, middles, 0.87 * size).reshape(shape)
+
+
+def _between(voxels: Voxels, corners: np.ndarray) -> np.ndarray:
+    """Values of the corners (n, 3) of the grid with half the voxels: means of those that are known around."""
+    out = np.zeros((len(corners), ROW), np.float32)
+    total = np.zeros(len(corners), np.float32)
+    half, odd = corners // 2, corners % 2
+    for offset in np.ndindex(2, 2, 2):
+        wanted = half + np.minimum(offset, odd)
+        rows = voxels.row_of[tuple(wanted.T)]
+        known = rows >= 0
+        out[known] += voxels.values[rows[known]]
+        total[known] += 1.0
+    return out / np.maximum(total, 1.0)[:, None]
