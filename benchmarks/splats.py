@@ -1,4 +1,4 @@
-"""How like their pictures splats are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
+"""How like their pictures splats, and grids, are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
 
 Held-out views alone are compared. The rates of the training were chosen on lego's test views: that row is in-sample.
 """
@@ -27,12 +27,15 @@ class Task(NamedTuple):
     folder: str
     time: str
     options: dict[str, Any]
+    job: str = "splat"
 
 
 TASKS = {
     "lego, 1 minute": Task("fields/lego", "60s", {}),
     "lego, 5 minutes": Task("fields/lego", "5m", {}),
     "lego, 15 minutes": Task("fields/lego", "15m", {}),
+    "lego, grid, 1 minute": Task("fields/lego", "60s", {}, "nerf"),
+    "lego, grid, 5 minutes": Task("fields/lego", "5m", {}, "nerf"),
     "fern, 5 minutes": Task("fields/fern", "5m", {}),
     "fountain-P11, 384 wide": Task(
         "sfm/fountain-P11/images", "30s", {"max_side_px": 384, "test": "0005.jpg"}
@@ -44,11 +47,12 @@ TASKS = {
 def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
     """Figures of one training; of photographs the seconds of finding their cameras are apart."""
     with tempfile.TemporaryDirectory(prefix="epipole-splats-") as folder:
-        found = epipole.splat(
-            data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options
-        )
-        kept = ("psnr", "ssim", "steps", "num_gaussians", "train_s", "timings_s")
-        return {"seed": seed, **{name: found.summary[name] for name in kept}}
+        job = getattr(epipole, task.job)
+        found = job(data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options)
+        kept = ("psnr", "ssim", "steps", "train_s", "timings_s")
+        told = {name: found.summary[name] for name in kept}
+        size = found.summary["num_gaussians" if task.job == "splat" else "num_voxels"]
+        return {"seed": seed, **told, "size": size}
 
 
 def main() -> None:
@@ -65,7 +69,7 @@ def main() -> None:
         known[name] = sorted(runs, key=lambda run: run["psnr"])
         RESULTS.write_text(json.dumps({"machine": describe_machine(2), "tasks": known}, indent=1) + "\n")
     table = Table(
-        "task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "Gaussians"
+        "task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "Gaussians, voxels"
     )
     for name, runs in known.items():
         middle = runs[len(runs) // 2]
@@ -75,7 +79,7 @@ def main() -> None:
             str(middle["steps"]),
             f"{1e3 * middle['train_s'] / middle['steps']:.1f}",
         )
-        table.add_row(name, str(len(runs)), *ends, *more, f"{middle['num_gaussians']:,}")
+        table.add_row(name, str(len(runs)), *ends, *more, f"{middle['size']:,}")
     Console(width=140).print(table)
 
 

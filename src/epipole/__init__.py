@@ -16,6 +16,7 @@ _JOBS = (
     "reconstruct",
     "slam",
     "splat",
+    "nerf",
     "render",
     "stereo",
     "calibrate",
@@ -47,6 +48,7 @@ _RESULTS = (
     *(
         "DemoResult",
         "Drawn",
+        "NerfResult",
         "SlamResult",
         "SplatResult",
         "TrackedFrame",

@@ -23,6 +23,8 @@ from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation as Tr
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory as evaluate_trajectory
 from epipole.pipelines.fields.config import FieldOptions as FieldOptions
 from epipole.pipelines.fields.config import RenderJob as RenderJob
+from epipole.pipelines.fields.nerf import NerfResult as NerfResult
+from epipole.pipelines.fields.nerf import nerf as nerf
 from epipole.pipelines.fields.rendering import Drawn as Drawn
 from epipole.pipelines.fields.rendering import render as render
 from epipole.pipelines.fields.run import SplatResult as SplatResult

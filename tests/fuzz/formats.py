@@ -62,7 +62,9 @@ from epipole.io.rgba_pictures import read_rgba
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
+from epipole.io.voxel_files import GridContents, read_grid, write_grid
 from epipole.pipelines.conversion.run import convert
+from epipole.pipelines.fields.nerf import read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.slam.checkpoint import known_to
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
@@ -339,6 +341,20 @@ def _splats(name: str) -> Format:
         assert np.isfinite(found.opacity_logits).all() and np.isfinite(found.log_scales).all()
 
     return Format(put, name, "ply" if name.endswith("ply") else "binary", read, ("read_gaussians",))
+
+
+def _grid(folder: Path) -> None:
+    found = read_grid(folder / "grid.npz")
+    assert np.isfinite(found.values).all() and found.size > 0 and found.cells.ndim == 3
+    voxels = read_voxels(folder / "grid.npz")
+    assert voxels.row_of.max() < len(voxels.values)
+
+
+def _put_grid(folder: Path) -> None:
+    cells = np.zeros((3, 4, 5), bool)
+    cells[1, 1:3, 2] = True
+    values = np.arange(12 * 13, dtype=np.float32).reshape(12, 13)
+    write_grid(folder / "grid.npz", GridContents(cells, values, np.zeros(3), 0.5, 0.5))
 
 
 def _llff(folder: Path) -> None:
@@ -660,6 +676,7 @@ FORMATS: dict[str, Format] = {
         lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
+    "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
     **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),

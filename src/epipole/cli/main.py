@@ -24,6 +24,7 @@ COMMANDS = (
     "epipole.pipelines.sfm.command:reconstruct",
     "epipole.pipelines.slam.command:slam",
     "epipole.pipelines.fields.command:splat",
+    "epipole.pipelines.fields.command:nerf",
     "epipole.pipelines.fields.command:render",
     "epipole.pipelines.stereo.command:stereo",
     "epipole.pipelines.stereo.command:stereo_doctor",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from epipole._declared import check_fields
 from epipole.errors import ConfigError
@@ -37,5 +38,25 @@ class SplatConfig:
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         if not (math.isfinite(self.ssim_weight) and 0 <= self.ssim_weight <= 1):
             raise ConfigError(f"ssim_weight must be from 0 to 1, got {self.ssim_weight}")
+        if self.seed < 0:
+            raise ConfigError(f"seed must not be negative, got {self.seed}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NerfConfig:
+    """How a field that is marched through is trained."""
+
+    kind: Literal["grid"] = "grid"
+    """grid: densities and harmonics in voxels (as DVGO and Plenoxels)."""
+    seed: int = 0
+    """Of all that is drawn."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")

@@ -98,6 +98,11 @@ class SplatTrainer:
     def __len__(self) -> int:
         return len(self._arrays.means)
 
+    def draw(self, view: TrainingView) -> np.ndarray:
+        """(h, w, 3) the picture of a view."""
+        seen = view_of(view.camera, view.cam_from_world, self.options)
+        return blend(tiles_of(self._arrays, seen), seen).over(self.background)
+
     def step(self, progress: float) -> float:
         """One picture: draw it, compare, and move what was seen; returns the loss.
 

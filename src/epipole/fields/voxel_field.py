@@ -121,7 +121,7 @@ def corners_of(cells: np.ndarray) -> np.ndarray:
 def voxels_on(
     cells: np.ndarray, low: np.ndarray, size: float, unit: float, values: np.ndarray | None = None
 ) -> Voxels:
-    """A grid whose given cells (x, y, z) are occupied, with rows for their corners; values None: zeros."""
+    """A grid whose given cells (x, y, z) are occupied, with rows for their corners, which begin with `values`, else with zeros."""
     corners = corners_of(cells)
     index = np.full(corners.shape, -1, np.int32)
     rows = int(corners.sum())
@@ -130,7 +130,9 @@ def voxels_on(
     padded[tuple(slice(side) for side in cells.shape)] = cells
     shape = [part for side in padded.shape for part in (side // BLOCK, BLOCK)]
     blocks = padded.reshape(shape).any(axis=(1, 3, 5))
-    own = np.zeros((rows, ROW), np.float32) if values is None else values
+    own = np.zeros((rows, ROW), np.float32)
+    if values is not None:
+        own[:, : values.shape[1]] = values
     delta = np.float32(kernels.STEP * size / unit)
     seen = np.zeros(cells.shape, np.uint8)
     marks = cells.astype(np.uint8), seen, np.asarray(blocks, np.uint8)

@@ -16,6 +16,7 @@ from epipole.fields.starting import common_ball, may_be_full
 from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import (
     Voxels,
+    corners_of,
     draw_voxels,
     march_work,
     rays_of,
@@ -158,9 +159,8 @@ class VoxelTrainer:
         self._level, self._looks = self._level + 1, False
         voxels = self.voxels
         cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
-        finer = voxels_on(cells, voxels.low, voxels.size / 2, self._unit)
-        values = _between(voxels, np.argwhere(finer.row_of >= 0))
-        self.voxels = finer._replace(values=values)
+        values = _between(voxels, np.argwhere(corners_of(cells)))
+        self.voxels = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
         self._rows_at, self._adam = None, self._new_adam()
 
     def _seen_cells(self) -> np.ndarray:
@@ -170,8 +170,12 @@ class VoxelTrainer:
             return occupied
         return ndimage.binary_dilation(seen, np.ones((3, 3, 3), bool)) & occupied
 
+    def __len__(self) -> int:
+        """Corners of voxels that have a row."""
+        return len(self.voxels.values)
+
     def draw(self, view: TrainingView) -> np.ndarray:
-        """The picture of a view."""
+        """(h, w, 3) the picture of a view."""
         return draw_voxels(self.voxels, view.camera, view.cam_from_world, self.background)[0]
 
 

@@ -1,21 +1,19 @@
-"""`epipole splat` and `epipole render`."""
+"""`epipole splat`, `epipole nerf` and `epipole render`."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from epipole.fields.config import SplatConfig
+from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.pipelines.fields.config import FieldOptions, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
-if TYPE_CHECKING:
-    from epipole.pipelines.fields.run import SplatResult
-
-DEFAULTS, ALL_PICTURES, CIRCLE = SplatConfig(), FieldOptions(), RenderJob()
+DEFAULTS, ALL_PICTURES, CIRCLE, GRID_DEFAULTS = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -35,6 +33,8 @@ def splat(
         job: Which pictures, and for how long.
         config: Options of the training.
     """
+    from rich.console import Console
+
     from epipole.screen import progress_on_screen
 
     words = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
@@ -42,7 +42,38 @@ def splat(
         from epipole.pipelines.fields.run import splat as run
 
         result = run(source, out, config, job, progress)
-    _show(result)
+    _show(result.summary, result.warnings, "Gaussians", result.summary["num_gaussians"])
+    Console().print(f"Gaussians {result.out / 'splat.ply'}", highlight=False, markup=False)
+    Console().print(f"look      epipole view {result.out}", highlight=False, markup=False)
+    if result.summary["interrupted"]:
+        sys.exit(INTERRUPTED)
+
+
+def nerf(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    config: Annotated[NerfConfig, tyro.conf.arg(name="")] = GRID_DEFAULTS,
+) -> None:
+    """Train a grid of densities and colours on pictures around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+
+    Args:
+        source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
+        out: Output folder: grid.npz, test/NAME.png, metrics.json.
+        job: Which pictures, and for how long.
+        config: Options of the training.
+    """
+    from rich.console import Console
+
+    from epipole.screen import progress_on_screen
+
+    words = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+    with progress_on_screen(words) as progress:
+        from epipole.pipelines.fields.nerf import nerf as run
+
+        result = run(source, out, config, job, progress)
+    _show(result.summary, result.warnings, "voxels", result.summary["num_voxels"])
+    Console().print(f"look      epipole render {result.out} round.mp4", highlight=False, markup=False)
     if result.summary["interrupted"]:
         sys.exit(INTERRUPTED)
 
@@ -52,10 +83,10 @@ def render(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     job: Annotated[RenderJob, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
-    """Draw trained Gaussians from a circle or given cameras, to a video or pictures.
+    """Draw trained Gaussians, or a trained grid, from a circle or given cameras, to a video or pictures.
 
     Args:
-        source: Output folder of `splat`, or a file of Gaussians (.ply, .compressed.ply, .spz, .splat).
+        source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .splat).
         out: A video (.mp4), or a folder for PNG pictures.
         job: From where, and how large.
     """
@@ -71,15 +102,14 @@ def render(
     Console().print(text, highlight=False, markup=False)
 
 
-def _show(result: SplatResult) -> None:
+def _show(summary: dict[str, Any], warnings: Sequence[str], what: str, count: int) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from epipole.screen import print_warnings
 
-    summary, console = result.summary, Console()
-    table = Table(box=None, show_header=False)
-    table.add_row("Gaussians", f"{summary['num_gaussians']:,}")
+    console, table = Console(), Table(box=None, show_header=False)
+    table.add_row(what, f"{count:,}")
     table.add_row(
         "trained",
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
@@ -90,6 +120,4 @@ def _show(result: SplatResult) -> None:
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
-    print_warnings(console, result.warnings[:10])
-    console.print(f"Gaussians {result.out / 'splat.ply'}", highlight=False, markup=False)
-    console.print(f"look      epipole view {result.out}", highlight=False, markup=False)
+    print_warnings(console, list(warnings[:10]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -15,13 +15,15 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError
 from epipole.fields import RenderOptions
 from epipole.fields import render as draw
+from epipole.fields.voxel_field import draw_voxels
 from epipole.io.atomic import atomic_write
 from epipole.io.files import read_json
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
-from epipole.pipelines.fields.scene import SUMMARY, splat_view
+from epipole.pipelines.fields.nerf import GRID, read_voxels
+from epipole.pipelines.fields.scene import SUMMARY, splat_view, told_first_view
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
@@ -44,10 +46,10 @@ def render(
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> Drawn:
-    """Draw Gaussians.
+    """Draw trained Gaussians, or a trained grid.
 
     Args:
-        source: an output folder of `splat`, or a file of Gaussians.
+        source: an output folder of `splat` or `nerf`, or a file of Gaussians.
         out: a video (.mp4), or a new folder for PNG pictures, or that of an earlier call, which they replace.
         job: from where, and how large; None for the defaults.
         progress: called with the progress.
@@ -62,20 +64,15 @@ def render(
     source, out, wanted = as_path(source), as_path(out), options_of(RenderJob, job, options)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
-    known = splat_view(source)
-    shots = (
-        orbit(known.position, known.look_at, known.up, wanted)
-        if wanted.cameras is None
-        else shots_of_model(wanted.cameras, wanted)
-    )
     colour = np.full(3, _background(source, wanted), np.float32)
-    options_of_drawing = RenderOptions(antialiased=wanted.antialiased)
+    picture_of, first_view = _drawer(source, wanted, colour)
+    shots = orbit(*first_view, wanted) if wanted.cameras is None else shots_of_model(wanted.cameras, wanted)
     spent = [0.0]
 
     def pictures() -> Iterator[tuple[Shot, np.ndarray]]:
         for n, shot in enumerate(shots):
             begin = perf_counter()
-            drawn = draw(known.cloud, shot.camera, shot.cam_from_world, options_of_drawing).over(colour)
+            drawn = picture_of(shot)
             spent[0] += perf_counter() - begin
             yield shot, np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
             progress(Progress("draw", n + 1, len(shots)))
@@ -92,6 +89,31 @@ def render(
                     write_png(aside / f"{shot.name}.png", picture)
             run.finish()
     return Drawn(out, len(shots), len(shots) / max(spent[0], 1e-9))
+
+
+def _drawer(
+    source: Path, wanted: RenderJob, colour: np.ndarray
+) -> tuple[Callable[[Shot], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """What draws a shot of Gaussians, or of a grid; and position, middle and up of its first view."""
+    file = source / GRID if source.is_dir() else source
+    if file.suffix == ".npz" and file.is_file():
+        voxels = read_voxels(file)
+        middle = voxels.low + 0.5 * voxels.size * np.array(voxels.occupied.shape)
+        away = 1.5 * voxels.size * max(voxels.occupied.shape) * np.array([0.0, -0.3, -1.0])
+        known = told_first_view(file.with_name(SUMMARY)) or [
+            middle + away,
+            middle,
+            np.array([0.0, -1.0, 0.0]),
+        ]
+        return (
+            lambda shot: draw_voxels(voxels, shot.camera, shot.cam_from_world, colour)[0],
+            (known[0], known[1], known[2]),
+        )
+    view, options = splat_view(source), RenderOptions(antialiased=wanted.antialiased)
+    return (
+        lambda shot: draw(view.cloud, shot.camera, shot.cam_from_world, options).over(colour),
+        (view.position, view.look_at, view.up),
+    )
 
 
 def _background(source: Path, wanted: RenderJob) -> float:

@@ -4,36 +4,28 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from epipole._checks import as_path
-from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import FileFormatError
-from epipole.fields import render
 from epipole.fields.config import SplatConfig
-from epipole.fields.photometric import likeness, psnr
 from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.starting import cloud_of_points, points_in_silhouettes
-from epipole.fields.training_view import TrainingView
 from epipole.io.gaussian_ply import write_gaussian_ply
-from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
+from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, first_view_of
-from epipole.pipelines.sfm.run import reconstruct
-from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
+from epipole.pipelines.fields.training import background_of, compared, finished, pictures_of, train
+from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-METRICS, MODEL = "metrics.json", "sfm"
 LEAST_POINTS = 100
 """Of a model: with fewer the first Gaussians are drawn."""
 FIRST_SHARE = 0.1
 """Of the Gaussians in the end, where they are drawn."""
-CURVE_POINTS = 200
 BORNE, STEP_S = 3600.0, 0.02
 """Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
 PIXELS_OF_EACH = 80
@@ -88,25 +80,22 @@ def splat(
     task = Job(kind="splat", inputs=(source,), settings=settings, progress=progress)
     with open_run(task, out) as run:
         with run.stage("read"):
-            pictures = _pictures(source, run, wanted)
+            pictures = pictures_of(source, run, wanted)
         run.warnings += pictures.problems
         if config.max_gaussians is None:
             config = replace(config, max_gaussians=_borne(pictures, wanted))
-        background = _background(wanted, pictures)
+        background = background_of(wanted, pictures)
         with run.stage("start"):
             trainer = SplatTrainer(pictures.train, _start(pictures, config), config, background)
         with run.stage("train"):
-            curve, is_interrupted = _train(trainer, wanted, run)
-        return _written(trainer, pictures, curve, run, is_interrupted=is_interrupted)
-
-
-def _pictures(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
-    if is_model(source):
-        return gather_field_pictures(source, wanted)
-    model = run.root / MODEL
-    reconstruct(source, model, progress=run.job.progress)
-    pictures = source if source.is_dir() else model / "images"
-    return gather_field_pictures(model, wanted, pictures)
+            curve, is_interrupted = train(trainer, wanted, run)
+        cloud = trainer.cloud
+        with run.stage("write"), run.folder.publish("model") as aside:
+            write_gaussian_ply(aside / SPLAT, cloud)
+        told: dict[str, Any] = {"num_gaussians": len(cloud), "interrupted": is_interrupted}
+        told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
+        summary = finished(trainer, pictures, compared(trainer, pictures, run), curve, run, **told)
+        return SplatResult(run.root, cloud, summary, tuple(run.warnings))
 
 
 def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
@@ -114,11 +103,6 @@ def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
     seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
     told = sum(view.camera.width * view.camera.height for view in pictures.train) / PIXELS_OF_EACH
     return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, told)))
-
-
-def _background(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
-    is_white = wanted.background == "white" or (wanted.background == "auto" and pictures.has_alpha)
-    return np.full(3, 1.0 if is_white else 0.0, np.float32)
 
 
 def _start(pictures: FieldPictures, config: SplatConfig) -> GaussianCloud:
@@ -129,78 +113,3 @@ def _start(pictures: FieldPictures, config: SplatConfig) -> GaussianCloud:
         points, rgb = points_in_silhouettes(pictures.train, count, config.seed)
         good = np.ones(len(points), bool)
     return cloud_of_points(points[good], rgb[good])
-
-
-def _train(trainer: SplatTrainer, wanted: FieldOptions, run: Run) -> tuple[list[list[float]], bool]:
-    """Steps until the time is over; seconds, step and loss along the way, and whether Ctrl-C ended it."""
-    limit, curve = wanted.seconds, list[list[float]]()
-    begin, compiling = perf_counter(), compile_seconds()
-
-    def seconds() -> float:
-        return perf_counter() - begin - (compile_seconds() - compiling)
-
-    def done() -> float:
-        if limit is None:
-            return trainer.num_steps / (wanted.steps or 1)
-        return seconds() / limit
-
-    try:
-        while (share := done()) < 1.0:
-            loss = trainer.step(share)
-            if share * CURVE_POINTS >= len(curve):
-                curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
-                run.report("train", min(round(100 * share), 99), 100)
-    except KeyboardInterrupt:
-        if not trainer.num_steps:
-            raise
-        return curve, True
-    run.report("train", 100, 100)
-    return curve, False
-
-
-def _written(
-    trainer: SplatTrainer,
-    pictures: FieldPictures,
-    curve: list[list[float]],
-    run: Run,
-    *,
-    is_interrupted: bool,
-) -> SplatResult:
-    cloud = trainer.cloud
-    with run.stage("write"), run.folder.publish("model") as aside:
-        write_gaussian_ply(aside / SPLAT, cloud)
-    with run.stage("test"), run.folder.publish("test") as aside:
-        scores = []
-        for n, view in enumerate(pictures.test):
-            scores.append(_scored(trainer, cloud, view, aside))
-            run.report("test", n + 1, len(pictures.test))
-    summary: dict[str, Any] = {
-        "num_gaussians": len(cloud),
-        "num_train": len(pictures.train),
-        "num_test": len(pictures.test),
-        "steps": trainer.num_steps,
-        "train_s": curve[-1][0] if curve else 0.0,
-        "psnr": float(np.mean([one["psnr"] for one in scores])) if scores else None,
-        "ssim": float(np.mean([one["ssim"] for one in scores])) if scores else None,
-        "background": "white" if trainer.background[0] else "black",
-        "interrupted": is_interrupted,
-        FIRST_VIEW: first_view_of(cloud, pictures.train),
-        "timings_s": run.timings_s,
-    }
-    content = {
-        **summary,
-        "views": scores,
-        "curve": {"columns": ["s", "step", "loss", "gaussians"], "rows": curve},
-    }
-    run.folder.write_json(METRICS, content)
-    run.finish(summary)
-    return SplatResult(run.root, cloud, summary, tuple(run.warnings))
-
-
-def _scored(trainer: SplatTrainer, cloud: GaussianCloud, view: TrainingView, folder: Path) -> dict[str, Any]:
-    """Draw a held-out view, write it, and compare."""
-    drawn = render(cloud, view.camera, view.cam_from_world, trainer.options).over(trainer.background)
-    truth = view.over(trainer.background)
-    name = f"{Path(view.name).with_suffix('')}.png".replace("/", "_")
-    write_png(folder / "test" / name, np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8))
-    return {"name": view.name, "psnr": psnr(drawn, truth), "ssim": likeness(drawn, truth).ssim}

@@ -12,7 +12,6 @@ from epipole.errors import FileFormatError
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
 from epipole.io.gaussian_files import read_gaussians
-from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
 SPLAT, SUMMARY, FIRST_VIEW = "splat.ply", "summary.json", "first_view"
@@ -47,7 +46,7 @@ def splat_view(path: Path) -> SplatView:
     """
     file = path if path.is_file() else path / SPLAT
     cloud = read_gaussians(file)
-    known = _first_view(file.with_name(SUMMARY))
+    known = told_first_view(file.with_name(SUMMARY))
     if known is None:
         middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
         size = float(np.median(np.linalg.norm(cloud.means_in_world - middle, axis=1)))
@@ -58,17 +57,17 @@ def splat_view(path: Path) -> SplatView:
     return SplatView(cloud, position, look_at, up, LENGTHS)
 
 
-def first_view_of(cloud: GaussianCloud, views: Sequence[TrainingView]) -> dict[str, list[float]]:
+def first_view_of(places: np.ndarray, views: Sequence[TrainingView]) -> dict[str, list[float]]:
     """The place of the first view, the middle of what it sees, and what is up, for a job's summary."""
     world_from_camera = views[0].cam_from_world.inverse()
     up = -np.mean([view.cam_from_world.rotation[1] for view in views], axis=0)
-    middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
+    middle = np.median(places.astype(np.float64), axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     return {"position": world_from_camera.translation.tolist(), "look_at": middle.tolist(), "up": up.tolist()}
 
 
-def _first_view(summary: Path) -> list[np.ndarray] | None:
-    """None where no job has told it, or not in three times three numbers."""
+def told_first_view(summary: Path) -> list[np.ndarray] | None:
+    """Position, what is looked at, and up; None where no job has told it, or not in three times three numbers."""
     try:
         content: Any = read_json(summary)
         told = [np.array(content[FIRST_VIEW][name], np.float64) for name in ("position", "look_at", "up")]

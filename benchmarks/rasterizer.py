@@ -1,0 +1,122 @@
+"""Pairs of a pixel and a Gaussian that are blended a second, forward and back, and frames a second. `python -m benchmarks.rasterizer`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.measure import REPOSITORY, describe_machine
+from epipole.fields import RenderOptions
+from epipole.fields.rasterizer import (
+    arrays_of,
+    blend,
+    gradient_of,
+    sums_of_pairs,
+    tiles_of,
+    view_of,
+)
+from epipole.io.gaussian_files import read_gaussians
+from epipole.pipelines.fields.cameras import orbit
+from epipole.pipelines.fields.config import RenderJob
+from epipole.pipelines.fields.scene import splat_view
+from epipole.scene.gaussian_cloud import GaussianCloud
+
+RESULTS = REPOSITORY / "benchmarks" / "results" / "rasterizer.json"
+FLOPS = (30, 95)
+"""Of a pair, forward and back: counted in the kernels, an exponential as 14."""
+
+
+def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
+    """So many Gaussians: copies beside, each smaller, so that the surface stays covered as it was."""
+    rng = np.random.default_rng(0)
+    rows = np.concatenate([np.arange(len(cloud)), rng.integers(0, len(cloud), max(0, count - len(cloud)))])
+    rows = rows[:count]
+    shrink = np.float32(0.5 * np.log(len(cloud) / count)) if count > len(cloud) else np.float32(0.0)
+    picked = cloud.rows(rows)
+    moved = picked.means_in_world + rng.normal(size=(count, 3)).astype(np.float32) * np.exp(
+        picked.log_scales
+    ) * np.float32(0.5 if count > len(cloud) else 0.0)
+    return GaussianCloud(
+        moved, picked.log_scales + shrink, picked.quats_wxyz, picked.opacity_logits, picked.sh
+    )
+
+
+def measured(cloud: GaussianCloud, source: Path, size: tuple[int, int], rounds: int) -> dict[str, Any]:
+    """Medians over a circle of views."""
+    known = splat_view(source)
+    job = RenderJob(frames=rounds, width=size[0], height=size[1])
+    arrays, rows = arrays_of(cloud), []
+    for shot in orbit(known.position, known.look_at, known.up, job):
+        view = view_of(shot.camera, shot.cam_from_world, RenderOptions())
+        begin = perf_counter()
+        tiles = tiles_of(arrays, view)
+        sorted_at = perf_counter()
+        drawn = blend(tiles, view)
+        blended = perf_counter()
+        by_pair = sums_of_pairs(drawn, drawn.colour)
+        back = perf_counter()
+        gradient_of(arrays, view, drawn.tiles, by_pair)
+        end = perf_counter()
+        pairs = drawn.tiles.num_evaluated
+        rows.append((pairs, sorted_at - begin, blended - sorted_at, back - blended, end - back))
+    pairs, prepare, forward, backward, gather = (float(median(column)) for column in zip(*rows[1:]))
+    return {
+        "gaussians": len(cloud),
+        "size": list(size),
+        "pairs": pairs,
+        "prepare_s": prepare,
+        "forward_s": forward,
+        "backward_s": backward,
+        "gather_s": gather,
+        "forward_pairs_s": pairs / forward,
+        "backward_over_forward": backward / forward,
+        "whole_backward_over_forward": (backward + gather) / (prepare + forward),
+        "gflops": [FLOPS[0] * pairs / forward / 1e9, FLOPS[1] * pairs / backward / 1e9],
+        "frames_s": 1.0 / (prepare + forward),
+    }
+
+
+def main() -> None:
+    """Measure, print the table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=24)
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    source = data / "fields" / "splats" / "guitar.compressed.ply"
+    guitar = read_gaussians(source)
+    rows = {}
+    for name, count, size in (
+        ("guitar, 640 x 480", len(guitar), (640, 480)),
+        ("guitar, 800 x 800", len(guitar), (800, 800)),
+        ("guitar, 500,000", 500_000, (800, 800)),
+    ):
+        rows[name] = measured(multiplied(guitar, count), source, size, arguments.rounds + 1)
+    RESULTS.write_text(json.dumps({"machine": describe_machine(2), "rows": rows}, indent=1) + "\n")
+    table = Table(
+        "scene", "Gaussians", "M pairs", "forward G pairs/s", "back / forward", "GFLOP/s", "frames/s"
+    )
+    for name, row in rows.items():
+        table.add_row(
+            name,
+            f"{row['gaussians']:,}",
+            f"{row['pairs'] / 1e6:.1f}",
+            f"{row['forward_pairs_s'] / 1e9:.2f}",
+            f"{row['backward_over_forward']:.2f} ({row['whole_backward_over_forward']:.2f} with all steps)",
+            f"{row['gflops'][0]:.0f}, {row['gflops'][1]:.0f}",
+            f"{row['frames_s']:.1f}",
+        )
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main()
