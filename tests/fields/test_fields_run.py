@@ -8,8 +8,9 @@ import pytest
 from fields_scenes import CAMERA, views
 
 from epipole import splat, view
-from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.pipelines.fields import checkpoints
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.scene import is_mine, splat_view
 
@@ -119,6 +120,51 @@ def test_an_interrupt_keeps_what_was_learnt(source, tmp_path):
     found = splat(source, tmp_path / "out", progress=stop, **OPTIONS)
     assert found.summary["interrupted"] and 10 < found.summary["steps"] < 80
     assert len(read_gaussian_ply(tmp_path / "out" / "splat.ply")) == found.summary["num_gaussians"]
+
+
+def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path):
+    def stop(progress):
+        if progress.stage == "train" and progress.done > 50:
+            raise KeyboardInterrupt
+
+    whole = splat(source, tmp_path / "whole", **OPTIONS)
+    first = splat(source, tmp_path / "out", progress=stop, **OPTIONS)
+    steps = first.summary["steps"]
+    assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
+    found = splat(source, tmp_path / "out", **OPTIONS)
+    assert f"ended at step {steps}, and goes on" in found.warnings[0] and found.summary["steps"] == 80
+    for name in ("means_in_world", "log_scales", "quats_wxyz", "opacity_logits", "sh"):
+        np.testing.assert_array_equal(getattr(found.cloud, name), getattr(whole.cloud, name))
+    curve = json.loads((tmp_path / "out" / "metrics.json").read_text())["curve"]["rows"]
+    assert [row[1] for row in curve] == sorted({row[1] for row in curve}) and curve[0][1] == 1
+    assert not (tmp_path / "out" / "checkpoint.npz").exists()
+
+
+def test_other_options_or_a_damaged_checkpoint_begin_anew(source, tmp_path):
+    def stop(progress):
+        if progress.stage == "train" and progress.done > 50:
+            raise KeyboardInterrupt
+
+    splat(source, tmp_path / "out", progress=stop, **OPTIONS)
+    file = tmp_path / "out" / "checkpoint.npz"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+    assert not splat(source, tmp_path / "out", **OPTIONS).warnings
+    splat(source, tmp_path / "out", progress=stop, **OPTIONS)
+    assert not splat(source, tmp_path / "out", **OPTIONS | {"seed": 3}).warnings
+
+
+def test_a_full_disk_ends_no_training(source, tmp_path, monkeypatch):
+    def full(*_):
+        raise WorkspaceError("the disk is full")
+
+    monkeypatch.setattr(checkpoints, "store", full)
+    monkeypatch.setattr(checkpoints, "EVERY_S", -1.0)
+    found = splat(source, tmp_path / "out", **OPTIONS | {"steps": 3})
+    assert (
+        found.summary["steps"] == 3 and "cannot be gone on with later: the disk is full" in found.warnings[0]
+    )
 
 
 def test_what_cannot_be_trained_on_is_refused(source, tmp_path):

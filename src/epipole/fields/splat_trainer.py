@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -97,6 +98,35 @@ class SplatTrainer:
 
     def __len__(self) -> int:
         return len(self._arrays.means)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+        clouds = {"value": self._arrays, "mean": self._adam.mean, "square": self._adam.square}
+        counts = [self.num_steps, self._num_changes, self._num_first]
+        return {
+            **{
+                f"{kind}_{name}": part for kind, one in clouds.items() for name, part in one._asdict().items()
+            },
+            "pull": self._growth.pull,
+            "views": self._growth.views,
+            "order": np.array(self._order, np.int64),
+            "counts": np.array(counts, np.int64),
+            "size": np.array(self._size),
+            "rng": np.array(json.dumps(self._rng.bit_generator.state)),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break."""
+        self._arrays, self._adam.mean, self._adam.square = (
+            Cloud(*(state[f"{kind}_{name}"] for name in Cloud._fields))
+            for kind in ("value", "mean", "square")
+        )
+        self._growth = Growth(len(self))
+        self._growth.pull, self._growth.views = state["pull"], state["views"]
+        self._order = state["order"].tolist()
+        self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
+        self._size = float(state["size"])
+        self._rng.bit_generator.state = json.loads(str(state["rng"]))
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""

@@ -15,6 +15,7 @@ from epipole.fields.config import SplatConfig
 from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.starting import cloud_of_points, points_in_silhouettes
 from epipole.io.gaussian_ply import write_gaussian_ply
+from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, first_view_of
@@ -55,6 +56,8 @@ def splat(
 ) -> SplatResult:
     """Train 3D Gaussians on pictures; Ctrl-C ends the training, and keeps what was learnt.
 
+    Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
+
     Args:
         source: a folder of photographs or a video, whose cameras are found first (`OUT/sfm`); an output folder of
             `reconstruct`; a COLMAP model; or a transforms.json.
@@ -88,13 +91,16 @@ def splat(
         with run.stage("start"):
             trainer = SplatTrainer(pictures.train, _start(pictures, config), config, background)
         with run.stage("train"):
-            curve, is_interrupted = train(trainer, wanted, run)
+            checkpoint = Checkpoint(run.root, settings, pictures.train)
+            curve, is_interrupted = train(trainer, wanted, run, checkpoint)
         cloud = trainer.cloud
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
         told: dict[str, Any] = {"num_gaussians": len(cloud), "interrupted": is_interrupted}
         told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
         summary = finished(trainer, pictures, compared(trainer, pictures, run), curve, run, **told)
+        if not is_interrupted:
+            checkpoint.remove()
         return SplatResult(run.root, cloud, summary, tuple(run.warnings))
 
 

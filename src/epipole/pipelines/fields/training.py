@@ -9,9 +9,12 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from epipole._jit import compile_seconds
+from epipole.errors import WorkspaceError
 from epipole.fields.photometric import likeness, psnr
+from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png
+from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.sfm.run import reconstruct
@@ -54,13 +57,27 @@ def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
     return np.full(3, 1.0 if is_white else 0.0, np.float32)
 
 
-def train(trainer: Trainer, wanted: FieldOptions, run: Run) -> tuple[list[list[float]], bool]:
+def train(
+    trainer: Trainer, wanted: FieldOptions, run: Run, checkpoint: Checkpoint | None = None
+) -> tuple[list[list[float]], bool]:
     """Steps until the time is over; seconds, step, loss and size along the way, and whether Ctrl-C ended it."""
-    limit, curve = wanted.seconds, list[list[float]]()
+    limit, curve, earlier = wanted.seconds, list[list[float]](), 0.0
+    if checkpoint is not None and isinstance(trainer, SplatTrainer):
+        earlier, curve = checkpoint.restore(trainer)
+    if trainer.num_steps:
+        run.warnings.append(f"an earlier training was ended at step {trainer.num_steps}, and goes on")
     begin, compiling = perf_counter(), compile_seconds()
 
     def seconds() -> float:
-        return perf_counter() - begin - (compile_seconds() - compiling)
+        return earlier + perf_counter() - begin - (compile_seconds() - compiling)
+
+    def keep() -> None:
+        if checkpoint is not None and isinstance(trainer, SplatTrainer):
+            try:
+                checkpoint.save(trainer, seconds(), curve)
+            except WorkspaceError as error:  # what is learnt is worth more
+                note = f"the training cannot be gone on with later: {error}"
+                run.warnings += [] if note in run.warnings else [note]
 
     def done() -> float:
         if limit is None:
@@ -73,9 +90,12 @@ def train(trainer: Trainer, wanted: FieldOptions, run: Run) -> tuple[list[list[f
             if share * CURVE_POINTS >= len(curve):
                 curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
                 run.report("train", min(round(100 * share), 99), 100)
+            if checkpoint is not None and checkpoint.is_due():
+                keep()
     except KeyboardInterrupt:
         if not trainer.num_steps:
             raise
+        keep()
         return curve, True
     run.report("train", 100, 100)
     return curve, False
