@@ -9,10 +9,12 @@ from test_fields_run import frames_of, lens
 
 from epipole import nerf, render
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
-from epipole.fields.voxel_field import draw_voxels
+from epipole.fields import render as draw
+from epipole.fields.photometric import psnr
+from epipole.fields.voxel_field import draw_voxels, gaussians_of
 from epipole.io.photographs import read_rgb
 from epipole.io.voxel_files import GridContents, read_grid, write_grid
-from epipole.pipelines.fields.nerf import read_voxels
+from epipole.pipelines.fields.scene import is_mine, read_voxels, splat_view
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +52,17 @@ def test_the_command_draws_it(result, source, tmp_path):
     assert np.abs(found.astype(int) - read_rgb(result.out / "test" / "images_07.png")).max() <= 2
     render(result.out / "grid.npz", tmp_path / "round", frames=2, width=32)
     assert read_rgb(tmp_path / "round" / "00000.png").min() < 200
+
+
+def test_its_gaussians_look_like_it(result):
+    assert is_mine(result.out) and is_mine(result.out / "grid.npz") and not is_mine(result.out / "test")
+    cloud, place = splat_view(result.out).cloud, views()[3].cam_from_world
+    assert cloud.sh_degree == 1 and len(gaussians_of(result.voxels, 50)) == 50
+    one = draw(cloud, CAMERA, place).over(np.ones(3, np.float32))
+    other = draw_voxels(result.voxels, CAMERA, place, np.ones(3))[0]
+    assert psnr(one, np.clip(other, 0, 1)) > psnr(np.ones_like(other), np.clip(other, 0, 1)) + 3.0
+    with pytest.raises(DegenerateGeometryError, match="empty"):
+        gaussians_of(result.voxels._replace(values=np.zeros_like(result.voxels.values)), 50)
 
 
 def test_wrong_files(tmp_path, rng):

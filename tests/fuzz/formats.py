@@ -64,7 +64,7 @@ from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
 from epipole.io.voxel_files import GridContents, read_grid, write_grid
 from epipole.pipelines.conversion.run import convert
-from epipole.pipelines.fields.nerf import read_voxels
+from epipole.pipelines.fields.scene import read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.slam.checkpoint import known_to
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState

@@ -26,8 +26,8 @@ SHIFT = np.float32(-4.6)
 LEAST_WEIGHT = np.float32(0.03)
 """Of a sample that is said to be seen."""
 LEAST_GRADIENT = np.float32(1e-12)
-RECORD = 12
-"""Of a sample: fraction in its cell (3), dL/d raw density, dL/d colour (3), direction (3), row of cells (1), spare."""
+RECORD = 10
+"""Of a sample: fraction in its cell (3), dL/d raw density, dL/d colour (3), direction (3)."""
 FX, FY, FZ, BY_RAW, BY_RED, DX, DY, DZ = 0, 1, 2, 3, 4, 7, 8, 9
 
 

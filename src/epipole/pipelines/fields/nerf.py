@@ -13,15 +13,13 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields.config import NerfConfig
-from epipole.fields.voxel_field import Voxels, corners_of, voxels_on
+from epipole.fields.voxel_field import Voxels
 from epipole.fields.voxel_trainer import VoxelTrainer
-from epipole.io.voxel_files import WIDTH, GridContents, read_grid, write_grid
+from epipole.io.voxel_files import WIDTH, GridContents, write_grid
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.scene import FIRST_VIEW, first_view_of
+from epipole.pipelines.fields.scene import FIRST_VIEW, GRID, first_view_of
 from epipole.pipelines.fields.training import background_of, compared, finished, pictures_of, train
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
-
-GRID = "grid.npz"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,18 +98,3 @@ def _places(voxels: Voxels) -> np.ndarray:
     """(n, 3) middles of cells in which something was seen, of all where nothing was."""
     cells = voxels.seen if voxels.seen.any() else voxels.occupied
     return voxels.low + voxels.size * (np.argwhere(cells) + 0.5)
-
-
-def read_voxels(path: Path) -> Voxels:
-    """A grid that `nerf` has written.
-
-    Raises:
-        FileFormatError: the file is damaged.
-    """
-    found = read_grid(path)
-    rows = int(corners_of(found.cells).sum())
-    if rows != len(found.values):
-        raise FileFormatError(
-            path, f"holds {len(found.values)} rows of values, its cells have {rows} corners"
-        )
-    return voxels_on(found.cells, found.low, found.size, found.unit, found.values)

@@ -22,8 +22,7 @@ from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
-from epipole.pipelines.fields.nerf import GRID, read_voxels
-from epipole.pipelines.fields.scene import SUMMARY, splat_view, told_first_view
+from epipole.pipelines.fields.scene import GRID, SUMMARY, read_voxels, splat_view, told_first_view
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 
 BACKGROUNDS = {"white": 1.0, "black": 0.0}

@@ -10,23 +10,48 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.fields.training_view import TrainingView
+from epipole.fields.voxel_field import Voxels, corners_of, gaussians_of, voxels_on
 from epipole.io.files import read_json
 from epipole.io.gaussian_files import read_gaussians
+from epipole.io.voxel_files import read_grid
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
-SPLAT, SUMMARY, FIRST_VIEW = "splat.ply", "summary.json", "first_view"
+SPLAT, GRID, SUMMARY, FIRST_VIEW = "splat.ply", "grid.npz", "summary.json", "first_view"
+MOST_SHOWN = 800_000
+"""Gaussians of a grid."""
 LENGTHS = "Lengths are in the unit of the cameras, metres only where these are metric"
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds trained Gaussians, or a file is one of Gaussians."""
+    """Whether a folder holds trained Gaussians or a grid, or a file is one of Gaussians."""
     if path.suffix.lower() in (".spz", ".splat") and path.is_file():
         return True
     if path.suffix.lower() == ".ply" and path.is_file():
         with path.open("rb") as stream:
             head = stream.read(8192)
         return b" f_dc_0" in head or b" packed_position" in head
-    return (path / SPLAT).is_file()
+    return (path / SPLAT).is_file() or _grid_in(path) is not None
+
+
+def _grid_in(path: Path) -> Path | None:
+    """A grid's file, itself or in an output folder."""
+    file = path if path.suffix == ".npz" else path / GRID
+    return file if file.is_file() else None
+
+
+def read_voxels(path: Path) -> Voxels:
+    """A grid that `nerf` has written.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    found = read_grid(path)
+    rows = int(corners_of(found.cells).sum())
+    if rows != len(found.values):
+        raise FileFormatError(
+            path, f"holds {len(found.values)} rows of values, its cells have {rows} corners"
+        )
+    return voxels_on(found.cells, found.low, found.size, found.unit, found.values)
 
 
 def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
@@ -39,13 +64,14 @@ def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandl
 
 
 def splat_view(path: Path) -> SplatView:
-    """Gaussians of an output folder or a file, as the viewer takes them.
+    """Gaussians of an output folder or a file, or those of a grid, as the viewer takes them.
 
     Raises:
         FileFormatError: the file is damaged.
     """
-    file = path if path.is_file() else path / SPLAT
-    cloud = read_gaussians(file)
+    grid = _grid_in(path)
+    file = grid or (path if path.is_file() else path / SPLAT)
+    cloud = read_gaussians(file) if grid is None else gaussians_of(read_voxels(grid), MOST_SHOWN)
     known = told_first_view(file.with_name(SUMMARY))
     if known is None:
         middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
