@@ -135,6 +135,11 @@ def voxels_on(
     return Voxels(index, *marks, own, low.astype(np.float64), size, delta)
 
 
+def unit_of(voxels: Voxels) -> float:
+    """The length in which its densities are told."""
+    return float(kernels.STEP * voxels.size / voxels.delta)
+
+
 def draw_voxels(
     voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:

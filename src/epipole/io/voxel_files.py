@@ -19,7 +19,7 @@ MOST_SIDE, WIDTH, LARGEST = 2048, 13, 6e4
 """Cells along a side, numbers of a row that are written, and the largest of these."""
 _DAMAGE = (
     *(ValueError, KeyError, OSError, EOFError, TypeError, SyntaxError, MemoryError, ArithmeticError),
-    *(zipfile.BadZipFile, zlib.error, TokenError, NotImplementedError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, TokenError, RuntimeError),
 )
 
 

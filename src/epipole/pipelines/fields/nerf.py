@@ -11,9 +11,8 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.errors import FileFormatError
-from epipole.fields import _voxel_kernels as kernels
 from epipole.fields.config import NerfConfig
-from epipole.fields.voxel_field import Voxels
+from epipole.fields.voxel_field import Voxels, unit_of
 from epipole.fields.voxel_trainer import VoxelTrainer
 from epipole.io.voxel_files import WIDTH, GridContents, write_grid
 from epipole.pipelines.fields.config import FieldOptions
@@ -89,9 +88,8 @@ def nerf(
 
 
 def _contents(voxels: Voxels) -> GridContents:
-    unit = kernels.STEP * voxels.size / float(voxels.delta)
     cells = voxels.occupied.astype(bool)
-    return GridContents(cells, voxels.values[:, :WIDTH], voxels.low, voxels.size, float(unit))
+    return GridContents(cells, voxels.values[:, :WIDTH], voxels.low, voxels.size, unit_of(voxels))
 
 
 def _places(voxels: Voxels) -> np.ndarray:
