@@ -1,6 +1,8 @@
 """`epipole.splat`: from cameras and pictures to Gaussians, held-out pictures and figures; and what is wrong with them."""
 
 import json
+import os
+import signal
 
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ from fields_scenes import CAMERA, views
 
 from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
+from epipole.fields.splat_trainer import SplatTrainer
 from epipole.io.gaussian_ply import read_gaussian_ply
 from epipole.pipelines.fields import checkpoints
 from epipole.pipelines.fields.config import FieldOptions
@@ -197,3 +200,18 @@ def test_time_is_told_in_words():
     ):
         with pytest.raises(ConfigError):
             FieldOptions(**wrong)
+
+
+def test_an_interrupt_in_the_middle_of_a_step_waits_for_its_end(source, tmp_path, monkeypatch):
+    change = SplatTrainer._change
+
+    def torn(self, progress):
+        os.kill(os.getpid(), signal.SIGINT)
+        change(self, progress)
+
+    whole = splat(source, tmp_path / "whole", **OPTIONS)
+    with monkeypatch.context() as patched:
+        patched.setattr(SplatTrainer, "_change", torn)
+        assert splat(source, tmp_path / "out", **OPTIONS).summary["interrupted"]
+    found = splat(source, tmp_path / "out", **OPTIONS)
+    np.testing.assert_array_equal(found.cloud.means_in_world, whole.cloud.means_in_world)

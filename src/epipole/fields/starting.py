@@ -90,14 +90,18 @@ def may_be_full(
     for view in views:
         if view.picture.shape[2] != 4:
             continue
-        pixels = view.camera.project(view.cam_from_world.apply(centers_in_world))
-        depth = view.cam_from_world.apply(centers_in_world)[:, 2]
-        wide = int(np.ceil(view.camera.focal_px * radius / max(float(np.median(depth)) - radius, 1e-9)))
-        full = cv2.dilate(view.picture[..., 3], np.ones((2 * wide + 1, 2 * wide + 1), np.uint8))
+        places = view.cam_from_world.apply(centers_in_world)
+        pixels = view.camera.project(places)
         inside = np.isfinite(pixels).all(axis=1)
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
-        kept[inside] &= full[at[inside, 1], at[inside, 0]] > 0
+        is_empty = (view.picture[..., 3] == 0).astype(np.uint8)
+        # Of each pixel, how far the silhouette is; a ball that the camera is in is seen everywhere.
+        away = cv2.distanceTransform(is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        away = away if not is_empty.all() else np.full_like(away, np.inf)
+        depth = places[inside, 2] - radius
+        seen_px = view.camera.focal_px * radius / np.where(depth > 0, depth, np.nan) + 1.0
+        kept[inside] &= ~(away[at[inside, 1], at[inside, 0]] > seen_px)
     return kept
 
 

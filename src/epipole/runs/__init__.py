@@ -5,6 +5,7 @@ from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
 from epipole.runs.folder import read_mark as read_mark
+from epipole.runs.interrupts import heeded_interrupts as heeded_interrupts
 from epipole.runs.progress import Progress as Progress
 from epipole.runs.progress import ProgressCallback as ProgressCallback
 from epipole.runs.progress import ignore_progress as ignore_progress

@@ -21,35 +21,37 @@ CHECKPOINT, EVERY_S = "checkpoint.npz", 60.0
 class Checkpoint:
     """The file of one job: that of other pictures, options or another version is not read."""
 
-    def __init__(self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView]) -> None:
+    def __init__(
+        self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: SplatTrainer
+    ) -> None:
         parts = (
             (v.name, v.picture, v.camera.params, v.cam_from_world.rotation, v.cam_from_world.translation)
             for v in views
         )
-        self._path = folder / CHECKPOINT
+        self._path, self._trainer = folder / CHECKPOINT, trainer
         self._key = digest(__version__, settings, *(part for view in parts for part in view))
         self._saved = perf_counter()
 
-    def restore(self, trainer: SplatTrainer) -> tuple[float, list[list[float]]]:
+    def restore(self) -> tuple[float, list[list[float]]]:
         """Give the trainer its earlier state; seconds and curve until then, 0 and nothing where there is none."""
         if not is_done(self._path, self._key):
             return 0.0, []
         arrays = load(self._path)
-        trainer.restore(arrays)
+        self._trainer.restore(arrays)
         return float(arrays["seconds"]), arrays["curve"].tolist()
 
     def is_due(self) -> bool:
         """Whether the last one is old."""
         return perf_counter() - self._saved > EVERY_S
 
-    def save(self, trainer: SplatTrainer, seconds: float, curve: list[list[float]]) -> None:
+    def save(self, seconds: float, curve: list[list[float]]) -> None:
         """Write the state as it is.
 
         Raises:
             WorkspaceError: the disk is full; what was written before stays.
         """
         told = {"seconds": np.array(seconds), "curve": np.array(curve).reshape(-1, 4)}
-        store(self._path, self._key, {**trainer.state(), **told})
+        store(self._path, self._key, {**self._trainer.state(), **told})
         self._saved = perf_counter()
 
     def remove(self) -> None:

@@ -91,7 +91,7 @@ def splat(
         with run.stage("start"):
             trainer = SplatTrainer(pictures.train, _start(pictures, config), config, background)
         with run.stage("train"):
-            checkpoint = Checkpoint(run.root, settings, pictures.train)
+            checkpoint = Checkpoint(run.root, settings, pictures.train, trainer)
             curve, is_interrupted = train(trainer, wanted, run, checkpoint)
         cloud = trainer.cloud
         with run.stage("write"), run.folder.publish("model") as aside:

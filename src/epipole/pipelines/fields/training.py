@@ -11,14 +11,13 @@ import numpy as np
 from epipole._jit import compile_seconds
 from epipole.errors import WorkspaceError
 from epipole.fields.photometric import likeness, psnr
-from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.sfm.run import reconstruct
-from epipole.runs import Run
+from epipole.runs import Run, heeded_interrupts
 
 METRICS, MODEL = "metrics.json", "sfm"
 CURVE_POINTS = 200
@@ -60,10 +59,13 @@ def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
 def train(
     trainer: Trainer, wanted: FieldOptions, run: Run, checkpoint: Checkpoint | None = None
 ) -> tuple[list[list[float]], bool]:
-    """Steps until the time is over; seconds, step, loss and size along the way, and whether Ctrl-C ended it."""
+    """Steps until the time is over; seconds, step, loss and size along the way, and whether Ctrl-C ended it.
+
+    Ctrl-C is heeded between two steps: in the middle of one the state would be torn. Pressed again it interrupts as usual.
+    """
     limit, curve, earlier = wanted.seconds, list[list[float]](), 0.0
-    if checkpoint is not None and isinstance(trainer, SplatTrainer):
-        earlier, curve = checkpoint.restore(trainer)
+    if checkpoint is not None:
+        earlier, curve = checkpoint.restore()
     if trainer.num_steps:
         run.warnings.append(f"an earlier training was ended at step {trainer.num_steps}, and goes on")
     begin, compiling = perf_counter(), compile_seconds()
@@ -71,34 +73,36 @@ def train(
     def seconds() -> float:
         return earlier + perf_counter() - begin - (compile_seconds() - compiling)
 
-    def keep() -> None:
-        if checkpoint is not None and isinstance(trainer, SplatTrainer):
-            try:
-                checkpoint.save(trainer, seconds(), curve)
-            except WorkspaceError as error:  # what is learnt is worth more
-                note = f"the training cannot be gone on with later: {error}"
-                run.warnings += [] if note in run.warnings else [note]
-
     def done() -> float:
         if limit is None:
             return trainer.num_steps / (wanted.steps or 1)
         return seconds() / limit
 
-    try:
-        while (share := done()) < 1.0:
+    is_over = False
+    with heeded_interrupts() as is_pressed:
+        while (share := done()) < 1.0 and not is_over:
             loss = trainer.step(share)
+            is_over = is_pressed()
             if share * CURVE_POINTS >= len(curve):
                 curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
-                run.report("train", min(round(100 * share), 99), 100)
-            if checkpoint is not None and checkpoint.is_due():
-                keep()
-    except KeyboardInterrupt:
-        if not trainer.num_steps:
-            raise
-        keep()
-        return curve, True
-    run.report("train", 100, 100)
-    return curve, False
+                try:
+                    run.report("train", min(round(100 * share), 99), 100)
+                except KeyboardInterrupt:  # by the caller's own callback
+                    is_over = True
+            if checkpoint is not None and (is_over or checkpoint.is_due()):
+                _keep(checkpoint, seconds(), curve, run)
+    if not is_over:
+        run.report("train", 100, 100)
+    return curve, is_over
+
+
+def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run: Run) -> None:
+    """Write the state; where that fails the training goes on, for what is learnt is worth more."""
+    try:
+        checkpoint.save(seconds, curve)
+    except WorkspaceError as error:
+        note = f"the training cannot be gone on with later: {error}"
+        run.warnings += [] if note in run.warnings else [note]
 
 
 def compared(trainer: Trainer, pictures: FieldPictures, run: Run) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from epipole.io.video import is_video
 from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
 from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
-from epipole.pipelines.slam.feeding import Feed, heeded_interrupts
+from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.found_camera import find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
@@ -44,7 +44,7 @@ from epipole.pipelines.slam.resuming import (
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
-from epipole.runs import Job, Progress, ProgressCallback, Run, ignore_progress, open_run
+from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
 
 
 def slam(
