@@ -13,14 +13,12 @@ from epipole.fields._projection_kernels import (
     derivative_of_picture,
     harmonics,
     held_in_picture,
+    in_camera,
     seen_covariance,
 )
-from epipole.fields._simd_kernels import SUMS
+from epipole.fields._simd_kernels import LEAST, MOMENTUM, SQUARES, SUMS
 
 G, GX, GXX, GY, GXY, GYY, BY_RED, BY_DEPTH = 0, 1, 2, 3, 4, 5, 6, 9
-MOMENTUM, SQUARES = np.float32(0.9), np.float32(0.99)
-"""Adam's betas (Kingma and Ba, ICLR 2015)."""
-LEAST = np.float32(1e-15)
 
 
 @kernel
@@ -152,11 +150,8 @@ def _back_to_derivative(jac, cov, by_seen):
 @kernel(fuse=True)
 def _one(view, cloud, n, gradient, m, by_pose, work):
     """Row m of `gradient` is that of Gaussian n, from the sums of its pairs."""
-    total, r, t = work.total, view.rotation, view.translation
-    mx, my, mz = float(cloud.means[n, 0]), float(cloud.means[n, 1]), float(cloud.means[n, 2])
-    x = r[0] * mx + r[1] * my + r[2] * mz + t[0]
-    y = r[3] * mx + r[4] * my + r[5] * mz + t[1]
-    z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
+    total, r = work.total, view.rotation
+    x, y, z = in_camera(view, cloud.means[n])
     u, v, free_u, free_v = held_in_picture(view, x, y, z)
     jac = derivative_of_picture(view, u, v, z)
     axes = axes_of(cloud.log_scales[n], cloud.quats_wxyz[n])

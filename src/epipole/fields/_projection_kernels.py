@@ -79,6 +79,18 @@ def covariance_of(axes):
 
 
 @kernel(fuse=True)
+def in_camera(view, mean):
+    """W m + t."""
+    r, t = view.rotation, view.translation
+    x, y, z = float(mean[0]), float(mean[1]), float(mean[2])
+    return (
+        r[0] * x + r[1] * y + r[2] * z + t[0],
+        r[3] * x + r[4] * y + r[5] * z + t[1],
+        r[6] * x + r[7] * y + r[8] * z + t[2],
+    )
+
+
+@kernel(fuse=True)
 def held_in_picture(view, x, y, z):
     """The direction (x / z, y / z), within the widest view; and whether each number already was."""
     limit_u, limit_v = WIDEST * view.reach[0], WIDEST * view.reach[1]
@@ -117,15 +129,11 @@ def project(view, cloud, shown, start, stop, ellipses, basis):
 
     shown (n,): factors of the opacities; basis (16,) is scratch.
     """
-    r, t = view.rotation, view.translation
     count = cloud.sh.shape[1]
     for n in range(start, stop):
         row = ellipses[n]
         row[OPACITY] = 0.0
-        mx, my, mz = float(cloud.means[n, 0]), float(cloud.means[n, 1]), float(cloud.means[n, 2])
-        x = r[0] * mx + r[1] * my + r[2] * mz + t[0]
-        y = r[3] * mx + r[4] * my + r[5] * mz + t[1]
-        z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
+        x, y, z = in_camera(view, cloud.means[n])
         opacity = shown[n] / (1.0 + math.exp(-float(cloud.logits[n])))
         if not (z > view.near_plane and opacity > LEAST_ALPHA):
             continue
@@ -157,7 +165,8 @@ def project(view, cloud, shown, start, stop, ellipses, basis):
         row[X], row[Y], row[A], row[B], row[C], row[OPACITY] = px, py, a, b, c, opacity
         row[DEPTH], row[HALF_HEIGHT], row[HALF_WIDTH] = z, half_height, half_width
         row[SLOPE], row[REACH], row[NARROWING] = b / a, k / a, (a * c - b * b) / (a * a)
-        dx, dy, dz = mx - view.center[0], my - view.center[1], mz - view.center[2]
+        mean, center = cloud.means[n], view.center
+        dx, dy, dz = mean[0] - center[0], mean[1] - center[1], mean[2] - center[2]
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         harmonics(dx / length, dy / length, dz / length, count, basis)
         for channel in range(3):

@@ -16,7 +16,7 @@ from epipole._simd_kernels import row_intrinsic
 
 LANES = 8
 MOMENTUM, SQUARES, LEAST = np.float32(0.9), np.float32(0.99), np.float32(1e-15)
-"""Adam's betas and epsilon."""
+"""Adam's betas and epsilon (Kingma and Ba, ICLR 2015)."""
 ROW = 16
 """Numbers of a voxel: one cache line."""
 PLANE = 256

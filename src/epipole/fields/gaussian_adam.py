@@ -8,6 +8,7 @@ import numpy as np
 
 from epipole import _parallel
 from epipole.fields import _gradient_kernels as kernels
+from epipole.fields._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.rasterizer import CHUNK, Cloud, Tiles, View, ellipse_of_gaussian, gather_work
 
 
@@ -57,7 +58,7 @@ class GaussianAdam:
             rates: the size of a step.
             count: this step's number, from 1.
         """
-        unbias = 1.0 / (1.0 - np.array([kernels.MOMENTUM, kernels.SQUARES], np.float64) ** count)
+        unbias = 1.0 / (1.0 - np.array([MOMENTUM, SQUARES], np.float64) ** count)
         n, num_sh = len(cloud.means), cloud.sh.shape[1]
         ellipse = ellipse_of_gaussian(tiles, n)
         adam = AdamStep(

@@ -165,7 +165,8 @@ def _check_ply_size(path: Path) -> None:
     Raises:
         FileFormatError: it does, or is no header.
     """
-    head = file_bytes(path)[:8192]
+    with open_file(path) as stream:
+        head = stream.read(8192)
     counts = [line.split() for line in head.split(b"end_header")[0].splitlines() if line[:8] == b"element "]
     named = {words[1]: words[2] for words in counts if len(words) == 3}
     count = named.get(b"vertex", b"")

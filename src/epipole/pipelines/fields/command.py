@@ -14,6 +14,7 @@ from epipole.pipelines.fields.config import FieldOptions, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
 DEFAULTS, ALL_PICTURES, CIRCLE, GRID_DEFAULTS = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
+WORDS = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -33,20 +34,13 @@ def splat(
         job: Which pictures, and for how long.
         config: Options of the training.
     """
-    from rich.console import Console
-
     from epipole.screen import progress_on_screen
 
-    words = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
-    with progress_on_screen(words) as progress:
+    with progress_on_screen(WORDS) as progress:
         from epipole.pipelines.fields.run import splat as run
 
         result = run(source, out, config, job, progress)
-    _show(result.summary, result.warnings, "Gaussians", result.summary["num_gaussians"])
-    Console().print(f"Gaussians {result.out / 'splat.ply'}", highlight=False, markup=False)
-    Console().print(f"look      epipole view {result.out}", highlight=False, markup=False)
-    if result.summary["interrupted"]:
-        sys.exit(INTERRUPTED)
+    _show(result.summary, result.warnings, "num_gaussians", result.out / "splat.ply")
 
 
 def nerf(
@@ -63,19 +57,13 @@ def nerf(
         job: Which pictures, and for how long.
         config: Options of the training.
     """
-    from rich.console import Console
-
     from epipole.screen import progress_on_screen
 
-    words = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
-    with progress_on_screen(words) as progress:
+    with progress_on_screen(WORDS) as progress:
         from epipole.pipelines.fields.nerf import nerf as run
 
         result = run(source, out, config, job, progress)
-    _show(result.summary, result.warnings, "voxels", result.summary["num_voxels"])
-    Console().print(f"look      epipole render {result.out} round.mp4", highlight=False, markup=False)
-    if result.summary["interrupted"]:
-        sys.exit(INTERRUPTED)
+    _show(result.summary, result.warnings, "num_voxels", result.out / "grid.npz")
 
 
 def render(
@@ -102,14 +90,15 @@ def render(
     Console().print(text, highlight=False, markup=False)
 
 
-def _show(summary: dict[str, Any], warnings: Sequence[str], what: str, count: int) -> None:
+def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: Path) -> None:
+    """What was trained and where it is; ends with the code of Ctrl-C where that ended it."""
     from rich.console import Console
     from rich.table import Table
 
     from epipole.screen import print_warnings
 
     console, table = Console(), Table(box=None, show_header=False)
-    table.add_row(what, f"{count:,}")
+    table.add_row(count.removeprefix("num_"), f"{summary[count]:,}")
     table.add_row(
         "trained",
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
@@ -121,3 +110,8 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], what: str, count: in
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
     print_warnings(console, list(warnings[:10]))
+    console.print(f"written   {model}", highlight=False, markup=False)
+    console.print(f"look      epipole view {model.parent}", highlight=False, markup=False)
+    console.print(f"video     epipole render {model.parent} round.mp4", highlight=False, markup=False)
+    if summary["interrupted"]:
+        sys.exit(INTERRUPTED)
