@@ -1,4 +1,4 @@
-"""How like their pictures splats, and grids, are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
+"""How like their pictures splats, grids and neural fields are after a given time, from cameras or photographs. `python -m benchmarks.splats`.
 
 Held-out views alone are compared. The rates of the training were chosen on lego's test views: that row is in-sample.
 """
@@ -20,6 +20,9 @@ from benchmarks.measure import REPOSITORY, describe_machine
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "splats.json"
 
+SIZES = ("num_gaussians", "num_voxels", "num_parameters")
+"""What the size of a field is called."""
+
 
 class Task(NamedTuple):
     """Pictures, and for how long is trained on them."""
@@ -34,8 +37,10 @@ TASKS = {
     "lego, 1 minute": Task("fields/lego", "60s", {}),
     "lego, 5 minutes": Task("fields/lego", "5m", {}),
     "lego, 15 minutes": Task("fields/lego", "15m", {}),
-    "lego, grid, 1 minute": Task("fields/lego", "60s", {}, "nerf"),
-    "lego, grid, 5 minutes": Task("fields/lego", "5m", {}, "nerf"),
+    "lego, grid, 1 minute": Task("fields/lego", "60s", {"kind": "grid"}, "nerf"),
+    "lego, grid, 5 minutes": Task("fields/lego", "5m", {"kind": "grid"}, "nerf"),
+    "lego, hash, 3 minutes": Task("fields/lego", "3m", {"kind": "hash"}, "nerf"),
+    "lego, hash, 10 minutes": Task("fields/lego", "10m", {"kind": "hash"}, "nerf"),
     "fern, 5 minutes": Task("fields/fern", "5m", {}),
     "fountain-P11, 384 wide": Task(
         "sfm/fountain-P11/images", "30s", {"max_side_px": 384, "test": "0005.jpg"}
@@ -51,7 +56,7 @@ def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
         found = job(data / task.folder, Path(folder) / "out", time=task.time, seed=seed, **task.options)
         kept = ("psnr", "ssim", "steps", "train_s", "timings_s")
         told = {name: found.summary[name] for name in kept}
-        size = found.summary["num_gaussians" if task.job == "splat" else "num_voxels"]
+        size = next(found.summary[name] for name in SIZES if name in found.summary)
         return {"seed": seed, **told, "size": size}
 
 
@@ -68,9 +73,7 @@ def main() -> None:
         runs = [trained(TASKS[name], data, seed) for seed in range(arguments.seeds)]
         known[name] = sorted(runs, key=lambda run: run["psnr"])
         RESULTS.write_text(json.dumps({"machine": describe_machine(2), "tasks": known}, indent=1) + "\n")
-    table = Table(
-        "task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "Gaussians, voxels"
-    )
+    table = Table("task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "size")
     for name, runs in known.items():
         middle = runs[len(runs) // 2]
         ends = (f"{run['psnr']:.2f}" for run in (middle, runs[0], runs[-1]))

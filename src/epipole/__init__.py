@@ -18,6 +18,7 @@ _JOBS = (
     "splat",
     "nerf",
     "render",
+    "mesh",
     "stereo",
     "calibrate",
     "evaluate",
@@ -26,7 +27,7 @@ _JOBS = (
     "view",
     "demo",
 )
-_MORE_JOBS = ("stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
+_MORE_JOBS = ("compare_fields", "stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
 _CONFIGS = (
     *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
     *("AnchorOptions", "SlamConfig", "JobOptions", "StereoConfig", "CalibrationConfig", "BoardConfig"),
@@ -47,6 +48,7 @@ _RESULTS = (
     ),
     *(
         "DemoResult",
+        "FieldComparison",
         "Drawn",
         "NerfResult",
         "SlamResult",

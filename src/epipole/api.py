@@ -21,8 +21,11 @@ from epipole.pipelines.evaluation.run import Evaluation as Evaluation
 from epipole.pipelines.evaluation.run import evaluate as evaluate
 from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory as evaluate_trajectory
+from epipole.pipelines.fields.comparison import FieldComparison as FieldComparison
+from epipole.pipelines.fields.comparison import compare_fields as compare_fields
 from epipole.pipelines.fields.config import FieldOptions as FieldOptions
 from epipole.pipelines.fields.config import RenderJob as RenderJob
+from epipole.pipelines.fields.meshing import mesh as mesh
 from epipole.pipelines.fields.nerf import NerfResult as NerfResult
 from epipole.pipelines.fields.nerf import nerf as nerf
 from epipole.pipelines.fields.rendering import Drawn as Drawn

@@ -96,6 +96,8 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
         tasks: dict[str, TaskID] = {}
 
         def show(report: Progress) -> None:
+            if report.note:
+                console.print(f"{words.get(report.stage, report.stage)}: {report.note}", markup=False)
             if report.stage not in tasks:
                 tasks[report.stage] = bars.add_task(words.get(report.stage, report.stage), total=report.total)
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
@@ -141,7 +143,7 @@ def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallb
                 if report.done
                 else f"begins, {report.total} to do"
             )
-            say(stage, done)
+            say(stage, f"{done}; {report.note}" if report.note else done)
         stage.last = report
         if stage.is_over:
             return

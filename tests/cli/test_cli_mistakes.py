@@ -30,7 +30,7 @@ def refused(given: str, capsys: pytest.CaptureFixture, code: int = 2) -> str:
 @pytest.mark.parametrize(
     ("given", "parts"),
     [
-        ("", ["which command", "reconstruct, slam, splat, nerf, render, stereo"]),
+        ("", ["which command", "reconstruct, slam, splat, nerf, render, mesh, compare-fields, stereo"]),
         ("reconstrut a b", ["unknown command reconstrut", "did you mean reconstruct?"]),
         ("a b reconstruct", ["unknown command a"]),
         ("--nosuch", ["unknown option --nosuch"]),

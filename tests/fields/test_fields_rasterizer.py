@@ -15,7 +15,15 @@ from epipole.fields import (
     _tile_kernels,
     render,
 )
-from epipole.fields.rasterizer import arrays_of, blend, gradient_of, sums_of_pairs, tiles_of, view_of
+from epipole.fields.rasterizer import (
+    arrays_of,
+    blend,
+    gradient_of,
+    sums_of_pairs,
+    tiles_of,
+    useful_pairs,
+    view_of,
+)
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
@@ -45,6 +53,7 @@ def cloud_of(rng, count=60, num_sh=16):
     _tile_kernels.count_tiles,
     _tile_kernels.fill_tiles,
     _blend_kernels.blend_tiles,
+    _blend_kernels.put_over,
 )
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("num_sh", [1, 4, 9, 16])
@@ -58,6 +67,20 @@ def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
         off = np.abs(one - other)
         assert np.percentile(off, 99) < 1e-4 and off.max() < 2e-2
     assert found.over(np.ones(3, np.float32)) == pytest.approx(colour + (1 - coverage)[..., None], abs=2e-2)
+
+
+@reference_of(_blend_kernels.count_useful)
+def test_useful_pairs_are_those_of_the_equations(rng):
+    cloud = cloud_of(rng, 200, 1)
+    cloud.opacity_logits[:] += 3.0
+    found, count, through = render(cloud, CAMERA, SEEN), 0, np.ones((35, 45))
+    order = np.argsort(SEEN.apply(cloud.means_in_world.astype(float))[:, 2].astype(np.float32), kind="stable")
+    for n in order:
+        alone = plain_render(arrays_of(cloud.rows(np.array([n]))), CAMERA, SEEN)[2]
+        count += ((alone > 0) & (through > 1e-4)).sum()
+        through *= 1 - alone
+    assert useful_pairs(found) == pytest.approx(count, rel=2e-3)
+    assert 0 < useful_pairs(found) < found.tiles.num_evaluated and (through <= 1e-4).any()
 
 
 @reference_of(_blend_kernels.unblend_tiles, _gradient_kernels.gather)

@@ -3,17 +3,21 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, views
+from fields_scenes import CAMERA, scene, views
 
 from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
 from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.training_view import TrainingView
+from epipole.geometry import Rigid3
+from epipole.io import write_points_ply
 from epipole.io.gaussian_ply import read_gaussian_ply
-from epipole.pipelines.fields import checkpoints
+from epipole.pipelines.fields import checkpoints, training
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.scene import is_mine, splat_view
 
@@ -48,7 +52,9 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(source, tmp_path_factory):
-    return splat(source, tmp_path_factory.mktemp("splat") / "out", test_every=7, **OPTIONS)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(training, "PROBE_SHARE", np.inf)
+        return splat(source, tmp_path_factory.mktemp("splat") / "out", test_every=7, **OPTIONS)
 
 
 def test_results_are_written(result):
@@ -65,6 +71,32 @@ def test_results_are_written(result):
     drawn = cv2.imread(str(out / "test" / "images_00.png"))[..., ::-1].astype(float) / 255
     error = np.mean((drawn - views()[0].over(np.ones(3, np.float32))) ** 2)
     assert -10 * np.log10(error) == pytest.approx(metrics["views"][0]["psnr"], abs=0.1)
+
+
+def test_the_report_shows_what_was_held_out(result):
+    metrics = json.loads((result.out / "metrics.json").read_text())
+    seconds, steps, likeness = np.array(metrics["held_out"]["rows"]).T
+    assert len(steps) == 8 and (np.diff(steps) > 0).all() and (np.diff(seconds) > 0).all()
+    assert likeness[-1] > likeness[0] and likeness[-1] == pytest.approx(metrics["psnr"], abs=3.0)
+    page = (result.out / "report.html").read_text()
+    assert f"{metrics['psnr']:.2f} dB on pictures that were held out" in page
+    assert page.count("data:image/png") == 3 * 2 and "images/07.png" in page and "PSNR, dB" in page
+
+
+def test_held_out_views_that_take_too_long_are_left_out(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(training, "PROBE_SHARE", 0.0)
+    found = splat(source, tmp_path / "out", test_every=7, **OPTIONS | {"steps": 5})
+    assert json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"] == []
+    assert "data:image/png" in (found.out / "report.html").read_text()
+
+
+def test_names_are_text_in_the_report(tmp_path):
+    name = "<img src=x onerror=alert(1)>.png"
+    named = [replace(view, name=name if n == 0 else view.name) for n, view in enumerate(views()[:4])]
+    (tmp_path / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(named, tmp_path)}))
+    found = splat(tmp_path, tmp_path / "out", steps=2, test=f"images/{name}")
+    page = (found.out / "report.html").read_text()
+    assert "<img src=x" not in page and "&lt;img src=x" in page
 
 
 def test_results_are_shown_from_where_a_picture_was_taken(result, tmp_path):
@@ -169,6 +201,50 @@ def test_a_full_disk_ends_no_training(source, tmp_path, monkeypatch):
     assert "cannot be gone on with later: the disk is full" in found.warnings[0]
 
 
+def test_memory_is_told_first_and_kept(source, tmp_path):
+    notes = []
+    found = splat(source, tmp_path / "out", steps=2, memory_gb=0.24, progress=lambda p: notes.append(p.note))
+    told = next(note for note in notes if note)
+    assert "12 pictures, about 0.2 GB" in told
+    assert found.summary["num_gaussians"] <= int(told.split()[2].replace(",", "")) <= 10_000
+    with pytest.raises(ConfigError, match=r"memory_gb is 0\.01, and 0\.23 are needed"):
+        splat(source, tmp_path / "small", steps=2, memory_gb=0.01)
+    with pytest.raises(ConfigError, match="1,000,000 Gaussians"):
+        splat(source, tmp_path / "small", steps=2, memory_gb=0.3, max_gaussians=1_000_000)
+
+
+def test_cameras_that_look_away_are_told(tmp_path):
+    points = scene().means_in_world.astype(float).repeat(2, 0)
+    rgb = np.full((len(points), 3), 120, np.uint8)
+    for name, turn in (("good", 1.0), ("away", -1.0)):
+        frames = [
+            replace(
+                view,
+                cam_from_world=Rigid3.from_matrix(
+                    np.diag([1, turn, turn, 1]) @ view.cam_from_world.as_matrix()
+                ),
+            )
+            for view in views()
+        ]
+        (tmp_path / name).mkdir()
+        points_file = {"ply_file_path": "points.ply"}
+        write_points_ply(tmp_path / name / "points.ply", points, rgb)
+        content = lens() | {"frames": frames_of(frames, tmp_path / name)} | points_file
+        (tmp_path / name / "transforms.json").write_text(json.dumps(content))
+        found = splat(tmp_path / name, tmp_path / f"{name}-out", steps=2)
+        assert any("look away from the points" in words for words in found.warnings) == (name == "away")
+
+
+def test_black_pictures_give_a_black_scene(tmp_path):
+    dark = [
+        TrainingView(v.name, v.picture * np.array([0, 0, 0, 1], np.uint8), v.camera, v.cam_from_world)
+        for v in views()
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(dark, tmp_path)}))
+    found = splat(tmp_path, tmp_path / "out", steps=60, background="black", max_gaussians=200)
+    assert found.summary["psnr"] > 30
+
+
 def test_what_cannot_be_trained_on_is_refused(source, tmp_path):
     one = tmp_path / "one"
     one.mkdir()
@@ -202,6 +278,15 @@ def test_time_is_told_in_words():
             FieldOptions(**wrong)
 
 
+@pytest.fixture
+def python_hears_interrupts():
+    """What is begun in the background of a shell is deaf to Ctrl-C."""
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, usual)
+
+
+@pytest.mark.usefixtures("python_hears_interrupts")
 def test_an_interrupt_in_the_middle_of_a_step_waits_for_its_end(source, tmp_path, monkeypatch):
     change = SplatTrainer._change
 

@@ -10,6 +10,7 @@ from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields import RenderOptions, _gradient_kernels, render
 from epipole.fields.config import SplatConfig
 from epipole.fields.gaussian_adam import GaussianAdam, Rates
+from epipole.fields.growing_cloud import GrowingCloud
 from epipole.fields.growth import FAINTER, Growth, halves
 from epipole.fields.photometric import psnr
 from epipole.fields.rasterizer import Cloud, arrays_of, blend, gradient_of, sums_of_pairs, tiles_of, view_of
@@ -200,3 +201,20 @@ def test_what_does_not_fit_is_refused():
     for wrong in ({"max_gaussians": 0}, {"sh_degree": 4}, {"ssim_weight": 1.5}, {"seed": -1}):
         with pytest.raises(ConfigError):
             SplatConfig(**wrong)
+
+
+@pytest.mark.parametrize(("gone", "new"), [(0, 0), (0, 5), (3, 3), (3, 5), (5, 3), (7, 0), (12, 1)])
+def test_rows_come_and_go_in_place(rng, gone, new):
+    first, more = (arrays_of(scene().rows(rng.choice(60, count, replace=False))) for count in (12, new))
+    held = GrowingCloud(first, 20)
+    room = held.cloud.sh.base
+    rows = np.sort(rng.choice(12, gone, replace=False))
+    held.change(rows, more)
+    wanted = [np.concatenate([np.delete(part, rows, axis=0), end]) for part, end in zip(first, more)]
+    order, found = np.argsort(wanted[0][:, 0]), np.argsort(held.cloud.means[:, 0])
+    for part, own in zip(held.cloud, wanted):
+        np.testing.assert_array_equal(part[found], own[order])
+    assert held.cloud.sh.base is room
+    held.raise_degree(16)
+    assert held.cloud.sh.shape[1] == 16
+    np.testing.assert_array_equal(held.cloud.sh[found][:, : wanted[4].shape[1]], wanted[4][order])

@@ -11,9 +11,10 @@ from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.fields import _voxel_kernels, voxel_trainer
 from epipole.fields._simd_kernels import ROW
 from epipole.fields.photometric import psnr
-from epipole.fields.starting import may_be_full
+from epipole.fields.rays import rays_of
+from epipole.fields.starting import may_be_full, silhouettes_of
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import corners_of, draw_voxels, march_work, rays_of, voxels_on
+from epipole.fields.voxel_field import corners_of, draw_voxels, march_work, voxels_on
 from epipole.fields.voxel_trainer import GridAdam, VoxelTrainer
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import DC
@@ -141,8 +142,11 @@ def test_cells_and_their_corners(rng):
 def test_silhouettes_leave_what_is_in_all_of_them():
     inside = scene().means_in_world[:20].astype(float)
     around = 1.3 * inside / np.linalg.norm(inside, axis=1, keepdims=True)
-    assert may_be_full(views(), inside, 0.05).all() and not may_be_full(views(), around, 0.05).any()
-    assert may_be_full(views(with_alpha=False), around, 0.05).all()
+    assert (
+        may_be_full(silhouettes_of(views()), inside, 0.05).all()
+        and not may_be_full(silhouettes_of(views()), around, 0.05).any()
+    )
+    assert may_be_full(silhouettes_of(views(with_alpha=False)), around, 0.05).all()
 
 
 def trained(steps=200, threads=None, seed=0):
@@ -162,7 +166,7 @@ def test_views_that_were_held_out_are_drawn():
         blank = psnr(np.ones_like(view.over(WHITE)), view.over(WHITE))
         assert psnr(trainer.draw(view), view.over(WHITE)) > max(23.0, blank + 8.0)
     # Its voxels are narrower than a pixel: finer ones are not made.
-    assert max(trainer.voxels.occupied.shape) == 64 and trainer.num_samples > 1000
+    assert max(trainer.field.occupied.shape) == 64 and trainer.num_samples > 1000
 
 
 def test_finer_voxels_show_the_same(monkeypatch):
@@ -170,19 +174,19 @@ def test_finer_voxels_show_the_same(monkeypatch):
     trainer = VoxelTrainer(views()[2:], WHITE)
     for step in range(60):
         trainer.step(0.29 * step / 60)
-    before, occupied = trainer.draw(views()[0]), trainer.voxels.occupied.mean()
+    before, occupied = trainer.draw(views()[0]), trainer.field.occupied.mean()
     trainer.step(0.3)
-    assert max(trainer.voxels.occupied.shape) == 64 and trainer.voxels.occupied.mean() < occupied
+    assert max(trainer.field.occupied.shape) == 64 and trainer.field.occupied.mean() < occupied
     assert np.abs(trainer.draw(views()[0]) - before).mean() < 0.02
     trainer.step(0.6)
-    assert max(trainer.voxels.occupied.shape) == 64  # its voxels are narrower than a pixel
+    assert max(trainer.field.occupied.shape) == 64  # its voxels are narrower than a pixel
 
 
 def test_any_number_of_threads_gives_the_same():
     one, other = trained(25, 1), trained(25, 3)
-    np.testing.assert_array_equal(one.voxels.values, other.voxels.values)
-    assert len(trained(3, seed=3).voxels.values) > 0  # too few steps to see anything
-    assert not np.array_equal(trained(2).voxels.values, trained(2, seed=3).voxels.values)
+    np.testing.assert_array_equal(one.field.values, other.field.values)
+    assert len(trained(3, seed=3).field.values) > 0  # too few steps to see anything
+    assert not np.array_equal(trained(2).field.values, trained(2, seed=3).field.values)
 
 
 def test_what_cannot_be_trained_is_refused():

@@ -23,6 +23,7 @@ from test_io_hostile_pictures import GPS, RGB
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError
+from epipole.fields.hash_field import asked
 from epipole.geometry import Rigid3
 from epipole.io import (
     read_bal,
@@ -55,6 +56,7 @@ from epipole.io.exif import new_exif
 from epipole.io.frame_tables import read_frame_table
 from epipole.io.gaussian_files import read_gaussians, write_gaussians
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.hash_files import HashContents, read_hash, write_hash
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.llff import read_llff
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
@@ -64,7 +66,7 @@ from epipole.io.trajectories import read_pose_matrix, trajectory_format
 from epipole.io.video import extract_frames, frame_size
 from epipole.io.voxel_files import GridContents, read_grid, write_grid
 from epipole.pipelines.conversion.run import convert
-from epipole.pipelines.fields.scene import read_voxels
+from epipole.pipelines.fields.kinds import read_neural, read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.slam.checkpoint import known_to
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
@@ -355,6 +357,21 @@ def _put_grid(folder: Path) -> None:
     cells[1, 1:3, 2] = True
     values = np.arange(12 * 13, dtype=np.float32).reshape(12, 13)
     write_grid(folder / "grid.npz", GridContents(cells, values, np.zeros(3), 0.5, 0.5))
+
+
+def _hash(folder: Path) -> None:
+    found = read_hash(folder / "hash.npz")
+    assert np.isfinite(found.tables).all() and found.size > 0 and found.occupied.ndim == 3
+    field = read_neural(folder / "hash.npz")
+    assert np.isfinite(asked(field, np.full((2, 4), 0.4, np.float32))[2]).all()
+
+
+def _put_hash(folder: Path) -> None:
+    sizes = [(8, 3), (3, 16), (32, 3), (3, 3), (3, 3)]
+    layers = tuple(np.linspace(-1, 1, a * b).reshape(a, b) for a, b in sizes)
+    tables = np.linspace(-1, 1, 2 * 8 * 4).reshape(2, 8, 4)
+    contents = HashContents(np.ones((2, 3, 4), bool), np.zeros(3), 0.5, np.array([1, 5]), tables, layers)
+    write_hash(folder / "hash.npz", contents)
 
 
 def _llff(folder: Path) -> None:
@@ -677,6 +694,7 @@ FORMATS: dict[str, Format] = {
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
     "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
+    "hash": Format(_put_hash, "hash.npz", "binary", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
     **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),

@@ -26,6 +26,8 @@ COMMANDS = (
     "epipole.pipelines.fields.command:splat",
     "epipole.pipelines.fields.command:nerf",
     "epipole.pipelines.fields.command:render",
+    "epipole.pipelines.fields.command:mesh",
+    "epipole.pipelines.fields.command:compare_fields",
     "epipole.pipelines.stereo.command:stereo",
     "epipole.pipelines.stereo.command:stereo_doctor",
     "epipole.pipelines.calibration.command:calibrate",

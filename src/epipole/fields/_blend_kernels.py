@@ -14,6 +14,7 @@ from epipole._jit import kernel
 from epipole.fields._projection_kernels import (
     BLUE,
     DEPTH,
+    ELLIPSE,
     GREEN,
     HALF_HEIGHT,
     NARROWING,
@@ -27,65 +28,82 @@ from epipole.fields._projection_kernels import (
     X,
     Y,
 )
-from epipole.fields._simd_kernels import LANES, PLANE, SUMS, blend_row, unblend_row
-from epipole.fields._tile_kernels import TILE
+from epipole.fields._simd_kernels import (
+    ACROSS,
+    LANES,
+    LARGEST_ALPHA,
+    LEAST_ALPHA,
+    PLANE,
+    SIDE,
+    SUMS,
+    blend_block,
+    fetch,
+    lowest_bit,
+    sum_of_lanes,
+    touched_blocks,
+    unblend_block,
+)
+from epipole.fields._tile_kernels import TILE, rightmost
 
 OVER = np.float32(1e-4)
 """Transmittance below which what comes behind is not seen."""
+SOON = 8
+"""Ellipses ahead that are fetched from memory: they lie anywhere, and blending takes less time than waiting for them."""
 LOOK_EVERY = 16
 """Ellipses after which a tile looks whether it is over."""
-HALF = TILE // 2
 
 
 @kernel(fuse=True)
-def _is_over(state, rows):
+def _is_over(state):
     seen = 0
-    for k in range(rows * TILE):
+    for k in range(PLANE):
         seen += state[k] > OVER
     return seen == 0
 
 
+@kernel(fuse=True)
+def _fetch_row(flat, row, width):
+    """Begin to read a row of an array, which may lie across two cache lines."""
+    fetch(flat, np.int64(row) * width)
+    fetch(flat, np.int64(row) * width + width - 1)
+
+
+@kernel(fuse=True)
+def _blocks_of(e, x, y, last_row):
+    """Bits of the blocks that an ellipse at (x, y) touches in a tile."""
+    return touched_blocks(x, y, e[SLOPE], e[REACH], e[NARROWING], rightmost(e), e[HALF_HEIGHT], last_row)
+
+
 @kernel
 def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
-    """Blend the pairs first..last of a tile with corner (left, top); state (5, 256), flat, gets transmittance, colour and depth.
+    """Blend the pairs first..last of a tile with corner (left, top); state (5, 256), flat, holds transmittance, colour and depth.
 
     Returns the pair at which it was over, and the pixels that were evaluated.
     """
-    one, zero = np.float32(1.0), np.float32(0.0)
-    for k in range(PLANE):
-        state[k] = one
-    for k in range(PLANE, 5 * PLANE):
-        state[k] = zero
-    count = 0
+    count, last_row, flat = 0, np.float32(rows - 1), ellipses.reshape(-1)
     for at in range(first, last):
-        if (at - first) % LOOK_EVERY == LOOK_EVERY - 1 and _is_over(state, rows):
+        if (at - first) % LOOK_EVERY == LOOK_EVERY - 1 and _is_over(state):
             return at, count
+        _fetch_row(flat, pairs_of_tile[min(at + SOON, last - 1), 0], ELLIPSE)
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
-        half_a, half_c = np.float32(0.5) * e[A], np.float32(-0.5) * e[C]
-        low = max(0, math.ceil(y - e[HALF_HEIGHT]))
-        high = min(rows - 1, math.floor(y + e[HALF_HEIGHT]))
-        for row in range(low, high + 1):
-            dy = np.float32(row) - y
-            width_sq = e[REACH] - e[NARROWING] * dy * dy
-            if width_sq <= zero:
-                continue
-            width, middle = np.float32(math.sqrt(width_sq)), x - e[SLOPE] * dy
-            begin, end = middle - width, middle + width
-            q, b_dy = half_c * dy * dy, e[B] * dy
-            if begin <= HALF - 1 and end >= zero:
-                blend_row(
-                    *(state, row * TILE, -x, q, half_a, b_dy),
-                    *(e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]),
-                )
-                count += LANES
-            if end >= HALF and begin <= TILE - 1:
-                blend_row(
-                    *(state, row * TILE + HALF, np.float32(HALF) - x, q, half_a, b_dy),
-                    *(e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]),
-                )
-                count += LANES
+        half_a, b, half_c = np.float32(0.5) * e[A], e[B], np.float32(0.5) * e[C]
+        opacity, red, green, blue, depth = e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        blocks = _blocks_of(e, x, y, last_row)
+        while blocks:
+            block = lowest_bit(blocks)
+            blocks &= blocks - 1
+            dx, dy = np.float32(SIDE * (block % ACROSS)) - x, np.float32(SIDE * (block // ACROSS)) - y
+            blend_block(state, block * LANES, dx, dy, half_a, b, half_c, opacity, red, green, blue, depth)
+            count += LANES
     return last, count
+
+
+@kernel(fuse=True)
+def place_in_tile(row, column):
+    """Of a pixel in a tile's state: block by block."""
+    block = row // SIDE * ACROSS + column // SIDE
+    return block * LANES + row % SIDE * SIDE + column % SIDE
 
 
 @kernel
@@ -94,14 +112,19 @@ def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
     height, width = coverage.shape
     for tile in range(begin, end):
         top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
-        rows = min(TILE, height - top)
+        rows, columns = min(TILE, height - top), min(TILE, width - left)
+        for k in range(5 * PLANE):
+            state[k] = np.float32(0.0)
+        for row in range(rows):
+            for column in range(columns):
+                state[place_in_tile(row, column)] = np.float32(1.0)
         tiles.stop[tile], evaluated[tile] = blend_tile(
             *(tiles.ellipses, tiles.pairs_of_tile, tiles.start[tile], tiles.start[tile + 1]),
             *(np.float32(left), np.float32(top), rows, state),
         )
         for row in range(rows):
-            for column in range(min(TILE, width - left)):
-                at, i, j = row * TILE + column, top + row, left + column
+            for column in range(columns):
+                at, i, j = place_in_tile(row, column), top + row, left + column
                 coverage[i, j] = np.float32(1.0) - state[at]
                 for channel in range(3):
                     colour[i, j, channel] = state[(1 + channel) * PLANE + at]
@@ -112,41 +135,30 @@ def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
 def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, sums, by_pair):
     """Derivatives of the pairs first..last of a tile, by the rows of their numbers in `by_pair` (pairs, SUMS).
 
-    `state` (7, 256), flat: see `unblend_row`; sums (SUMS * 8,) is scratch.
+    `state` (7, 256), flat: see `unblend_block`; sums (SUMS * 16,) is scratch.
     """
-    zero = np.float32(0.0)
+    last_row, flat, flat_out = np.float32(rows - 1), ellipses.reshape(-1), by_pair.reshape(-1)
     for at in range(first, last):
+        soon = min(at + SOON, last - 1)
+        _fetch_row(flat, pairs_of_tile[soon, 0], ELLIPSE)
+        _fetch_row(flat_out, pairs_of_tile[soon, 1], SUMS)
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
-        half_a, half_c = np.float32(0.5) * e[A], np.float32(-0.5) * e[C]
-        low = max(0, math.ceil(y - e[HALF_HEIGHT]))
-        high = min(rows - 1, math.floor(y + e[HALF_HEIGHT]))
+        half_a, b, half_c = np.float32(0.5) * e[A], e[B], np.float32(0.5) * e[C]
+        opacity, red, green, blue, depth = e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]
         for k in range(SUMS * LANES):
-            sums[k] = zero
-        for row in range(low, high + 1):
-            dy = np.float32(row) - y
-            width_sq = e[REACH] - e[NARROWING] * dy * dy
-            if width_sq <= zero:
-                continue
-            width, middle = np.float32(math.sqrt(width_sq)), x - e[SLOPE] * dy
-            begin, end = middle - width, middle + width
-            q, b_dy = half_c * dy * dy, e[B] * dy
-            if begin <= HALF - 1 and end >= zero:
-                unblend_row(
-                    *(state, row * TILE, sums, -x, dy, q, half_a, b_dy),
-                    *(e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]),
-                )
-            if end >= HALF and begin <= TILE - 1:
-                unblend_row(
-                    *(state, row * TILE + HALF, sums, np.float32(HALF) - x, dy, q, half_a, b_dy),
-                    *(e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]),
-                )
+            sums[k] = np.float32(0.0)
+        blocks = _blocks_of(e, x, y, last_row)
+        while blocks:
+            block = lowest_bit(blocks)
+            blocks &= blocks - 1
+            dx, dy = np.float32(SIDE * (block % ACROSS)) - x, np.float32(SIDE * (block // ACROSS)) - y
+            unblend_block(
+                state, block * LANES, sums, dx, dy, half_a, b, half_c, opacity, red, green, blue, depth
+            )
         out = by_pair[pairs_of_tile[at, 1]]
         for k in range(SUMS):
-            total = zero
-            for lane in range(LANES):
-                total += sums[k * LANES + lane]
-            out[k] = total
+            out[k] = sum_of_lanes(sums, k * LANES)
 
 
 @kernel
@@ -160,7 +172,7 @@ def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
             state[k] = np.float32(0.0)
         for row in range(rows):
             for column in range(min(TILE, width - left)):
-                at, i, j = row * TILE + column, top + row, left + column
+                at, i, j = place_in_tile(row, column), top + row, left + column
                 state[at] = np.float32(1.0)
                 rest = (
                     wanted.depth[i, j] * wanted.by_depth[i, j]
@@ -179,3 +191,35 @@ def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
         for at in range(last, tiles.start[tile + 1]):
             for k in range(SUMS):
                 by_pair[tiles.pairs_of_tile[at, 1], k] = np.float32(0.0)
+
+
+@kernel
+def put_over(colour, coverage, background, start, stop, out):
+    """Rows start..stop of a picture (h, w, 3) before a background of one colour."""
+    for row in range(start, stop):
+        for column in range(coverage.shape[1]):
+            behind = np.float32(1.0) - coverage[row, column]
+            for k in range(3):
+                out[row, column, k] = colour[row, column, k] + behind * background[k]
+
+
+@kernel
+def count_useful(tiles, begin, end, width, height):
+    """Pairs of a pixel and an ellipse in the tiles begin..end that change the pixel: not transparent there, and not hidden."""
+    count = 0
+    for tile in range(begin, end):
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        for row in range(top, min(top + TILE, height)):
+            for column in range(left, min(left + TILE, width)):
+                through = np.float32(1.0)
+                for at in range(tiles.start[tile], tiles.start[tile + 1]):
+                    e = tiles.ellipses[tiles.pairs_of_tile[at, 0]]
+                    dx, dy = np.float32(column) - e[X], np.float32(row) - e[Y]
+                    power = np.float32(-0.5) * (e[A] * dx * dx + e[C] * dy * dy) - e[B] * dx * dy
+                    alpha = e[OPACITY] * np.float32(math.exp(power))
+                    if alpha >= LEAST_ALPHA:
+                        count += 1
+                        through *= np.float32(1.0) - min(alpha, LARGEST_ALPHA)
+                        if through <= OVER:
+                            break
+    return count

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from epipole._jit import kernel
 from epipole.fields._projection_kernels import HALF_HEIGHT, HALF_WIDTH, NARROWING, REACH, SLOPE, X, Y
 
@@ -19,22 +21,31 @@ def _rows_of_tiles(ellipse, height):
 
 
 @kernel(fuse=True)
+def rightmost(ellipse):
+    """How far below an ellipse's middle its rightmost point is; its leftmost is as far above."""
+    return -ellipse[SLOPE] * ellipse[HALF_HEIGHT] * ellipse[HALF_HEIGHT] / ellipse[HALF_WIDTH]
+
+
+@kernel(fuse=True)
+def widest(slope, reach, narrowing, down, top, bottom):
+    """How far left and right an ellipse reaches between two heights, all seen from its middle, `down` that of its rightmost point.
+
+    Its sides are curved outwards: each is furthest at that height between the two that is nearest to its own end.
+    """
+    at_right, at_left = min(max(down, top), bottom), min(max(-down, top), bottom)
+    left = -slope * at_left - math.sqrt(max(reach - narrowing * at_left * at_left, np.float32(0.0)))
+    right = -slope * at_right + math.sqrt(max(reach - narrowing * at_right * at_right, np.float32(0.0)))
+    return left, right
+
+
+@kernel(fuse=True)
 def _tiles_in_row(ellipse, row, width, height):
     """First and last tile of a row of tiles that the ellipse touches: where its sides are furthest within these pixels."""
     top = max(TILE * row, math.ceil(ellipse[Y] - ellipse[HALF_HEIGHT])) - ellipse[Y]
     bottom = (
         min(TILE * row + TILE - 1, height - 1, math.floor(ellipse[Y] + ellipse[HALF_HEIGHT])) - ellipse[Y]
     )
-    at_top = math.sqrt(max(ellipse[REACH] - ellipse[NARROWING] * top * top, 0.0))
-    at_bottom = math.sqrt(max(ellipse[REACH] - ellipse[NARROWING] * bottom * bottom, 0.0))
-    left = min(-ellipse[SLOPE] * top - at_top, -ellipse[SLOPE] * bottom - at_bottom)
-    right = max(-ellipse[SLOPE] * top + at_top, -ellipse[SLOPE] * bottom + at_bottom)
-    # The ellipse's rightmost point is that far down, its leftmost that far up.
-    down = -ellipse[SLOPE] * ellipse[HALF_HEIGHT] * ellipse[HALF_HEIGHT] / ellipse[HALF_WIDTH]
-    if top < down < bottom:
-        right = ellipse[HALF_WIDTH]
-    if top < -down < bottom:
-        left = -ellipse[HALF_WIDTH]
+    left, right = widest(ellipse[SLOPE], ellipse[REACH], ellipse[NARROWING], rightmost(ellipse), top, bottom)
     first = max(math.ceil(ellipse[X] + left), 0)
     last = min(math.floor(ellipse[X] + right), width - 1)
     if last < first:

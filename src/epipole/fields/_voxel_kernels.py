@@ -11,11 +11,10 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
+from epipole.fields._march_kernels import BLOCK, enter, past_block, ray_of_pixel
 from epipole.fields._projection_kernels import SH0, SH1
 from epipole.fields._simd_kernels import ROW, adam_row, add_row
 
-BLOCK = 8
-"""Cells along the side of a block that is skipped where it is empty."""
 STEP = np.float32(0.7)
 """Between samples, in voxels."""
 MOST_SAMPLES = 512
@@ -56,42 +55,12 @@ def _softplus(x):
 
 
 @kernel(fuse=True)
-def _enter(voxels, origin, direction):
-    """Where a ray enters and leaves the grid, in voxels along it; empty where the first is not less."""
-    near, far = np.float32(0.0), np.float32(1e30)
-    for k in range(3):
-        most = np.float32(voxels.row_of.shape[k] - 1) - np.float32(1e-3)
-        if abs(direction[k]) < np.float32(1e-9):
-            if not np.float32(0.0) <= origin[k] <= most:
-                return np.float32(1.0), np.float32(0.0)
-            continue
-        a, b = -origin[k] / direction[k], (most - origin[k]) / direction[k]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near, far
-
-
-@kernel(fuse=True)
-def _past_block(origin, direction, ix, iy, iz, t):
-    """Where a ray that is in an empty block leaves it."""
-    leaves = np.float32(1e30)
-    for k in range(3):
-        cell = ix if k == 0 else (iy if k == 1 else iz)
-        d = direction[k]
-        if abs(d) < np.float32(1e-9):
-            continue
-        corner = cell // BLOCK * BLOCK
-        edge = np.float32(corner + BLOCK) if d > np.float32(0.0) else np.float32(corner)
-        leaves = min(leaves, (edge - origin[k]) / d)
-    return max(leaves, t)
-
-
-@kernel(fuse=True)
 def _march(voxels, flat, origin, direction, first, work):
     """Samples of a ray, from the eye on; returns their number and what is seen of the background.
 
     Work.place (samples, 6) gets the cell and the fraction in it, work.light (samples, 6): transmittance before, alpha, softplus', colour.
     """
-    near, far = _enter(voxels, origin, direction)
+    near, far = enter(voxels.occupied, origin, direction)
     one, half, zero = np.float32(1.0), np.float32(0.5), np.float32(0.0)
     c0, c1 = np.float32(SH0), np.float32(SH1)
     b1, b2, b3 = -c1 * direction[1], c1 * direction[2], -c1 * direction[0]
@@ -102,7 +71,7 @@ def _march(voxels, flat, origin, direction, first, work):
         x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
         ix, iy, iz = int(x), int(y), int(z)
         if not voxels.blocks[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
-            ahead = _past_block(origin, direction, ix, iy, iz, t) - t
+            ahead = past_block(origin, direction, ix, iy, iz, t) - t
             t += STEP * max(one, np.float32(math.ceil(ahead / STEP)))
             continue
         t += STEP
@@ -125,25 +94,15 @@ def _march(voxels, flat, origin, direction, first, work):
     return count, left
 
 
-@kernel(fuse=True)
-def _ray(rays, view, column, row, voxels, origin, direction):
-    """Origin and unit direction of a pixel, in voxels."""
-    x = (column - rays.lens[view, 2]) / rays.lens[view, 0]
-    y = (row - rays.lens[view, 3]) / rays.lens[view, 1]
-    length = math.sqrt(x * x + y * y + 1.0)
-    r = rays.rotation[view]
-    for k in range(3):
-        direction[k] = (r[k] * x + r[3 + k] * y + r[6 + k]) / length
-        origin[k] = (rays.center[view, k] - voxels.low[k]) / voxels.size
-
-
 @kernel
 def draw_pixels(rays, view, width, voxels, background, start, stop, picture, depth, work):
     """Pixels start..stop of a view, flat, into picture (h w, 3) and depth (h w,) along the ray, in voxels, times coverage."""
     flat = voxels.values.reshape(-1)
     samples = 0
     for at in range(start, stop):
-        _ray(rays, view, at % width, at // width, voxels, work.origin, work.direction)
+        ray_of_pixel(
+            rays, view, at % width, at // width, voxels.low, voxels.size, work.origin, work.direction
+        )
         count, left = _march(voxels, flat, work.origin, work.direction, np.float32(0.5), work)
         samples += count
         total = np.float32(0.0)
@@ -177,7 +136,9 @@ def learn_rays(rays, chosen, first, voxels, background, scale, start, stop, reco
         view = np.searchsorted(rays.offset, pixel, side="right") - 1
         at = pixel - rays.offset[view]
         width = rays.width[view]
-        _ray(rays, view, at % width, at // width, voxels, work.origin, work.direction)
+        ray_of_pixel(
+            rays, view, at % width, at // width, voxels.low, voxels.size, work.origin, work.direction
+        )
         count, left = _march(voxels, flat, work.origin, work.direction, first[n], work)
         samples += count
         opaque = np.float32(rays.pixels[pixel, 3]) / np.float32(255.0)

@@ -16,6 +16,8 @@ class SplatConfig:
 
     max_gaussians: int | None = None
     """Gaussians at the end: time and memory grow with them; None: as many as the time bears."""
+    memory_gb: float | None = None
+    """Memory that the training may take: there are no more Gaussians than fit in it; None: no limit."""
     sh_degree: int = 3
     """Degree of the spherical harmonics, 0 to 3."""
     ssim_weight: float = 0.2
@@ -34,6 +36,8 @@ class SplatConfig:
         check_fields(self)
         if self.max_gaussians is not None and not 1 <= self.max_gaussians <= 100_000_000:
             raise ConfigError(f"max_gaussians must be from 1 to 100 million, got {self.max_gaussians}")
+        if self.memory_gb is not None and not 0 < self.memory_gb < 1e6:
+            raise ConfigError(f"memory_gb must be positive, got {self.memory_gb}")
         if not 0 <= self.sh_degree <= 3:
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         if not (math.isfinite(self.ssim_weight) and 0 <= self.ssim_weight <= 1):
@@ -46,8 +50,8 @@ class SplatConfig:
 class NerfConfig:
     """How a field that is marched through is trained."""
 
-    kind: Literal["grid"] = "grid"
-    """grid: densities and harmonics in voxels (as DVGO and Plenoxels)."""
+    kind: Literal["grid", "hash"] = "hash"
+    """hash: a small network that reads hashed tables (as Instant-NGP); grid: densities and harmonics in voxels (as DVGO and Plenoxels)."""
     seed: int = 0
     """Of all that is drawn."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from epipole import _parallel
 from epipole.fields import _gradient_kernels as kernels
 from epipole.fields._simd_kernels import MOMENTUM, SQUARES
-from epipole.fields.rasterizer import CHUNK, Cloud, Tiles, View, ellipse_of_gaussian, gather_work
+from epipole.fields.rasterizer import Cloud, Tiles, View, ellipse_of_gaussian, gather_work, pieces_of
 
 
 class Rates(NamedTuple):
@@ -77,5 +77,5 @@ class GaussianAdam:
             )
             return by_pose
 
-        by_poses = _parallel.map_chunks(move, n, max(1, n // CHUNK))
+        by_poses = _parallel.map_chunks(move, n, pieces_of(n))
         return adam.pull, np.sum([np.zeros(6), *by_poses], axis=0)

@@ -21,8 +21,8 @@ from epipole.fields._tile_kernels import TILE
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-CHUNK, TILES_TOGETHER = 4096, 16
-"""Gaussians, and tiles, in one piece of work."""
+LEAST_TOGETHER, MOST_PIECES, TILES_TOGETHER, ROWS_TOGETHER = 1024, 64, 16, 64
+"""Gaussians in one piece of work, unless there would be more pieces than that; tiles, and rows of a picture, in one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,13 @@ class Rendering:
 
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture before a background of one colour."""
-        return self.colour + (np.float32(1.0) - self.coverage)[..., None] * background
+        out, height = np.empty_like(self.colour), len(self.coverage)
+        _parallel.map_chunks(
+            lambda a, b, _: blend_kernels.put_over(self.colour, self.coverage, background, a, b, out),
+            height,
+            -(-height // ROWS_TOGETHER),
+        )
+        return out
 
 
 class Tiles(NamedTuple):
@@ -155,6 +161,11 @@ def render(
     return blend(tiles, view)
 
 
+def pieces_of(count: int) -> int:
+    """Into how many pieces of work so many Gaussians are cut."""
+    return max(1, min(count // LEAST_TOGETHER, MOST_PIECES))
+
+
 def arrays_of(cloud: GaussianCloud) -> Cloud:
     """Contiguous arrays of a cloud."""
     parts = (cloud.means_in_world, cloud.log_scales, cloud.quats_wxyz, cloud.opacity_logits, cloud.sh)
@@ -174,12 +185,12 @@ def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles
     _parallel.map_chunks(
         lambda a, b, _: projection_kernels.project(view, cloud, factors, a, b, seen, np.empty(16)),
         len(seen),
-        max(1, len(seen) // CHUNK),
+        pieces_of(len(seen)),
     )
     order = _by_depth(seen)
     ellipses = seen[order]
     size, across = np.array([view.width, view.height]), -(-view.width // TILE)
-    num_tiles, pieces = across * -(-view.height // TILE), max(1, len(ellipses) // CHUNK)
+    num_tiles, pieces = across * -(-view.height // TILE), pieces_of(len(ellipses))
     counts = np.zeros((pieces, num_tiles), np.int64)
     own = np.zeros(len(ellipses), np.int64)
     _parallel.map_chunks(
@@ -225,6 +236,18 @@ def blend(tiles: Tiles, view: View) -> Rendering:
         -(-len(tiles.stop) // TILES_TOGETHER),
     )
     return Rendering(colour, depth, coverage, tiles._replace(num_evaluated=int(evaluated.sum())))
+
+
+def useful_pairs(rendering: Rendering) -> int:
+    """How many of the pairs of a pixel and a Gaussian that were evaluated changed their pixel."""
+    height, width = rendering.coverage.shape
+    tiles = rendering.tiles
+    parts = _parallel.map_chunks(
+        lambda a, b, _: blend_kernels.count_useful(tiles, a, b, width, height),
+        len(tiles.stop),
+        -(-len(tiles.stop) // TILES_TOGETHER),
+    )
+    return sum(parts)
 
 
 class Wanted(NamedTuple):
@@ -328,5 +351,5 @@ def gradient_of(
         )
         return by_pose
 
-    by_poses = _parallel.map_chunks(gather, n, max(1, n // CHUNK))
+    by_poses = _parallel.map_chunks(gather, n, pieces_of(n))
     return out, np.sum([np.zeros(6), *by_poses], axis=0)

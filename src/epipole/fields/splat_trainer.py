@@ -10,6 +10,7 @@ import numpy as np
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
 from epipole.fields.gaussian_adam import GaussianAdam, Rates
+from epipole.fields.growing_cloud import GrowingCloud
 from epipole.fields.growth import Growth, halves
 from epipole.fields.photometric import likeness
 from epipole.fields.rasterizer import (
@@ -81,15 +82,23 @@ class SplatTrainer:
         if len(start) > self._most:
             kept = np.sort(self._rng.choice(len(start), self._most, replace=False))
             start = start.rows(kept)
-        self._arrays = arrays_of(start.rows(np.arange(len(start))))
+        self._adam = GaussianAdam(arrays_of(start))
+        self._hold(arrays_of(start), self._adam.mean, self._adam.square)
         self._num_first = len(start)
         self._size = _size_of(self._arrays.means)
-        self._adam = GaussianAdam(self._arrays)
         dropped = min(MOST_DROPPED, 2.0 / len(self.views))
         self._drop = dropped if dropped >= LEAST_DROPPED else 0.0
         self._growth, self._num_changes = Growth(len(start)), 0
         self._order: list[int] = []
         self._smaller: dict[tuple[int, int], TrainingView] = {}
+
+    def _hold(self, *clouds: Cloud) -> None:
+        """Values, and Adam's means of derivatives and of their squares, with room for what will be."""
+        self._held = [GrowingCloud(cloud, self._most) for cloud in clouds]
+        self._renew()
+
+    def _renew(self) -> None:
+        self._arrays, self._adam.mean, self._adam.square = (one.cloud for one in self._held)
 
     @property
     def cloud(self) -> GaussianCloud:
@@ -117,10 +126,8 @@ class SplatTrainer:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on from a `state` of a trainer with the same views and options: the same bits as without a break."""
-        self._arrays, self._adam.mean, self._adam.square = (
-            Cloud(*(state[f"{kind}_{name}"] for name in Cloud._fields))
-            for kind in ("value", "mean", "square")
-        )
+        names = ("value", "mean", "square")
+        self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))
         self._growth.pull, self._growth.views = state["pull"], state["views"]
         self._order = state["order"].tolist()
@@ -140,24 +147,24 @@ class SplatTrainer:
             progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
         """
         self._raise_degree(progress)
-        seen_view = self._next_view(progress)
-        view = view_of(seen_view.camera, seen_view.cam_from_world, self.options)
-        drawn = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
-        found = likeness(
-            drawn.over(self.background), seen_view.over(self.background), self.config.ssim_weight
-        )
-        by_coverage = -(found.by_picture @ self.background) if self.background.any() else None
-        by_pair = sums_of_pairs(drawn, found.by_picture, None, by_coverage)
-        tiles = drawn.tiles
-        pull, _ = self._adam.move(
-            self._arrays, view, tiles, by_pair, self._rates(progress), self.num_steps + 1
-        )
-        self._growth.add(pull, tiles.gaussian, view.width)
+        self.loss = self._learn(self._next_view(progress), progress)
         self.num_steps += 1
         if progress < GROWN and progress * CHANGES / GROWN >= self._num_changes + 1:
             self._num_changes = int(progress * CHANGES / GROWN)
             self._change(progress)
-        self.loss = found.loss
+        return self.loss
+
+    def _learn(self, of: TrainingView, progress: float) -> float:
+        """Move what a view sees; returns the loss."""
+        view = view_of(of.camera, of.cam_from_world, self.options)
+        drawn = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
+        found = likeness(drawn.over(self.background), of.over(self.background), self.config.ssim_weight)
+        by_coverage = -(found.by_picture @ self.background) if self.background.any() else None
+        by_pair = sums_of_pairs(drawn, found.by_picture, None, by_coverage)
+        pull, _ = self._adam.move(
+            self._arrays, view, drawn.tiles, by_pair, self._rates(progress), self.num_steps + 1
+        )
+        self._growth.add(pull, drawn.tiles.gaussian, view.width)
         return found.loss
 
     def _next_view(self, progress: float) -> TrainingView:
@@ -185,15 +192,10 @@ class SplatTrainer:
 
     def _raise_degree(self, progress: float) -> None:
         wanted = NUM_SH[min(_until(DEGREES, progress), self.config.sh_degree)]
-        have = self._arrays.sh.shape[1]
-        if have < wanted:
-            adam = self._adam
-            self._arrays, adam.mean, adam.square = (
-                one._replace(
-                    sh=np.concatenate([one.sh, np.zeros((len(one.sh), wanted - have, 3), np.float32)], axis=1)
-                )
-                for one in (self._arrays, adam.mean, adam.square)
-            )
+        if self._arrays.sh.shape[1] < wanted:
+            for one in self._held:
+                one.raise_degree(wanted)
+            self._renew()
 
     def _rates(self, progress: float) -> Rates:
         """They fall, those of places fastest."""
@@ -215,11 +217,10 @@ class SplatTrainer:
         for one in (adam.mean, adam.square):
             for part in one:
                 part[rows] = 0.0
-        kept = [Cloud(*(part[stays] for part in one)) for one in (self._arrays, adam.mean, adam.square)]
-        self._arrays, adam.mean, adam.square = (
-            Cloud(*(np.concatenate(pair) for pair in zip(one, more)))
-            for one, more in zip(kept, (second, none, none))
-        )
+        gone = np.flatnonzero(~stays)
+        for held, more in zip(self._held, (second, none, none)):
+            held.change(gone, more)
+        self._renew()
         self._growth = Growth(len(self))
 
 

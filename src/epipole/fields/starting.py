@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
+HALVINGS = 3
+"""Of cells, from the first that are held against silhouettes."""
 FIRST_OPACITY, NEIGHBOURS = 0.15, 3
 TRIES, MOST_VIEWS = 40, 24
 """Points drawn for each that is wanted, and views that each is held against."""
@@ -82,23 +85,47 @@ def points_in_silhouettes(
     return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
 
 
-def may_be_full(
-    views: Sequence[TrainingView], centers_in_world: np.ndarray, radius: float
-) -> Bool[np.ndarray, " n"]:
-    """Which balls (n, 3) touch every silhouette of the pictures with transparency that see their middles."""
-    kept = np.ones(len(centers_in_world), bool)
+def share_in_view(views: Sequence[TrainingView], points_in_world: np.ndarray) -> float:
+    """The share of points (n, 3) that a picture shows, if nothing hides another: the median of all views."""
+    shares = []
     for view in views:
-        if view.picture.shape[2] != 4:
-            continue
+        pixels = view.camera.project(view.cam_from_world.apply(points_in_world))
+        inside = (pixels >= 0) & (pixels <= np.array([view.camera.width, view.camera.height]))
+        shares.append(float(inside.all(axis=1).mean()))
+    return float(np.median(shares))
+
+
+class Silhouette(NamedTuple):
+    """A picture with transparency."""
+
+    view: TrainingView
+    away: np.ndarray
+    """(h, w) pixels to the nearest that is not quite transparent."""
+
+
+def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
+    """Those of all pictures that have transparency."""
+    found = []
+    for view in views:
+        if view.picture.shape[2] == 4:
+            is_empty = (view.picture[..., 3] == 0).astype(np.uint8)
+            away = cv2.distanceTransform(is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            found.append(Silhouette(view, away if not is_empty.all() else np.full_like(away, np.inf)))
+    return found
+
+
+def may_be_full(
+    silhouettes: Sequence[Silhouette], centers_in_world: np.ndarray, radius: float
+) -> Bool[np.ndarray, " n"]:
+    """Which balls (n, 3) touch every silhouette of the pictures that see their middles."""
+    kept = np.ones(len(centers_in_world), bool)
+    for view, away in silhouettes:
         places = view.cam_from_world.apply(centers_in_world)
         pixels = view.camera.project(places)
         inside = np.isfinite(pixels).all(axis=1)
         at = np.rint(np.where(inside[:, None], pixels, -1)).astype(int)
         inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
-        is_empty = (view.picture[..., 3] == 0).astype(np.uint8)
-        # Of each pixel, how far the silhouette is; a ball that the camera is in is seen everywhere.
-        away = cv2.distanceTransform(is_empty, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        away = away if not is_empty.all() else np.full_like(away, np.inf)
+        # A ball that the camera is in is seen everywhere.
         depth = places[inside, 2] - radius
         seen_px = view.camera.focal_px * radius / np.where(depth > 0, depth, np.nan) + 1.0
         kept[inside] &= ~(away[at[inside, 1], at[inside, 0]] > seen_px)
@@ -125,3 +152,39 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
         )
     reach = [0.5 * max(v.camera.width, v.camera.height) / v.camera.focal_px for v in views]
     return middle, float(np.median(np.maximum(depth, 0.0) * reach))
+
+
+def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, float, np.ndarray]:
+    """Corner, size of a cell, and which of a grid's cells (x, y, z), at most `side` along an axis, silhouettes leave of what the cameras look at.
+
+    Raises:
+        DegenerateGeometryError: that is nothing.
+    """
+    middle, radius = common_ball(views)
+    low, size = middle - radius, 2.0 * radius / side
+    silhouettes = silhouettes_of(views)
+    full = _full(silhouettes, low, size, (side, side, side))
+    if not full.any():
+        raise DegenerateGeometryError("the silhouettes of the pictures have no place in common")
+    places = np.argwhere(full)
+    first, last = places.min(axis=0), places.max(axis=0) + 1
+    low, finer = low + size * first, size * (last - first).max() / side
+    shape = tuple(int(n) for n in np.ceil((last - first) * size / finer - 1e-9))
+    return low, float(finer), _full(silhouettes, low, float(finer), shape)
+
+
+def _full(
+    silhouettes: Sequence[Silhouette], low: np.ndarray, size: float, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Large cells first: what is in one that is empty need not be looked at."""
+    factor = 2**HALVINGS
+    cells = np.ones([-(-side // factor) for side in shape], bool)
+    while True:
+        places = np.argwhere(cells)
+        middles = low + factor * size * (places + 0.5)
+        cells[tuple(places.T)] = may_be_full(silhouettes, middles, 0.87 * factor * size)
+        if factor == 1:
+            return cells[tuple(slice(side) for side in shape)]
+        factor //= 2
+        for axis in range(3):
+            cells = cells.repeat(2, axis)

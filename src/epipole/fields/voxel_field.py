@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,16 +12,15 @@ from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
-from epipole.fields._voxel_kernels import BLOCK, MOST_SAMPLES
-from epipole.fields.training_view import TrainingView
+from epipole.fields._voxel_kernels import MOST_SAMPLES
+from epipole.fields.rays import blocks_of, rays_of_camera
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 TOGETHER = 2048
 """Rays in one piece of work."""
-FULL = 255
-LEAST_ALPHA, HALF_WIDTH, SURFACE = 0.1, 0.5, 3
-"""Of a corner that becomes a Gaussian, that Gaussian's deviation in voxels, and how deep the surface is in voxels."""
+LEAST_ALPHA, FOG, HALF_WIDTH, SURFACE = 0.1, 0.02, 0.5, 3
+"""Of a corner that becomes a Gaussian, the same where all is thin, that Gaussian's deviation in voxels, and how deep the surface is in voxels."""
 
 
 class Voxels(NamedTuple):
@@ -44,19 +42,6 @@ class Voxels(NamedTuple):
     """Length of a step, in the unit in which densities are told: the first grid's voxels."""
 
 
-class Rays(NamedTuple):
-    """Pictures and cameras, as kernels read them."""
-
-    pixels: np.ndarray
-    """(total, 4) uint8, of all pictures."""
-    offset: np.ndarray
-    width: np.ndarray
-    lens: np.ndarray
-    """(views, 4) focal lengths and middle."""
-    rotation: np.ndarray
-    center: np.ndarray
-
-
 class MarchWork(NamedTuple):
     """What a thread needs to follow a ray."""
 
@@ -73,36 +58,6 @@ def march_work() -> MarchWork:
     """Scratch of a thread."""
     shapes = (ROW, (MOST_SAMPLES, 6), (MOST_SAMPLES, 6), 3, 3, 3, 3)
     return MarchWork(*(np.zeros(shape, np.float32) for shape in shapes))
-
-
-def rays_of(views: Sequence[TrainingView]) -> Rays:
-    """All pixels of all views."""
-    pixels, offset = [], [0]
-    for view in views:
-        flat = view.picture.reshape(-1, view.picture.shape[2])
-        if flat.shape[1] == 3:
-            flat = np.concatenate([flat, np.full((len(flat), 1), FULL, np.uint8)], axis=1)
-        pixels.append(flat)
-        offset.append(offset[-1] + len(flat))
-    return Rays(
-        np.ascontiguousarray(np.concatenate(pixels)),
-        np.array(offset, np.int64),
-        np.array([view.camera.width for view in views], np.int64),
-        *_places([view.camera for view in views], [view.cam_from_world for view in views]),
-    )
-
-
-def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
-    """Rays without pictures."""
-    none = np.zeros((0, 4), np.uint8)
-    return Rays(none, np.zeros(2, np.int64), np.array([camera.width]), *_places([camera], [cam_from_world]))
-
-
-def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, ...]:
-    lens = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
-    rotation = [place.rotation.reshape(9) for place in places]
-    centers = [place.inverse().translation for place in places]
-    return np.array(lens), np.array(rotation), np.array(centers)
 
 
 def corners_of(cells: np.ndarray) -> np.ndarray:
@@ -122,16 +77,12 @@ def voxels_on(
     index = np.full(corners.shape, -1, np.int32)
     rows = int(corners.sum())
     index[corners] = np.arange(rows, dtype=np.int32)
-    padded = np.zeros([-(-side // BLOCK) * BLOCK for side in cells.shape], bool)
-    padded[tuple(slice(side) for side in cells.shape)] = cells
-    shape = [part for side in padded.shape for part in (side // BLOCK, BLOCK)]
-    blocks = padded.reshape(shape).any(axis=(1, 3, 5))
     own = np.zeros((rows, ROW), np.float32)
     if values is not None:
         own[:, : values.shape[1]] = values
     delta = np.float32(kernels.STEP * size / unit)
     seen = np.zeros(cells.shape, np.uint8)
-    marks = cells.astype(np.uint8), seen, np.asarray(blocks, np.uint8)
+    marks = cells.astype(np.uint8), seen, blocks_of(cells)
     return Voxels(index, *marks, own, low.astype(np.float64), size, delta)
 
 
@@ -169,13 +120,14 @@ def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
     alpha = np.zeros(voxels.row_of.shape, np.float32)
     alpha[voxels.row_of >= 0] = own
     least_beside = ndimage.minimum_filter(alpha, size=2 * SURFACE + 1)
-    corners = np.argwhere((alpha > LEAST_ALPHA) & (least_beside <= LEAST_ALPHA))
+    least = min(LEAST_ALPHA, max(0.5 * float(alpha.max()), FOG))
+    corners = np.argwhere((alpha > least) & (least_beside <= least))
     if not len(corners):
         raise DegenerateGeometryError("the grid is empty: light goes through all of it")
     thinned = max(1.0, len(corners) / most)
     corners = corners[np.linspace(0, len(corners) - 1, min(most, len(corners))).astype(np.int64)]
     rows, n = voxels.row_of[tuple(corners.T)], len(corners)
-    opacity = np.clip(own[rows], LEAST_ALPHA, 0.99)
+    opacity = np.clip(own[rows], least, 0.99)
     deviation = HALF_WIDTH * voxels.size * np.sqrt(thinned)
     return GaussianCloud(
         (voxels.low + voxels.size * corners).astype(np.float32),

@@ -9,17 +9,17 @@ import numpy as np
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.errors import ConfigError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
-from epipole.fields.starting import common_ball, may_be_full
+from epipole.fields.rays import rays_of
+from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import (
     Voxels,
     corners_of,
     draw_voxels,
     march_work,
-    rays_of,
     voxels_on,
 )
 
@@ -31,8 +31,6 @@ SAMPLES = 96
 """Of a ray that room is made for; a ray that finds none is left out of the step."""
 PLANES_TOGETHER = 4
 DENSITY_RATE, COLOUR_RATE, LAST_RATES = 0.3, 0.015, 0.1
-REACH = 1.0
-"""Half the side of the grid, in the radius of what the pictures show around the middle."""
 
 
 class GridAdam(NamedTuple):
@@ -49,7 +47,7 @@ class VoxelTrainer:
     """Trains a grid on views; the same views and steps give the same grid for any number of threads.
 
     Attributes:
-        voxels: the grid as it is.
+        field: the grid as it is.
         num_steps: taken.
         num_samples: of the last step.
     """
@@ -67,14 +65,14 @@ class VoxelTrainer:
         self.background = background.astype(np.float32)
         self.num_steps = self.num_samples = 0
         self._rng = np.random.default_rng([21, seed])
-        low, self._unit, full = _first_cells(views)
-        self.voxels = voxels_on(full, low, self._unit, self._unit)
+        low, self._unit, full = first_cells(views, SIZES[0][1])
+        self.field = voxels_on(full, low, self._unit, self._unit)
         self._pixel = _pixel_size(views, low + 0.5 * self._unit * np.array(full.shape))
         self._level, self._looks = 0, False
         self._adam = self._new_adam()
 
     def _new_adam(self) -> GridAdam:
-        n = self.voxels.values.size
+        n = self.field.values.size
         gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
         return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
 
@@ -88,7 +86,7 @@ class VoxelTrainer:
             self._refine()
         if not self._looks and progress >= self._half_way():
             self._looks = True
-            self.voxels.seen[:] = 0
+            self.field.seen[:] = 0
         fallen = LAST_RATES**progress
         self._adam.rates[:] = fallen * COLOUR_RATE
         self._adam.rates[0] = fallen * DENSITY_RATE
@@ -112,7 +110,7 @@ class VoxelTrainer:
             records = np.empty((room, kernels.RECORD), np.float32)
             cells = np.empty(room, np.int64)
             found, error, samples = kernels.learn_rays(
-                *(self.rays, chosen, first, self.voxels, self.background, scale),
+                *(self.rays, chosen, first, self.field, self.background, scale),
                 *(start, stop, records, cells, march_work()),
             )
             return records[:found], cells[:found], error, samples
@@ -121,7 +119,7 @@ class VoxelTrainer:
 
     def _move(self, records: np.ndarray, cells: np.ndarray) -> None:
         """Each plane of constant x is one thread's: what touches it is added in the order of cells and rays."""
-        planes, ny, nz = self.voxels.row_of.shape
+        planes, ny, nz = self.field.row_of.shape
         keys = cells.astype(np.uint64) << np.uint64(32) | np.arange(len(cells), dtype=np.uint64)
         keys.sort()
         order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
@@ -129,7 +127,7 @@ class VoxelTrainer:
         start = np.searchsorted(keys, first_keys)
         _parallel.map_chunks(
             lambda a, b, _: kernels.move_planes(
-                *(self.voxels, records, cells, order, start, self._row_start(), a, b),
+                *(self.field, records, cells, order, start, self._row_start(), a, b),
                 *(self._adam, np.zeros(ROW, np.float32)),
             ),
             planes,
@@ -139,7 +137,7 @@ class VoxelTrainer:
     def _row_start(self) -> np.ndarray:
         """(planes + 1,) the first row of each plane of constant x."""
         if self._rows_at is None:
-            counts = (self.voxels.row_of >= 0).sum(axis=(1, 2))
+            counts = (self.field.row_of >= 0).sum(axis=(1, 2))
             self._rows_at = np.concatenate([[0], np.cumsum(counts)])
         return self._rows_at
 
@@ -147,7 +145,7 @@ class VoxelTrainer:
 
     def _can_refine(self) -> bool:
         """Whether a finer grid comes, which is so while voxels are larger than the pictures' pixels."""
-        return self._level + 1 < len(SIZES) and self.voxels.size > self._pixel
+        return self._level + 1 < len(SIZES) and self.field.size > self._pixel
 
     def _half_way(self) -> float:
         """Of this size: from there on counts what is seen, for at first there is fog everywhere."""
@@ -157,51 +155,32 @@ class VoxelTrainer:
     def _refine(self) -> None:
         """Leave out what is empty, and halve the voxels."""
         self._level, self._looks = self._level + 1, False
-        voxels = self.voxels
+        voxels = self.field
         cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
         values = _between(voxels, np.argwhere(corners_of(cells)))
-        self.voxels = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
+        self.field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
         self._rows_at, self._adam = None, self._new_adam()
 
     def _seen_cells(self) -> np.ndarray:
         """Cells that some ray has seen something in, and those beside."""
-        occupied, seen = self.voxels.occupied.astype(bool), self.voxels.seen
+        occupied, seen = self.field.occupied.astype(bool), self.field.seen
         if not seen.any():
             return occupied
         return ndimage.binary_dilation(seen, np.ones((3, 3, 3), bool)) & occupied
 
     def __len__(self) -> int:
         """Corners of voxels that have a row."""
-        return len(self.voxels.values)
+        return len(self.field.values)
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return draw_voxels(self.voxels, view.camera, view.cam_from_world, self.background)[0]
-
-
-def _first_cells(views: Sequence[TrainingView]) -> tuple[np.ndarray, float, np.ndarray]:
-    """Corner, voxel size and cells of the first grid: around what silhouettes leave of what the cameras look at."""
-    middle, radius = common_ball(views)
-    side, low, size = SIZES[0][1], middle - REACH * radius, 2.0 * REACH * radius / SIZES[0][1]
-    full = _full(views, low, size, (side, side, side))
-    if not full.any():
-        raise DegenerateGeometryError("the silhouettes of the pictures have no place in common")
-    places = np.argwhere(full)
-    first, last = places.min(axis=0), places.max(axis=0) + 1
-    low, finer = low + size * first, size * (last - first).max() / side
-    shape = tuple(int(n) for n in np.ceil((last - first) * size / finer - 1e-9))
-    return low, float(finer), _full(views, low, float(finer), shape)
+        return draw_voxels(self.field, view.camera, view.cam_from_world, self.background)[0]
 
 
 def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:
     """Of a pixel at the middle of the scene: the median of all views."""
     depths = [view.cam_from_world.apply(middle[None])[0, 2] for view in views]
     return float(np.median([depth / view.camera.focal_px for depth, view in zip(depths, views)]))
-
-
-def _full(views: Sequence[TrainingView], low: np.ndarray, size: float, shape: tuple[int, ...]) -> np.ndarray:
-    middles = low + size * (np.argwhere(np.ones(shape, bool)) + 0.5)
-    return may_be_full(views, middles, 0.87 * size).reshape(shape)
 
 
 def _between(voxels: Voxels, corners: np.ndarray) -> np.ndarray:

@@ -20,10 +20,12 @@ def color_range(values: Float[np.ndarray, "*shape"]) -> tuple[float, float]:
 
 
 @checked
-def color_map(values: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape 3"]:
-    """Turbo colours (RGB) over `color_range`, blue to red; black where a value is not finite."""
+def color_map(
+    values: Float[np.ndarray, "*shape"], limits: tuple[float, float] | None = None
+) -> UInt8[np.ndarray, "*shape 3"]:
+    """Turbo colours (RGB) over `limits`, else over `color_range`, blue to red; black where a value is not finite."""
     known = np.isfinite(values)
-    low, high = color_range(values)
+    low, high = color_range(values) if limits is None else limits
     scaled = np.where(known, (values - low) / max(high - low, 1e-12), 0.0)
     steps = (255 * np.clip(scaled, 0, 1)).astype(np.uint8)
     bgr = (

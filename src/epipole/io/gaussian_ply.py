@@ -23,17 +23,16 @@ def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
     """
     n, higher = len(cloud), cloud.sh.shape[1] - 1
     names = [*_FIRST, *(f"f_rest_{k}" for k in range(3 * higher)), *_LAST]
-    parts = (
-        *(cloud.means_in_world, np.zeros((n, 3), np.float32), cloud.sh[:, 0]),
-        cloud.sh[:, 1:].transpose(0, 2, 1).reshape(n, 3 * higher),
-        *(cloud.opacity_logits[:, None], cloud.log_scales, cloud.quats_wxyz),
-    )
+    # One table, and no copy of it: there may be millions.
+    table = np.zeros((n, len(names)), "<f4")
+    table[:, :3], table[:, 6:9] = cloud.means_in_world, cloud.sh[:, 0]
+    table[:, 9 : 9 + 3 * higher].reshape(n, 3, higher)[:] = cloud.sh[:, 1:].transpose(0, 2, 1)
+    table[:, -8], table[:, -7:-4], table[:, -4:] = cloud.opacity_logits, cloud.log_scales, cloud.quats_wxyz
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names]
-    table = np.concatenate(parts, axis=1).astype("<f4")
     with atomic_write(Path(path)) as part, part.open("wb") as stream:
         stream.write("".join(f"{line}\n" for line in [*header, "end_header"]).encode("ascii"))
-        stream.write(table.tobytes())
+        stream.write(table.data)
 
 
 def read_gaussian_ply(path: str | Path) -> GaussianCloud:

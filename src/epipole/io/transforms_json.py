@@ -126,7 +126,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
         camera_rows.append(row_of[key])
         names.append(name.removeprefix(image_folder.rstrip("/") + "/"))
     cams_from_world = Rigid3.from_matrix(np.array(worlds_from_cams).reshape(-1, 4, 4)).inverse()
-    return _reconstruction(names, cameras, camera_rows, cams_from_world, _points(path, content))
+    return model_of_cameras(names, cameras, camera_rows, cams_from_world, _points(path, content))
 
 
 def _object_in(path: Path) -> dict[str, Any]:
@@ -219,9 +219,10 @@ def _points(path: Path, content: dict[str, Any]) -> Points:
     return Points(cloud.xyz, rgb, np.full(len(cloud), np.nan))
 
 
-def _reconstruction(
+def model_of_cameras(
     names: list[str], cameras: list[Camera], camera_rows: list[int], cams_from_world: Rigid3, points: Points
 ) -> Reconstruction:
+    """Images with cameras and poses, without keypoints and tracks."""
     n, rows = len(names), np.array(camera_rows, np.int32)
     no_keypoints = np.zeros(n + 1, np.int64)
     images = Images(tuple(names), np.arange(n, dtype=np.int32), rows, no_keypoints, np.empty((0, 2)))

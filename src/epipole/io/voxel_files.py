@@ -64,24 +64,41 @@ def read_grid(path: str | Path) -> GridContents:
         FileFormatError: it is no such file, is damaged, or promises what it does not hold.
     """
     path = Path(path)
-    try:
-        with np.load(io.BytesIO(file_bytes(path)), allow_pickle=False) as file:
-            # A member that is damaged at its begin comes as bytes, without a word.
-            shape, place, packed, values = (
-                np.asarray(file[name]) for name in ("shape", "place", "cells", "values")
-            )
-    except _DAMAGE as error:
-        raise FileFormatError(path, f"is no grid of voxels ({error})") from error
-    if shape.shape != (3,) or shape.dtype != np.int32 or not ((shape > 0) & (shape <= MOST_SIDE)).all():
-        raise FileFormatError(path, "is a grid of impossible size")
+    # A member that is damaged at its begin comes as bytes, without a word: arrays are looked at one by one.
+    place, values = arrays_in(path, "place", "values")
+    cells = unpacked_cells(path)
     if place.shape != (5,) or place.dtype.kind != "f" or not np.isfinite(place).all():
         raise FileFormatError(path, "does not tell where the grid is")
-    count = int(np.prod(shape.astype(np.int64)))
-    if packed.dtype != np.uint8 or packed.shape != (-(-count // 8),):
-        raise FileFormatError(path, "the cells do not fit the size of the grid")
     if values.ndim != 2 or values.shape[1] != WIDTH or values.dtype != np.float16:
         raise FileFormatError(path, f"values are not rows of {WIDTH} numbers")
-    cells = np.unpackbits(packed, count=count).astype(bool).reshape(shape)
     if not np.isfinite(values).all() or not (place[3:] > 0).all():
         raise FileFormatError(path, "a value is not finite, or a length not positive")
     return GridContents(cells, values.astype(np.float32), place[:3], float(place[3]), float(place[4]))
+
+
+def arrays_in(path: Path, *names: str) -> list[np.ndarray]:
+    """Arrays of a file of NumPy's.
+
+    Raises:
+        FileFormatError: it is no such file, or one is missing.
+    """
+    try:
+        with np.load(io.BytesIO(file_bytes(path)), allow_pickle=False) as file:
+            return [np.asarray(file[name]) for name in names]
+    except _DAMAGE as error:
+        raise FileFormatError(path, f"is no field that was trained ({error})") from error
+
+
+def unpacked_cells(path: Path) -> np.ndarray:
+    """(x, y, z) bool, the cells of a grid's or neural field's file.
+
+    Raises:
+        FileFormatError: they do not fit their number.
+    """
+    shape, packed = arrays_in(path, "shape", "cells")
+    if shape.shape != (3,) or shape.dtype != np.int32 or not ((shape > 0) & (shape <= MOST_SIDE)).all():
+        raise FileFormatError(path, "is a grid of impossible size")
+    count = int(np.prod(shape.astype(np.int64)))
+    if packed.dtype != np.uint8 or packed.shape != (-(-count // 8),):
+        raise FileFormatError(path, "the cells do not fit the size of the grid")
+    return np.unpackbits(packed, count=count).astype(bool).reshape(shape)

@@ -135,24 +135,32 @@ def svg(width: int, height: int, parts: Sequence[str], label: str) -> Markup:
 
 
 def draw_curves(
-    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, y_label: str
+    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    x_label: str,
+    y_label: str,
+    *,
+    even_y: bool = False,
 ) -> Markup:
-    """Positive values against positive values, both axes logarithmic; at most two curves, named in their colours."""
+    """Positive values against positive values, both axes logarithmic, or that of y even; at most two curves, named in their colours."""
     every_x = [x for xs, _ in curves.values() for x in xs if x > 0 and math.isfinite(x)]
     every_y = [y for _, ys in curves.values() for y in ys if y > 0 and math.isfinite(y)]
     if not every_x or not every_y:
         return Markup("")
     low_x, high_x = math.log10(min(every_x)), max(math.log10(max(every_x)), math.log10(min(every_x)) + 0.1)
     low_y, high_y = math.log10(min(every_y)) - 0.05, math.log10(max(every_y)) + 0.05
+    if even_y:
+        margin = 0.05 * (max(every_y) - min(every_y)) + 1e-3 * max(every_y)
+        low_y, high_y = min(every_y) - margin, max(every_y) + margin
 
     def x_of(value: float) -> float:
         return _LEFT + (math.log10(value) - low_x) / (high_x - low_x) * (_WIDTH - _LEFT - _RIGHT)
 
     def y_of(value: float) -> float:
-        share = (math.log10(value) - low_y) / (high_y - low_y)
+        share = ((value if even_y else math.log10(value)) - low_y) / (high_y - low_y)
         return _HEIGHT - _BOTTOM - share * (_HEIGHT - _TOP - _BOTTOM)
 
-    parts = [_grid_line(y_of(t), tick_text(t)) for t in _decades(low_y, high_y)]
+    ticks = nice_ticks(low_y, high_y) if even_y else _decades(low_y, high_y)
+    parts = [_grid_line(y_of(t), tick_text(t)) for t in ticks]
     bottom = _HEIGHT - _BOTTOM
     parts += [
         f'<text class="tick" x="{x_of(t):.1f}" y="{bottom + 15}" text-anchor="middle">{tick_text(t)}</text>'

@@ -75,9 +75,9 @@ class Run:
                 self.timings_s.get(name, self._earlier_s.pop(name, 0.0)) + perf_counter() - begin
             )
 
-    def report(self, stage: str, done: int, total: int) -> None:
-        """Report how far a stage is."""
-        self.job.progress(Progress(stage, done, total))
+    def report(self, stage: str, done: int, total: int, note: str = "") -> None:
+        """Report how far a stage is, and what is to be known of it."""
+        self.job.progress(Progress(stage, done, total, note))
 
     def do(self, units: Sequence[Unit], stage: str) -> None:
         """Run the units whose results are missing or stale, and remove other results from their folders."""

@@ -1,20 +1,24 @@
-"""`epipole splat`, `epipole nerf` and `epipole render`."""
+"""`epipole splat`, `epipole nerf`, `epipole render`, `epipole mesh` and `epipole compare-fields`."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.pipelines.fields.config import FieldOptions, RenderJob
+from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
-DEFAULTS, ALL_PICTURES, CIRCLE, GRID_DEFAULTS = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
+DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
 WORDS = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+WHOLE = MeshJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -30,7 +34,7 @@ def splat(
     Args:
         source: A folder of photographs or a video (cameras are found first), an output folder of `reconstruct`, a COLMAP model
             with its pictures, or a transforms.json.
-        out: Output folder: splat.ply, test/NAME.png, metrics.json.
+        out: Output folder: splat.ply, test/NAME.png, metrics.json, report.html.
         job: Which pictures, and for how long.
         config: Options of the training.
     """
@@ -47,13 +51,13 @@ def nerf(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
-    config: Annotated[NerfConfig, tyro.conf.arg(name="")] = GRID_DEFAULTS,
+    config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
 ) -> None:
-    """Train a grid of densities and colours on pictures around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
+    """Train a neural radiance field, or an explicit grid, on pictures around a scene, without a GPU. Ctrl-C ends the training, and writes what was learnt.
 
     Args:
         source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
-        out: Output folder: grid.npz, test/NAME.png, metrics.json.
+        out: Output folder: hash.npz or grid.npz, test/NAME.png, metrics.json, report.html.
         job: Which pictures, and for how long.
         config: Options of the training.
     """
@@ -63,7 +67,10 @@ def nerf(
         from epipole.pipelines.fields.nerf import nerf as run
 
         result = run(source, out, config, job, progress)
-    _show(result.summary, result.warnings, "num_voxels", result.out / "grid.npz")
+        from epipole.pipelines.fields.kinds import KINDS
+
+    kind = KINDS[config.kind]
+    _show(result.summary, result.warnings, kind.count, result.out / kind.file)
 
 
 def render(
@@ -71,7 +78,7 @@ def render(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     job: Annotated[RenderJob, tyro.conf.arg(name="")] = CIRCLE,
 ) -> None:
-    """Draw trained Gaussians, or a trained grid, from a circle or given cameras, to a video or pictures.
+    """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or pictures.
 
     Args:
         source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .splat).
@@ -88,6 +95,76 @@ def render(
         done = run(source, out, job, progress)
     text = f"Written {done.out}: {done.num_frames} pictures, {done.frames_per_s:.1f} drawn a second"
     Console().print(text, highlight=False, markup=False)
+
+
+def mesh(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FIELD")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MESH")],
+    job: Annotated[MeshJob, tyro.conf.arg(name="")] = WHOLE,
+) -> None:
+    """Cut a mesh out of trained Gaussians, a neural field or a grid: their depth, fused from all cameras.
+
+    Args:
+        source: Output folder of `splat` or `nerf`, or a file of Gaussians with --cameras.
+        out: The mesh, a PLY file with colours.
+        job: From where, and how fine.
+    """
+    from rich.console import Console
+
+    from epipole.screen import progress_on_screen
+
+    with progress_on_screen({"fuse": "Fusing depth"}) as progress:
+        from epipole.pipelines.fields.meshing import mesh as run
+
+        found = run(source, out, job, progress)
+    text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
+    Console().print(text, highlight=False, markup=False)
+
+
+def compare_fields(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    job: Annotated[FieldOptions, tyro.conf.arg(name="")] = ALL_PICTURES,
+    config: Annotated[NerfConfig, tyro.conf.arg(name="")] = MARCHED,
+) -> None:
+    """Train Gaussians and a neural field for the same time, and compare them: likeness, speed, and work for each pixel.
+
+    Args:
+        source: As of `splat`: a folder of photographs or a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json.
+        out: Output folder: splat, nerf, pictures/NAME.png (truth, Gaussians, field), compare.json.
+        job: Which pictures, and for how long each is trained.
+        config: Which field the Gaussians are compared with.
+    """
+    from rich.console import Console
+
+    from epipole.screen import print_warnings, progress_on_screen
+
+    with progress_on_screen({**WORDS, "compare": "Comparing"}) as progress:
+        from epipole.pipelines.fields.comparison import compare_fields as run
+
+        result = run(source, out, config, job, progress)
+    console = Console()
+    console.print(_compared(result.rows, config.kind))
+    print_warnings(console, list(result.warnings[:10]))
+    console.print(f"written   {result.out}", highlight=False, markup=False)
+    if result.is_interrupted:
+        sys.exit(INTERRUPTED)
+
+
+def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
+    from rich.table import Table
+
+    table = Table("", "PSNR", "SSIM", "trained", "pictures a second", "for each pixel")
+    names = {"splat": "Gaussians", "nerf": "neural field" if kind == "hash" else "grid"}
+    for name, row in rows.items():
+        work = (
+            f"{row['queries']:.1f} queries"
+            if "queries" in row
+            else f"{row['evaluated']:.1f} pairs evaluated, {row['useful']:.1f} useful"
+        )
+        likeness = f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}"
+        table.add_row(names[name], *likeness, f"{row['train_s']:.0f} s", f"{row['frames_s']:.1f}", work)
+    return table
 
 
 def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: Path) -> None:
@@ -111,6 +188,7 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     console.print(table)
     print_warnings(console, list(warnings[:10]))
     console.print(f"written   {model}", highlight=False, markup=False)
+    console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
     console.print(f"look      epipole view {model.parent}", highlight=False, markup=False)
     console.print(f"video     epipole render {model.parent} round.mp4", highlight=False, markup=False)
     if summary["interrupted"]:

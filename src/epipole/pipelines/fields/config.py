@@ -109,3 +109,35 @@ class RenderJob:
             raise ConfigError(f"fps must be above 0 and at most 1000, got {self.fps}")
         if not -3600.0 <= self.turn_deg <= 3600.0:
             raise ConfigError(f"turn_deg must be within 3600 degrees, got {self.turn_deg}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshJob:
+    """From where a field's depth is drawn, and how fine the mesh is."""
+
+    cameras: Path | None = None
+    """Draw depth from these cameras: a transforms.json, a COLMAP model or an output folder; else from those of the training."""
+    voxels: int = 256
+    """Along the longest side of the box."""
+    most_views: int = 100
+    """Cameras that are used, spread over all."""
+    around: float = 0.98
+    """Share of what the field holds, along each axis, that the box takes in: the rest is far away or alone."""
+    width: int | None = None
+    """Of the depth pictures; as the cameras' own."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges.
+
+        Raises:
+            ConfigError: a value makes no sense.
+        """
+        check_fields(self)
+        if not 8 <= self.voxels <= 1024:
+            raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
+        if self.most_views < 1:
+            raise ConfigError(f"most_views must be 1 or more, got {self.most_views}")
+        if not 0.0 < self.around <= 1.0:
+            raise ConfigError(f"around must be above 0 and at most 1, got {self.around}")
+        if self.width is not None and not 1 <= self.width <= 16384:
+            raise ConfigError(f"width must be from 1 to 16384, got {self.width}")

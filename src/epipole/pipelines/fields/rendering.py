@@ -15,14 +15,14 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError
 from epipole.fields import RenderOptions
 from epipole.fields import render as draw
-from epipole.fields.voxel_field import draw_voxels
 from epipole.io.atomic import atomic_write
 from epipole.io.files import read_json
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
-from epipole.pipelines.fields.scene import GRID, SUMMARY, read_voxels, splat_view, told_first_view
+from epipole.pipelines.fields.kinds import kind_in
+from epipole.pipelines.fields.scene import SUMMARY, looked_at, splat_view, told_first_view
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
@@ -45,7 +45,7 @@ def render(
     progress: ProgressCallback = ignore_progress,
     **options: Any,
 ) -> Drawn:
-    """Draw trained Gaussians, or a trained grid.
+    """Draw trained Gaussians, a trained grid or neural field.
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians.
@@ -93,20 +93,15 @@ def render(
 def _drawer(
     source: Path, wanted: RenderJob, colour: np.ndarray
 ) -> tuple[Callable[[Shot], np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """What draws a shot of Gaussians, or of a grid; and position, middle and up of its first view."""
-    file = source / GRID if source.is_dir() else source
-    if file.suffix == ".npz" and file.is_file():
-        voxels = read_voxels(file)
-        middle = voxels.low + 0.5 * voxels.size * np.array(voxels.occupied.shape)
-        away = 1.5 * voxels.size * max(voxels.occupied.shape) * np.array([0.0, -0.3, -1.0])
-        known = told_first_view(file.with_name(SUMMARY)) or [
-            middle + away,
-            middle,
-            np.array([0.0, -1.0, 0.0]),
-        ]
+    """What draws a shot of Gaussians, or of a field that is marched through; and position, middle and up of its first view."""
+    found = kind_in(source)
+    if found is not None:
+        kind, file = found
+        field = kind.read(file)
+        position, look_at, up = told_first_view(file.with_name(SUMMARY)) or looked_at(kind.places(field))
         return (
-            lambda shot: draw_voxels(voxels, shot.camera, shot.cam_from_world, colour)[0],
-            (known[0], known[1], known[2]),
+            lambda shot: kind.draw(field, shot.camera, shot.cam_from_world, colour)[0],
+            (position, look_at, up),
         )
     view, options = splat_view(source), RenderOptions(antialiased=wanted.antialiased)
     return (

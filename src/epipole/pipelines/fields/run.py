@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from epipole._checks import as_path
-from epipole.config import options_of
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError
 from epipole.fields.config import SplatConfig
 from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.starting import cloud_of_points, points_in_silhouettes, share_in_view
 from epipole.io.gaussian_ply import write_gaussian_ply
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
-from epipole.pipelines.fields.scene import FIRST_VIEW, SPLAT, first_view_of
-from epipole.pipelines.fields.training import background_of, compared, finished, pictures_of, train
-from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, SPLAT, first_view_of, write_cameras
+from epipole.pipelines.fields.training import background_of, called, compared, finished, pictures_of, train
+from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 LEAST_POINTS = 100
 """Of a model: with fewer the first Gaussians are drawn."""
+LEAST_IN_VIEW = 0.02
+"""Of the points: with fewer in most pictures the cameras look elsewhere."""
 FIRST_SHARE = 0.1
 """Of the Gaussians in the end, where they are drawn."""
 BORNE, STEP_S = 3600.0, 0.02
 """Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
+PROGRAM_BYTES, WORK_BYTES, WORK_BYTES_OF_PIXEL = 230e6, 480, 200
+"""Memory of the program alone, and what a step, or writing the file, needs of each Gaussian, and a step of each pixel: measured."""
 PIXELS_OF_EACH = 80
 """Pixels for each Gaussian, which has 59 numbers: with fewer, what few pictures show is learnt by heart."""
 
@@ -61,7 +63,7 @@ def splat(
     Args:
         source: a folder of photographs or a video, whose cameras are found first (`OUT/sfm`); an output folder of
             `reconstruct`; a COLMAP model; or a transforms.json.
-        out: output folder: `splat.ply`, `test/NAME.png`, `metrics.json`.
+        out: output folder: `splat.ply`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options of the training; None for the defaults.
         job: which pictures, and for how long.
         progress: called with the progress of each stage.
@@ -74,34 +76,64 @@ def splat(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
-    wanted, config = options_of(FieldOptions, job, own), options_of(SplatConfig, config, options)
-    source, out = as_path(source), as_path(out)
-    if not source.exists():
-        raise FileFormatError(source, "there is no such file or folder")
-    settings = {"job": asdict(wanted), "config": asdict(config)}
-    task = Job(kind="splat", inputs=(source,), settings=settings, progress=progress)
-    with open_run(task, out) as run:
+    given = called("splat", (source, out), (SplatConfig, config), job, progress, options)
+    source, wanted, config = given.source, given.pictures, given.config
+    with open_run(given.task, given.out) as run:
         with run.stage("read"):
             pictures = pictures_of(source, run, wanted)
         run.warnings += pictures.problems
-        if config.max_gaussians is None:
-            config = replace(config, max_gaussians=_borne(pictures, wanted))
+        most = _fitting(config, pictures, wanted)
+        config = replace(config, max_gaussians=most)
         background = background_of(wanted, pictures)
         with run.stage("start"):
-            trainer = SplatTrainer(pictures.train, _start(pictures, config), config, background)
+            trainer = SplatTrainer(pictures.train, _start(pictures, config, run), config, background)
         with run.stage("train"):
-            checkpoint = Checkpoint(run.root, settings, pictures.train, trainer)
-            curve, is_interrupted = train(trainer, wanted, run, checkpoint)
+            checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
+            gigabytes = 1e-9 * _memory(pictures, most, config.sh_degree)
+            note = f"up to {most:,} Gaussians on {len(pictures.train)} pictures, about {gigabytes:.1f} GB"
+            trained = train(trainer, pictures, wanted, run, note, checkpoint)
         cloud = trainer.cloud
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
-        told: dict[str, Any] = {"num_gaussians": len(cloud), "interrupted": is_interrupted}
+            write_cameras(aside / CAMERAS, pictures.train)
+        told: dict[str, Any] = {"num_gaussians": len(cloud)}
         told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
-        summary = finished(trainer, pictures, compared(trainer, pictures, run), curve, run, **told)
-        if not is_interrupted:
+        summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)
+        if not trained.is_interrupted:
             checkpoint.remove()
         return SplatResult(run.root, cloud, summary, tuple(run.warnings))
+
+
+def _memory(pictures: FieldPictures, count: int, sh_degree: int) -> float:
+    """Bytes that a training of so many Gaussians takes, with the pictures in three sizes and what their comparison needs."""
+    views = [*pictures.train, *pictures.test]
+    held = sum(view.picture.nbytes for view in views) * 21 / 16
+    largest = max(view.camera.width * view.camera.height for view in views)
+    numbers = 3 * (11 + 3 * (1 + sh_degree) ** 2)
+    return PROGRAM_BYTES + held + WORK_BYTES_OF_PIXEL * largest + (4 * numbers + WORK_BYTES) * count
+
+
+def _fitting(config: SplatConfig, pictures: FieldPictures, wanted: FieldOptions) -> int:
+    """How many Gaussians there may be.
+
+    Raises:
+        ConfigError: the memory is too small for the pictures, or for as many as are asked for.
+    """
+    asked = config.max_gaussians
+    most = _borne(pictures, wanted) if asked is None else asked
+    if config.memory_gb is None:
+        return most
+    none = _memory(pictures, 0, config.sh_degree)
+    each = _memory(pictures, 1, config.sh_degree) - none
+    fits = int((1e9 * config.memory_gb - none) / each)
+    if fits < (LEAST_POINTS if asked is None else asked):
+        needs = _memory(pictures, LEAST_POINTS if asked is None else asked, config.sh_degree)
+        raise ConfigError(
+            f"memory_gb is {config.memory_gb:g}, and {needs / 1e9:.2f} are needed for these pictures and"
+            f" {LEAST_POINTS if asked is None else asked:,} Gaussians: smaller pictures (max_side_px) or"
+            " fewer Gaussians take less"
+        )
+    return min(most, fits)
 
 
 def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
@@ -111,11 +143,17 @@ def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
     return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, told)))
 
 
-def _start(pictures: FieldPictures, config: SplatConfig) -> GaussianCloud:
+def _start(pictures: FieldPictures, config: SplatConfig, run: Run) -> GaussianCloud:
+    """A Gaussian at each point that is known; where too few are, drawn where the cameras look."""
     points, rgb = pictures.points_in_world, pictures.rgb
     good = np.isfinite(points).all(axis=1)
     if good.sum() < LEAST_POINTS:
         count = max(LEAST_POINTS, int(FIRST_SHARE * (config.max_gaussians or 0)))
         points, rgb = points_in_silhouettes(pictures.train, count, config.seed)
         good = np.ones(len(points), bool)
+    elif share_in_view(pictures.train, points[good]) < LEAST_IN_VIEW:
+        run.warnings.append(
+            "most cameras look away from the points: are their axes those of the format (OpenGL's in a transforms.json,"
+            " OpenCV's in a COLMAP model)?"
+        )
     return cloud_of_points(points[good], rgb[good])

@@ -10,13 +10,16 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import Voxels, corners_of, gaussians_of, voxels_on
+from epipole.fields.voxel_field import gaussians_of
+from epipole.geometry import Rigid3
 from epipole.io.files import read_json
 from epipole.io.gaussian_files import read_gaussians
-from epipole.io.voxel_files import read_grid
+from epipole.io.transforms_json import model_of_cameras, write_transforms
+from epipole.pipelines.fields.kinds import kind_in
+from epipole.scene import Points
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
-SPLAT, GRID, SUMMARY, FIRST_VIEW = "splat.ply", "grid.npz", "summary.json", "first_view"
+SPLAT, SUMMARY, FIRST_VIEW, CAMERAS = "splat.ply", "summary.json", "first_view", "cameras.json"
 MOST_SHOWN = 800_000
 """Gaussians of a grid."""
 LENGTHS = "Lengths are in the unit of the cameras, metres only where these are metric"
@@ -30,28 +33,7 @@ def is_mine(path: Path) -> bool:
         with path.open("rb") as stream:
             head = stream.read(8192)
         return b" f_dc_0" in head or b" packed_position" in head
-    return (path / SPLAT).is_file() or _grid_in(path) is not None
-
-
-def _grid_in(path: Path) -> Path | None:
-    """A grid's file, itself or in an output folder."""
-    file = path if path.suffix == ".npz" else path / GRID
-    return file if file.is_file() else None
-
-
-def read_voxels(path: Path) -> Voxels:
-    """A grid that `nerf` has written.
-
-    Raises:
-        FileFormatError: the file is damaged.
-    """
-    found = read_grid(path)
-    rows = int(corners_of(found.cells).sum())
-    if rows != len(found.values):
-        raise FileFormatError(
-            path, f"holds {len(found.values)} rows of values, its cells have {rows} corners"
-        )
-    return voxels_on(found.cells, found.low, found.size, found.unit, found.values)
+    return (path / SPLAT).is_file() or kind_in(path) is not None
 
 
 def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
@@ -69,18 +51,26 @@ def splat_view(path: Path) -> SplatView:
     Raises:
         FileFormatError: the file is damaged.
     """
-    grid = _grid_in(path)
-    file = grid or (path if path.is_file() else path / SPLAT)
-    cloud = read_gaussians(file) if grid is None else gaussians_of(read_voxels(grid), MOST_SHOWN)
+    found = kind_in(path)
+    if found is None:
+        file = path if path.is_file() else path / SPLAT
+        cloud = read_gaussians(file)
+    else:
+        kind, file = found
+        cloud = gaussians_of(kind.voxels(kind.read(file)), MOST_SHOWN)
     known = told_first_view(file.with_name(SUMMARY))
     if known is None:
-        middle = np.median(cloud.means_in_world.astype(np.float64), axis=0)
-        size = float(np.median(np.linalg.norm(cloud.means_in_world - middle, axis=1)))
-        # As most such files are: the world of a camera, y down.
-        away = 3.0 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
-        known = [middle + away, middle, np.array([0.0, -1.0, 0.0])]
+        known = looked_at(cloud.means_in_world.astype(np.float64))
     position, look_at, up = known
     return SplatView(cloud, position, look_at, up, LENGTHS)
+
+
+def looked_at(places: np.ndarray) -> list[np.ndarray]:
+    """Position, middle and up of a view of places (n, 3) whose pictures are not known: as most such files are, the world of a camera, y down."""
+    middle = np.median(places, axis=0)
+    size = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    away = 3.0 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
+    return [middle + away, middle, np.array([0.0, -1.0, 0.0])]
 
 
 def first_view_of(places: np.ndarray, views: Sequence[TrainingView]) -> dict[str, list[float]]:
@@ -90,6 +80,23 @@ def first_view_of(places: np.ndarray, views: Sequence[TrainingView]) -> dict[str
     middle = np.median(places.astype(np.float64), axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     return {"position": world_from_camera.translation.tolist(), "look_at": middle.tolist(), "up": up.tolist()}
+
+
+def write_cameras(path: Path, views: Sequence[TrainingView]) -> None:
+    """Cameras that a field was trained on, without distortion and in the size of the training, as a transforms.json.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    places = [view.cam_from_world for view in views]
+    cams_from_world = Rigid3(
+        np.stack([place.rotation for place in places]), np.stack([place.translation for place in places])
+    )
+    cameras = [view.camera for view in views]
+    none = Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
+    names, rows = [view.name for view in views], list(range(len(views)))
+    model = model_of_cameras(names, cameras, rows, cams_from_world, none)
+    write_transforms(model, path, image_folder="")
 
 
 def told_first_view(summary: Path) -> list[np.ndarray] | None:

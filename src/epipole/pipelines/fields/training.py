@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.errors import WorkspaceError
+from epipole.config import options_of
+from epipole.errors import FileFormatError, WorkspaceError
+from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.photometric import likeness, psnr
 from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.page import FieldPage, drawn_name, render_page
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.sfm.run import reconstruct
-from epipole.runs import Run, heeded_interrupts
+from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
 
-METRICS, MODEL = "metrics.json", "sfm"
+METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
+C = TypeVar("C", SplatConfig, NerfConfig)
 CURVE_POINTS = 200
+PROBES, PROBED, PROBE_SHARE = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 3, 0.1
+"""At these shares of the training so many held-out views are drawn and compared; their time is not counted, but where it is more than
+this share of the training's the comparison is left out: fog is slow to draw."""
 
 
 @runtime_checkable
@@ -40,6 +49,60 @@ class Trainer(Protocol):
         """Gaussians, or voxels."""
 
 
+@dataclass(frozen=True, slots=True)
+class Called(Generic[C]):
+    """A job of training, as it was called."""
+
+    source: Path
+    out: Path
+    pictures: FieldOptions
+    config: C
+    settings: dict[str, Any]
+    task: Job
+
+
+def called(
+    kind: str,
+    paths: tuple[str | Path, str | Path],
+    configs: tuple[type[C], C | None],
+    job: FieldOptions | None,
+    progress: ProgressCallback,
+    options: dict[str, Any],
+) -> Called[C]:
+    """Put together what a job is called with.
+
+    Args:
+        kind: of the job.
+        paths: source and output folder.
+        configs: the class of the training's options, and these.
+        job: which pictures, and for how long.
+        progress: called with the progress of each stage.
+        options: single options of both by name.
+
+    Raises:
+        ConfigError: an option is unknown or makes no sense.
+        FileFormatError: there is no source.
+    """
+    own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
+    pictures, config = options_of(FieldOptions, job, own), options_of(*configs, options)
+    source, out = (as_path(path) for path in paths)
+    if not source.exists():
+        raise FileFormatError(source, "there is no such file or folder")
+    settings = {"job": asdict(pictures), "config": asdict(config)}
+    task = Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
+    return Called(source, out, pictures, config, settings, task)
+
+
+class Trained(NamedTuple):
+    """How a training went."""
+
+    curve: list[list[float]]
+    """Seconds, step, loss and size along the way."""
+    probes: list[list[float]]
+    """Seconds, step and mean PSNR of some held-out views."""
+    is_interrupted: bool
+
+
 def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
     """Cameras and pictures of a source; those of photographs are found first, in a folder beside."""
     if is_model(source):
@@ -57,21 +120,26 @@ def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
 
 
 def train(
-    trainer: Trainer, wanted: FieldOptions, run: Run, checkpoint: Checkpoint | None = None
-) -> tuple[list[list[float]], bool]:
-    """Steps until the time is over; seconds, step, loss and size along the way, and whether Ctrl-C ended it.
+    trainer: Trainer,
+    pictures: FieldPictures,
+    wanted: FieldOptions,
+    run: Run,
+    note: str = "",
+    checkpoint: Checkpoint | None = None,
+) -> Trained:
+    """Steps until the time is over.
 
     Ctrl-C is heeded between two steps: in the middle of one the state would be torn. Pressed again it interrupts as usual.
     """
-    limit, curve, earlier = wanted.seconds, list[list[float]](), 0.0
+    limit, curve, earlier, probes = wanted.seconds, list[list[float]](), 0.0, list[list[float]]()
     if checkpoint is not None:
         earlier, curve = checkpoint.restore()
     if trainer.num_steps:
         run.warnings.append(f"an earlier training was ended at step {trainer.num_steps}, and goes on")
-    begin, compiling = perf_counter(), compile_seconds()
+    begin, compiling, aside = perf_counter(), compile_seconds(), 0.0
 
     def seconds() -> float:
-        return earlier + perf_counter() - begin - (compile_seconds() - compiling)
+        return earlier + perf_counter() - begin - aside - (compile_seconds() - compiling)
 
     def done() -> float:
         if limit is None:
@@ -79,8 +147,17 @@ def train(
         return seconds() / limit
 
     is_over = False
+    run.report("train", 0, 100, note)
+    num_due = sum(share < done() for share in PROBES)
     with heeded_interrupts() as is_pressed:
         while (share := done()) < 1.0 and not is_over:
+            if num_due < len(PROBES) and share >= PROBES[num_due]:
+                num_due += 1
+                at, paused, compiled = seconds(), perf_counter(), compile_seconds()
+                likeness_then = _probed(trainer, pictures, PROBE_SHARE * at - aside)
+                aside += perf_counter() - paused - (compile_seconds() - compiled)
+                if likeness_then is not None:
+                    probes.append([at, trainer.num_steps, likeness_then])
             loss = trainer.step(share)
             is_over = is_pressed()
             if share * CURVE_POINTS >= len(curve):
@@ -93,7 +170,18 @@ def train(
                 _keep(checkpoint, seconds(), curve, run)
     if not is_over:
         run.report("train", 100, 100)
-    return curve, is_over
+    return Trained(curve, probes, is_over)
+
+
+def _probed(trainer: Trainer, pictures: FieldPictures, most_s: float) -> float | None:
+    """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
+    rows = np.unique(np.linspace(0, len(pictures.test) - 1, PROBED).astype(np.int64)).tolist()
+    begin, scores = perf_counter(), list[float]()
+    for view in [pictures.test[row] for row in rows] if pictures.test else []:
+        if perf_counter() - begin > most_s:
+            return None
+        scores.append(psnr(trainer.draw(view), view.over(trainer.background)))
+    return float(np.mean(scores)) if scores else None
 
 
 def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run: Run) -> None:
@@ -111,8 +199,9 @@ def compared(trainer: Trainer, pictures: FieldPictures, run: Run) -> list[dict[s
     with run.stage("test"), run.folder.publish("test") as aside:
         for n, view in enumerate(pictures.test):
             drawn, truth = trainer.draw(view), view.over(trainer.background)
-            name = f"{Path(view.name).with_suffix('')}.png".replace("/", "_")
-            write_png(aside / "test" / name, np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8))
+            write_png(
+                aside / "test" / drawn_name(view.name), np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
+            )
             score = {"name": view.name, "psnr": psnr(drawn, truth), "ssim": likeness(drawn, truth).ssim}
             scores.append(score)
             run.report("test", n + 1, len(pictures.test))
@@ -123,23 +212,31 @@ def finished(
     trainer: Trainer,
     pictures: FieldPictures,
     scores: list[dict[str, Any]],
-    curve: list[list[float]],
+    trained: Trained,
     run: Run,
     **more: Any,
 ) -> dict[str, Any]:
-    """Write `metrics.json` and end the run; the summary."""
+    """Write `metrics.json` and `report.html` and end the run; the summary."""
     summary: dict[str, Any] = {
         **more,
+        "interrupted": trained.is_interrupted,
         "num_train": len(pictures.train),
         "num_test": len(pictures.test),
         "steps": trainer.num_steps,
-        "train_s": curve[-1][0] if curve else 0.0,
+        "train_s": trained.curve[-1][0] if trained.curve else 0.0,
         "psnr": float(np.mean([one["psnr"] for one in scores])) if scores else None,
         "ssim": float(np.mean([one["ssim"] for one in scores])) if scores else None,
         "background": "white" if trainer.background[0] else "black",
         "timings_s": run.timings_s,
     }
-    columns = ["s", "step", "loss", "size"]
-    run.folder.write_json(METRICS, {**summary, "views": scores, "curve": {"columns": columns, "rows": curve}})
+    tables: dict[str, dict[str, list[Any]]] = {
+        "curve": {"columns": ["s", "step", "loss", "size"], "rows": trained.curve},
+        "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if pictures.test else []},
+    }
+    run.folder.write_json(METRICS, {**summary, "views": scores, **tables})
+    page = render_page(
+        FieldPage(summary, scores, pictures, trainer.background, tables, run.root, run.warnings)
+    )
+    run.folder.write_text(REPORT, page)
     run.finish(summary)
     return summary

@@ -1,0 +1,66 @@
+"""Pictures and cameras as rays, and cells that rays step over."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.fields._march_kernels import BLOCK
+from epipole.fields.training_view import TrainingView
+from epipole.geometry import Rigid3
+
+FULL = 255
+
+
+class Rays(NamedTuple):
+    """Pictures and cameras, as kernels read them."""
+
+    pixels: np.ndarray
+    """(total, 4) uint8, of all pictures."""
+    offset: np.ndarray
+    width: np.ndarray
+    lens: np.ndarray
+    """(views, 4) focal lengths and middle."""
+    rotation: np.ndarray
+    center: np.ndarray
+
+
+def rays_of(views: Sequence[TrainingView]) -> Rays:
+    """All pixels of all views."""
+    pixels, offset = [], [0]
+    for view in views:
+        flat = view.picture.reshape(-1, view.picture.shape[2])
+        if flat.shape[1] == 3:
+            flat = np.concatenate([flat, np.full((len(flat), 1), FULL, np.uint8)], axis=1)
+        pixels.append(flat)
+        offset.append(offset[-1] + len(flat))
+    return Rays(
+        np.ascontiguousarray(np.concatenate(pixels)),
+        np.array(offset, np.int64),
+        np.array([view.camera.width for view in views], np.int64),
+        *_places([view.camera for view in views], [view.cam_from_world for view in views]),
+    )
+
+
+def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
+    """Rays without pictures."""
+    none = np.zeros((0, 4), np.uint8)
+    return Rays(none, np.zeros(2, np.int64), np.array([camera.width]), *_places([camera], [cam_from_world]))
+
+
+def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, ...]:
+    lens = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
+    rotation = [place.rotation.reshape(9) for place in places]
+    centers = [place.inverse().translation for place in places]
+    return np.array(lens), np.array(rotation), np.array(centers)
+
+
+def blocks_of(cells: np.ndarray) -> np.ndarray:
+    """Whether a block of 8 x 8 x 8 of these cells (x, y, z) holds one that is set; uint8."""
+    padded = np.zeros([-(-side // BLOCK) * BLOCK for side in cells.shape], bool)
+    padded[tuple(slice(side) for side in cells.shape)] = cells
+    shape = [part for side in padded.shape for part in (side // BLOCK, BLOCK)]
+    return np.asarray(padded.reshape(shape).any(axis=(1, 3, 5)), np.uint8)

@@ -1,0 +1,113 @@
+"""A surface from depth pictures: signed distances in a volume (Curless and Levoy 1996), cut at 0 by marching cubes (Lewiner et al. 2003)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64, UInt8
+
+from epipole import _parallel
+from epipole.cameras import Camera
+from epipole.errors import DegenerateGeometryError
+from epipole.fields import _tsdf_kernels as kernels
+from epipole.geometry import Rigid3
+
+BAND = 3.0
+"""Voxels before and behind a surface within which distances are told."""
+PLANES_TOGETHER = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles, whose corners go round against the clock seen from outside."""
+
+    vertices_in_world: Float64[np.ndarray, "n 3"]
+    faces: Int64[np.ndarray, "m 3"]
+    rgb: UInt8[np.ndarray, "n 3"]
+
+    def __len__(self) -> int:
+        return len(self.faces)
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.vertices_in_world):,} vertices, {len(self.faces):,} triangles)"
+
+
+class DistanceVolume:
+    """Distances to what depth pictures show, voxel by voxel; the same for any number of threads.
+
+    Attributes:
+        distance: (x, y, z) in shares of the band, above 0 before a surface.
+        weight: (x, y, z) pictures that each voxel is seen in.
+    """
+
+    def __init__(self, low: np.ndarray, high: np.ndarray, voxels: int) -> None:
+        """Begin with nothing seen.
+
+        Args:
+            low: (3,) a corner of the box in the world.
+            high: (3,) the opposite one.
+            voxels: along its longest side.
+
+        Raises:
+            DegenerateGeometryError: the box is empty or not finite.
+        """
+        side = float(np.max(high - low))
+        if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all() and side > 0):
+            raise DegenerateGeometryError("the box of the mesh is empty")
+        self.low, self.size = low.astype(np.float64), side / voxels
+        x, y, z = np.maximum(np.ceil((high - low) / self.size - 1e-9), 2).astype(int).tolist()
+        self.distance, self.weight = np.ones((x, y, z), np.float32), np.zeros((x, y, z), np.float32)
+        self.colour = np.zeros((x, y, z, 3), np.float32)
+
+    def add(
+        self,
+        camera: Camera,
+        cam_from_world: Rigid3,
+        depth: Float32[np.ndarray, "h w"],
+        coverage: Float32[np.ndarray, "h w"],
+        rgb: Float32[np.ndarray, "h w 3"],
+    ) -> None:
+        """Fuse a picture of a pinhole.
+
+        Args:
+            camera: without distortion.
+            cam_from_world: where it is.
+            depth: along the optical axis, times coverage.
+            coverage: how much of a pixel is not background.
+            rgb: from 0 to 1, times coverage.
+        """
+        matrix = camera.K
+        lens = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+        view = np.array([*cam_from_world.rotation.ravel(), *cam_from_world.translation, *lens])
+        pictures = (np.ascontiguousarray(part, np.float32) for part in (depth, coverage, rgb))
+        seen = view, *pictures, self.low, self.size, BAND * self.size
+        count = len(self.distance)
+        _parallel.map_chunks(
+            lambda a, b, _: kernels.fuse(*seen, a, b, self.distance, self.weight, self.colour),
+            count,
+            -(-count // PLANES_TOGETHER),
+        )
+
+    def mesh(self) -> Mesh:
+        """The surface between what was seen before and behind it.
+
+        Raises:
+            DegenerateGeometryError: no surface was seen.
+        """
+        from skimage.measure import marching_cubes
+
+        seen, message = self.weight > 0, "no surface is seen within the box of the mesh"
+        if not (seen & (self.distance < 0)).any():
+            raise DegenerateGeometryError(message)
+        vertices, faces, _, _ = marching_cubes(self.distance, 0.0, gradient_direction="descent")
+        # What is nowhere seen has no distance: a vertex between it and what is seen is none.
+        ends = (seen[tuple(end(vertices).astype(np.int64).T)] for end in (np.floor, np.ceil))
+        faces = faces[np.logical_and(*ends)[faces].all(axis=1)]
+        if not len(faces):
+            raise DegenerateGeometryError(message)
+        used, faces = np.unique(faces, return_inverse=True)
+        vertices, faces = vertices[used], faces.reshape(-1, 3)
+        nearest = np.clip(np.rint(vertices).astype(np.int64), 0, np.array(self.distance.shape) - 1)
+        rgb = np.rint(255 * np.clip(self.colour[tuple(nearest.T)], 0, 1)).astype(np.uint8)
+        return Mesh(self.low + self.size * (vertices + 0.5), faces.astype(np.int64), rgb)

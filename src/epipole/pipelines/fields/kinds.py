@@ -1,0 +1,131 @@
+"""Fields that are marched through, behind one interface: an explicit grid, and a neural field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.errors import FileFormatError
+from epipole.fields.hash_field import HashField, Room, draw_hash, voxels_of
+from epipole.fields.hash_trainer import HashTrainer
+from epipole.fields.rays import blocks_of
+from epipole.fields.training_view import TrainingView
+from epipole.fields.voxel_field import Voxels, corners_of, draw_voxels, unit_of, voxels_on
+from epipole.fields.voxel_trainer import VoxelTrainer
+from epipole.geometry import Rigid3
+from epipole.io.hash_files import HashContents, read_hash, write_hash
+from epipole.io.voxel_files import WIDTH, GridContents, read_grid, write_grid
+
+Field = Any
+"""Voxels, or a HashField."""
+
+
+@runtime_checkable
+class FieldTrainer(Protocol):
+    """What trains a field that is marched through."""
+
+    background: np.ndarray
+    num_steps: int
+    field: Field
+
+    def step(self, progress: float) -> float:
+        """One step, at a share of the training; returns the loss."""
+
+    def draw(self, view: TrainingView) -> np.ndarray:
+        """(h, w, 3) the picture of a view."""
+
+    def __len__(self) -> int:
+        """Numbers, or rows of them, that are learnt."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """How a kind of field is trained, kept, and drawn."""
+
+    file: str
+    """In an output folder."""
+    count: str
+    """What its size is called in a summary."""
+    trainer: Callable[[Sequence[TrainingView], np.ndarray, int], FieldTrainer]
+    write: Callable[[Path, Field], None]
+    read: Callable[[Path], Field]
+    draw: Callable[[Field, Camera, Rigid3, np.ndarray], tuple[np.ndarray, np.ndarray, int]]
+    """The picture, depth along rays times coverage, and how often the field was asked."""
+    voxels: Callable[[Field], Voxels]
+    """As an explicit grid."""
+    places: Callable[[Field], np.ndarray]
+    """(n, 3) middles of the cells in which something is."""
+
+
+def kind_in(path: Path) -> tuple[Kind, Path] | None:
+    """The kind and the file of a trained field, itself or in an output folder; None where there is none."""
+    for kind in KINDS.values():
+        file = path if path.name == kind.file else path / kind.file
+        if file.is_file():
+            return kind, file
+    return None
+
+
+def read_voxels(path: Path) -> Voxels:
+    """A grid that `nerf` has written.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    found = read_grid(path)
+    rows = int(corners_of(found.cells).sum())
+    if rows != len(found.values):
+        raise FileFormatError(
+            path, f"holds {len(found.values)} rows of values, its cells have {rows} corners"
+        )
+    return voxels_on(found.cells, found.low, found.size, found.unit, found.values)
+
+
+def _write_voxels(path: Path, voxels: Voxels) -> None:
+    cells = voxels.occupied.astype(bool)
+    contents = GridContents(cells, voxels.values[:, :WIDTH], voxels.low, voxels.size, unit_of(voxels))
+    write_grid(path, contents)
+
+
+def _places_of_voxels(voxels: Voxels) -> np.ndarray:
+    cells = voxels.seen if voxels.seen.any() else voxels.occupied
+    return voxels.low + voxels.size * (np.argwhere(cells) + 0.5)
+
+
+def read_neural(path: Path) -> HashField:
+    """A neural field that `nerf` has written.
+
+    Raises:
+        FileFormatError: the file is damaged.
+    """
+    found = read_hash(path)
+    room = Room(found.occupied.astype(np.uint8), blocks_of(found.occupied), found.low, found.size)
+    return HashField(room, found.cells, found.tables, found.weights)
+
+
+def _write_neural(path: Path, field: HashField) -> None:
+    room = field.room
+    occupied = room.occupied.astype(bool)
+    write_hash(path, HashContents(occupied, room.low, room.size, field.cells, field.tables, field.weights))
+
+
+def _places_of_neural(field: HashField) -> np.ndarray:
+    return field.room.low + field.room.size * (np.argwhere(field.room.occupied) + 0.5)
+
+
+KINDS = {
+    "grid": Kind(
+        *("grid.npz", "num_voxels", VoxelTrainer, _write_voxels, read_voxels, draw_voxels),
+        *(lambda voxels: voxels, _places_of_voxels),
+    ),
+    "hash": Kind(
+        *("hash.npz", "num_parameters", HashTrainer, _write_neural, read_neural, draw_hash),
+        *(voxels_of, _places_of_neural),
+    ),
+}
+"""By the name of `NerfConfig.kind`."""

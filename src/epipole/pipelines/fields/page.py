@@ -1,0 +1,106 @@
+"""The page of a trained field: held-out views beside their pictures, likeness against time, counts and timings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.fields.training_view import TrainingView
+from epipole.image import color_map
+from epipole.io.photographs import read_rgb
+from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.report.charts import draw_curves, draw_timings
+from epipole.report.frame import render
+from epipole.report.pictures import picture_uri
+
+MOST_VIEWS, LARGEST_ERROR = 8, 0.25
+"""Views that are shown, spread over all; and the error that has the last colour, in shares of white."""
+COUNTS = {"num_gaussians": "Gaussians", "num_voxels": "corners of voxels", "num_parameters": "numbers learnt"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldPage:
+    """What the page is made of."""
+
+    summary: dict[str, Any]
+    scores: list[dict[str, Any]]
+    pictures: FieldPictures
+    background: np.ndarray
+    tables: dict[str, dict[str, list[Any]]]
+    root: Path
+    warnings: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    name: str
+    psnr: str
+    ssim: str
+    pictures: list[tuple[str, str]]
+    """Caption and data URI of truth, drawing and error."""
+
+
+def drawn_name(name: str) -> str:
+    """The file of a held-out view's drawing."""
+    return f"{Path(name).with_suffix('')}.png".replace("/", "_")
+
+
+def render_page(page: FieldPage) -> str:
+    """One HTML page with everything inside it."""
+    summary = page.summary
+    rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
+    shown = [_view(page, page.pictures.test[row], page.scores[row]) for row in rows if page.scores]
+    return render(
+        __package__,
+        "field.html.jinja",
+        title="Radiance field",
+        psnr=None if summary["psnr"] is None else f"{summary['psnr']:.2f}",
+        warnings=list(page.warnings),
+        figures=_figures(summary),
+        curves=_curves(page),
+        views=shown,
+        num_views=len(page.scores),
+        largest_error=f"{100 * LARGEST_ERROR:.0f}",
+        timings=draw_timings(summary["timings_s"]),
+    )
+
+
+def _figures(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = [(words, f"{summary[name]:,}") for name, words in COUNTS.items() if name in summary]
+    rows += [
+        ("pictures trained on", str(summary["num_train"])),
+        ("pictures held out", str(summary["num_test"])),
+        ("steps", f"{summary['steps']:,}"),
+        ("seconds of training", f"{summary['train_s']:.1f}"),
+        ("background", summary["background"]),
+    ]
+    if summary["psnr"] is not None:
+        rows += [("PSNR, dB", f"{summary['psnr']:.2f}"), ("SSIM", f"{summary['ssim']:.4f}")]
+    return rows
+
+
+def _curves(page: FieldPage) -> list[Any]:
+    columns = list(zip(*page.tables["curve"]["rows"])) or [(), (), (), ()]
+    drawn = []
+    held = [*page.tables["held_out"]["rows"]]
+    if held:
+        if page.summary["psnr"] is not None:
+            held.append([page.summary["train_s"], page.summary["steps"], page.summary["psnr"]])
+        seconds, _, likeness = zip(*held)
+        drawn.append(draw_curves({"held out": (seconds, likeness)}, "seconds", "PSNR, dB", even_y=True))
+    drawn.append(draw_curves({"loss": (columns[0], columns[2])}, "seconds", "loss of a step"))
+    return drawn
+
+
+def _view(page: FieldPage, view: TrainingView, score: dict[str, Any]) -> _View:
+    truth = np.rint(255 * view.over(page.background)).astype(np.uint8)
+    drawn = read_rgb(page.root / "test" / drawn_name(view.name))
+    error = np.abs(drawn.astype(np.float64) - truth).mean(axis=2) / 255
+    heat = color_map(error, (0.0, LARGEST_ERROR))
+    captions = ("picture", "drawn", "error")
+    sources = [picture_uri(one) for one in (truth, drawn, heat)]
+    return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))

@@ -1,0 +1,53 @@
+"""`epipole.compare_fields`: both fields trained and drawn, and the work for each pixel counted."""
+
+import json
+
+import numpy as np
+import pytest
+from fields_scenes import views
+from test_fields_run import frames_of, lens
+
+from epipole import compare_fields
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io.photographs import read_rgb
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare") / "scene"
+    folder.mkdir()
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    return folder
+
+
+def test_both_are_trained_and_drawn(source, tmp_path):
+    result = compare_fields(source, tmp_path / "out", test_every=7, steps=60, kind="grid")
+    told = json.loads((result.out / "compare.json").read_text())
+    assert told["held_out"] and told["views"] == 2 and told["kind"] == "grid" and not result.is_interrupted
+    for name in ("splat", "nerf"):
+        assert told[name] == result.rows[name]
+        assert told[name]["psnr"] > 18 and told[name]["frames_s"] > 0 and told[name]["train_s"] > 0
+        own = json.loads((result.out / name / "metrics.json").read_text())
+        assert told[name]["psnr"] == pytest.approx(own["psnr"], abs=1e-6)
+    assert told["splat"]["evaluated"] > told["splat"]["useful"] > 0.5 and told["nerf"]["queries"] > 0.5
+    beside = read_rgb(result.out / "pictures" / "images_00.png")
+    truth = np.rint(255 * views()[0].over(np.ones(3, np.float32))).astype(int)
+    height, width, _ = truth.shape
+    assert beside.shape == (height, 3 * width, 3)
+    assert np.abs(beside[:, :width].astype(int) - truth).max() <= 1
+    np.testing.assert_array_equal(
+        beside[:, width : 2 * width], read_rgb(result.out / "splat/test/images_00.png")
+    )
+
+
+def test_without_held_out_views_those_of_the_training_are_compared(source, tmp_path):
+    result = compare_fields(source, tmp_path / "out", test_every=0, steps=2, kind="hash")
+    told = json.loads((result.out / "compare.json").read_text())
+    assert not told["held_out"] and told["views"] == len(views())
+
+
+def test_what_cannot_be_compared(source, tmp_path):
+    with pytest.raises(FileFormatError, match="no such file"):
+        compare_fields(tmp_path / "none", tmp_path / "out")
+    with pytest.raises(ConfigError, match="kind"):
+        compare_fields(source, tmp_path / "out", kind="mlp")

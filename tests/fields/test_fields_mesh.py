@@ -1,0 +1,141 @@
+"""Meshes: depth pictures fused into distances, surfaces against known ones, and `epipole.mesh` of every kind of field."""
+
+import json
+
+import numpy as np
+import pytest
+from fields_scenes import CAMERA, views
+from plyfile_of import mesh_in
+from test_fields_run import frames_of, lens
+
+from epipole import mesh, nerf, splat
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
+from epipole.fields import _tsdf_kernels
+from epipole.fields.tsdf import BAND, DistanceVolume
+from epipole.io.mesh_ply import write_mesh_ply
+from epipole.synthetic import look_at
+from kernel_references import reference_of
+
+LENS = Camera("PINHOLE", 160, 120, [150.0, 150.0, 79.5, 59.5])
+AROUND = [
+    look_at(
+        3.0 * np.array([np.sqrt(1 - z * z) * np.cos(2.4 * n), np.sqrt(1 - z * z) * np.sin(2.4 * n), z]),
+        (0, 0, 0),
+    )
+    for n, z in enumerate(np.linspace(-0.9, 0.9, 24))
+]
+
+
+def sphere_seen(place, radius=0.8):
+    """Depth along the axis times coverage, coverage, and colour of a ball at the middle."""
+    v, u = np.mgrid[:120, :160]
+    rays = np.stack([(u - 79.5) / 150.0, (v - 59.5) / 150.0, np.ones(u.shape)], axis=2)
+    middle = place.apply(np.zeros((1, 3)))[0]
+    a, b, c = (rays**2).sum(2), rays @ middle, middle @ middle - radius**2
+    root = b * b - a * c
+    depth = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
+    seen = (root > 0).astype(np.float32)
+    return depth.astype(np.float32), seen, np.float32([0.8, 0.4, 0.2]) * seen[..., None]
+
+
+def volume_of(places, voxels=48):
+    volume = DistanceVolume(np.full(3, -1.0), np.full(3, 1.0), voxels)
+    for place in places:
+        volume.add(LENS, place, *sphere_seen(place))
+    return volume
+
+
+@reference_of(_tsdf_kernels.fuse)
+def test_distances_are_means_of_what_pictures_say():
+    volume = volume_of(AROUND[:3], 12)
+    total, count = np.zeros((12,) * 3), np.zeros((12,) * 3)
+    for i, j, k in np.ndindex(12, 12, 12):
+        place_in_world = -1.0 + (np.array([i, j, k]) + 0.5) / 6.0
+        for place in AROUND[:3]:
+            x, y, z = place.apply(place_in_world[None])[0]
+            column, row = np.floor([150.0 * x / z + 80.0, 150.0 * y / z + 60.0]).astype(int)
+            if not (0 <= row < 120 and 0 <= column < 160):
+                continue
+            depth, seen, _ = sphere_seen(place)
+            ahead = (depth[row, column] - z) / (BAND / 6.0) if seen[row, column] else 1.0
+            if ahead >= -1.0:
+                total[i, j, k] += min(ahead, 1.0)
+                count[i, j, k] += 1
+    np.testing.assert_array_equal(volume.weight, count)
+    seen = count > 0
+    np.testing.assert_allclose(volume.distance[seen], (total / np.maximum(count, 1))[seen], atol=1e-5)
+
+
+def test_a_ball_is_a_closed_surface_of_its_size():
+    found = volume_of(AROUND).mesh()
+    radius = np.linalg.norm(found.vertices_in_world, axis=1)
+    assert np.percentile(np.abs(radius - 0.8), 95) < 0.5 * 2.0 / 48
+    a, b, c = (found.vertices_in_world[found.faces[:, n]] for n in range(3))
+    volume = (np.cross(a, b) * c).sum() / 6.0  # above 0 where faces look outwards
+    assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.04)
+    np.testing.assert_allclose(np.median(found.rgb, axis=0), [204, 102, 51], atol=1)
+    edges = np.sort(
+        np.concatenate([found.faces[:, [0, 1]], found.faces[:, [1, 2]], found.faces[:, [2, 0]]]), axis=1
+    )
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
+
+
+def test_what_holds_no_surface_is_refused():
+    with pytest.raises(DegenerateGeometryError, match="no surface"):
+        DistanceVolume(np.zeros(3), np.ones(3), 8).mesh()
+    with pytest.raises(DegenerateGeometryError, match="box"):
+        DistanceVolume(np.zeros(3), np.zeros(3), 8)
+
+
+def test_files_hold_the_triangles(tmp_path):
+    vertices, faces = np.eye(4, 3), np.array([[0, 1, 2], [1, 2, 3]])
+    write_mesh_ply(tmp_path / "a.ply", vertices, faces, np.arange(12).reshape(4, 3))
+    found = mesh_in(tmp_path / "a.ply")
+    np.testing.assert_allclose(found[0], vertices)
+    np.testing.assert_array_equal(found[1], faces)
+    np.testing.assert_array_equal(found[2], np.arange(12).reshape(4, 3))
+    with pytest.raises(ShapeError, match="not there"):
+        write_mesh_ply(tmp_path / "b.ply", vertices, faces + 1, np.zeros((4, 3)))
+    with pytest.raises(ShapeError, match="vertices"):
+        write_mesh_ply(tmp_path / "b.ply", vertices, faces, np.zeros((3, 3)))
+    assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mesh") / "scene"
+    folder.mkdir()
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["splat", "grid"])
+def test_a_trained_field_has_a_surface(source, tmp_path, kind):
+    if kind == "splat":
+        splat(source, tmp_path / "out", steps=200, max_gaussians=500, test_every=0)
+    else:
+        nerf(source, tmp_path / "out", steps=150, kind=kind, test_every=0)
+    found = mesh(tmp_path / "out", tmp_path / "mesh.ply", voxels=48)
+    vertices, faces, _ = mesh_in(tmp_path / "mesh.ply")
+    assert len(faces) == len(found) > 500 and len(vertices) == len(found.vertices_in_world)
+    assert np.percentile(np.linalg.norm(vertices, axis=1), 95) < 1.2
+    again = mesh(
+        tmp_path / "out", tmp_path / "b.ply", voxels=48, cameras=source / "transforms.json", most_views=5
+    )
+    assert len(again) > 200
+
+
+def test_what_gives_no_mesh(source, tmp_path):
+    with pytest.raises(FileFormatError, match="no such file"):
+        mesh(tmp_path / "none", tmp_path / "a.ply")
+    splat(source, tmp_path / "out", steps=2, test_every=0)
+    (tmp_path / "alone.ply").write_bytes((tmp_path / "out" / "splat.ply").read_bytes())
+    with pytest.raises(NoModelError, match="give the cameras"):
+        mesh(tmp_path / "alone.ply", tmp_path / "a.ply")
+    with pytest.raises(ConfigError, match="voxels"):
+        mesh(tmp_path / "out", tmp_path / "a.ply", voxels=2)
+    for wrong in ("a.obj", "out"):
+        with pytest.raises(ConfigError, match=r"ends in \.ply"):
+            mesh(tmp_path / "out", tmp_path / wrong)
+    assert not (tmp_path / "a.ply").exists() and CAMERA.width == 64
