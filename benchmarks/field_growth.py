@@ -21,8 +21,8 @@ from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import multiplied
-from epipole.fields import render
 from epipole.fields.config import SplatConfig
+from epipole.fields.rasterizer import render
 from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.io.gaussian_files import read_gaussians

@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
-from epipole.fields import RenderOptions
 from epipole.fields.rasterizer import (
+    RenderOptions,
     arrays_of,
     blend,
     gradient_of,

@@ -1,6 +1,7 @@
 """Every command, end to end, on rendered photographs."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -157,6 +158,15 @@ def test_help_is_quick_and_loads_nothing_heavy():
         times.append(time.perf_counter() - begin)
     assert "reconstruct" in printed
     assert min(times) < 0.6
+    loaded = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "epipole.cli.main", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stderr
+    assert re.search(r"\| +tyro$", loaded, re.MULTILINE)
+    for heavy in ("numpy", "numba", "scipy", "cv2", "jinja2", "viser", "PIL"):
+        assert not re.search(rf"\| +{heavy}$", loaded, re.MULTILINE), heavy
 
 
 def test_undistort_says_what_it_cannot_write(tmp_path):

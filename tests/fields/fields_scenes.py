@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.fields import render
+from epipole.fields.rasterizer import render
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at

@@ -9,8 +9,8 @@ from test_fields_run import frames_of, lens
 
 from epipole import nerf, render
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
-from epipole.fields import render as draw
 from epipole.fields.photometric import psnr
+from epipole.fields.rasterizer import render as draw
 from epipole.fields.voxel_field import gaussians_of
 from epipole.io.hash_files import HashContents, write_hash
 from epipole.io.photographs import read_rgb

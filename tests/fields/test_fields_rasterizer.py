@@ -7,18 +7,13 @@ from plain_rasterizer import plain_render
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields import (
-    RenderOptions,
-    _blend_kernels,
-    _gradient_kernels,
-    _projection_kernels,
-    _tile_kernels,
-    render,
-)
+from epipole.fields import _blend_kernels, _gradient_kernels, _projection_kernels, _tile_kernels
 from epipole.fields.rasterizer import (
+    RenderOptions,
     arrays_of,
     blend,
     gradient_of,
+    render,
     sums_of_pairs,
     tiles_of,
     useful_pairs,

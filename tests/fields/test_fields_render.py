@@ -10,7 +10,7 @@ from test_fields_run import frames_of, lens
 
 from epipole import render
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.fields import render as draw
+from epipole.fields.rasterizer import render as draw
 from epipole.io.gaussian_files import write_gaussians
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.cameras import orbit

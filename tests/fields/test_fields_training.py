@@ -7,13 +7,23 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.fields import RenderOptions, _gradient_kernels, render
 from epipole.fields.config import SplatConfig
 from epipole.fields.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.growing_cloud import GrowingCloud
 from epipole.fields.growth import FAINTER, Growth, halves
 from epipole.fields.photometric import psnr
-from epipole.fields.rasterizer import Cloud, arrays_of, blend, gradient_of, sums_of_pairs, tiles_of, view_of
+from epipole.fields.rasterizer import (
+    Cloud,
+    RenderOptions,
+    _gradient_kernels,
+    arrays_of,
+    blend,
+    gradient_of,
+    render,
+    sums_of_pairs,
+    tiles_of,
+    view_of,
+)
 from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.starting import cloud_of_points, points_in_silhouettes
 from epipole.fields.training_view import TrainingView

@@ -9,7 +9,7 @@ from test_io_gaussian_ply import PARTS
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
-from epipole.fields import render
+from epipole.fields.rasterizer import render
 from epipole.geometry import Rigid3
 from epipole.io.gaussian_files import read_gaussians, write_gaussians
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud

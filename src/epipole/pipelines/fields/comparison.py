@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from epipole.fields import render as draw
 from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.photometric import likeness, psnr
+from epipole.fields.rasterizer import render as draw
 from epipole.fields.rasterizer import useful_pairs
 from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png

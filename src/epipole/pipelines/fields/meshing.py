@@ -12,7 +12,7 @@ from epipole._checks import as_path
 from epipole.cameras import Camera
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
-from epipole.fields import render as draw
+from epipole.fields.rasterizer import render as draw
 from epipole.fields.tsdf import DistanceVolume, Mesh
 from epipole.io.gaussian_files import read_gaussians
 from epipole.io.mesh_ply import write_mesh_ply

@@ -13,8 +13,8 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.errors import FileFormatError
-from epipole.fields import RenderOptions
-from epipole.fields import render as draw
+from epipole.fields.rasterizer import RenderOptions
+from epipole.fields.rasterizer import render as draw
 from epipole.io.atomic import atomic_write
 from epipole.io.files import read_json
 from epipole.io.rgba_pictures import write_png
