@@ -7,6 +7,7 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
+from epipole.fields import _gradient_kernels
 from epipole.fields.config import SplatConfig
 from epipole.fields.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.growing_cloud import GrowingCloud
@@ -15,7 +16,6 @@ from epipole.fields.photometric import psnr
 from epipole.fields.rasterizer import (
     Cloud,
     RenderOptions,
-    _gradient_kernels,
     arrays_of,
     blend,
     gradient_of,

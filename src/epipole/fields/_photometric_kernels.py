@@ -48,3 +48,37 @@ def add_up(x, y, by_mean, by_xx, by_xy, start, stop, absolute, out):
             out[k] = by_mean[k] + two * x[k] * by_xx[k] + y[k] * by_xy[k] + sign
         total += part
     return total
+
+
+@kernel(fuse=True)
+def map_colours(colour, coverage, colours, background, start, stop, out):
+    """Pixels start..stop of `out` (n, 3) get A C + b K + (1 - K) background, with colours (3, 4) = A and b, and C times coverage K."""
+    for n in range(start, stop):
+        x, y, z, shown = colour[n, 0], colour[n, 1], colour[n, 2], coverage[n]
+        left = np.float32(1.0) - shown
+        for k in range(3):
+            mapped = colours[k, 0] * x + colours[k, 1] * y + colours[k, 2] * z + colours[k, 3] * shown
+            out[n, k] = mapped + left * background[k]
+
+
+@kernel(fuse=True)
+def map_colours_back(
+    colour, coverage, colours, background, by_mapped, start, stop, by_colour, by_coverage, part, total
+):
+    """Derivatives by C and K of the pixels start..stop; total (12,) += that by A and b, row by row; part (12,) is work."""
+    for begin in range(start, stop, BLOCK):
+        part[:] = 0.0
+        for n in range(begin, min(begin + BLOCK, stop)):
+            red, green, blue = by_mapped[n, 0], by_mapped[n, 1], by_mapped[n, 2]
+            by_shown = np.float32(0.0)
+            for k in range(3):
+                by = by_mapped[n, k]
+                by_colour[n, k] = colours[0, k] * red + colours[1, k] * green + colours[2, k] * blue
+                by_shown += by * (colours[k, 3] - background[k])
+                part[4 * k] += by * colour[n, 0]
+                part[4 * k + 1] += by * colour[n, 1]
+                part[4 * k + 2] += by * colour[n, 2]
+                part[4 * k + 3] += by * coverage[n]
+            by_coverage[n] = by_shown
+        for k in range(12):
+            total[k] += part[k]

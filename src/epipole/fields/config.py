@@ -24,6 +24,12 @@ class SplatConfig:
     """Share of SSIM in the loss; the rest is L1."""
     antialiased: bool = False
     """Train with Mip-Splatting's filter: for pictures of many sizes."""
+    exposure: bool = False
+    """Learn a map of colours for each picture: where cameras chose exposure and white balance anew."""
+    refine_poses: bool = False
+    """Move the cameras, too: where they are less sure than to a pixel."""
+    depth_weight: float = 0.2
+    """Weight of the depths of the model's points in the loss, against the pictures' 1."""
     seed: int = 0
     """Of all that is drawn."""
 
@@ -42,6 +48,8 @@ class SplatConfig:
             raise ConfigError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         if not (math.isfinite(self.ssim_weight) and 0 <= self.ssim_weight <= 1):
             raise ConfigError(f"ssim_weight must be from 0 to 1, got {self.ssim_weight}")
+        if not (math.isfinite(self.depth_weight) and 0 <= self.depth_weight <= 100):
+            raise ConfigError(f"depth_weight must be from 0 to 100, got {self.depth_weight}")
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")
 

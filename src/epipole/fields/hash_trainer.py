@@ -25,7 +25,7 @@ from epipole.fields.hash_field import (
     sampled,
     seen,
 )
-from epipole.fields.rays import blocks_of, rays_of
+from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
 
@@ -98,7 +98,7 @@ class HashTrainer:
             progress: share of the training that is done, from 0 to 1.
         """
         count = self._num_rays
-        chosen = self._rng.integers(0, len(self.rays.pixels), count)
+        chosen = drawn_pixels(self.rays, count, self._rng)
         first = self._rng.random(count, np.float32) - np.float32(1.0)
         with _parallel.single_threaded_blas():
             parts = _parallel.map_chunks(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole.cameras import Camera
+from epipole.errors import ConfigError
 from epipole.fields._march_kernels import BLOCK
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
@@ -26,6 +27,8 @@ class Rays(NamedTuple):
     """(views, 4) focal lengths and middle."""
     rotation: np.ndarray
     center: np.ndarray
+    used: np.ndarray
+    """(n,) pixels that are learnt from; empty: all."""
 
 
 def rays_of(views: Sequence[TrainingView]) -> Rays:
@@ -42,16 +45,45 @@ def rays_of(views: Sequence[TrainingView]) -> Rays:
         np.array(offset, np.int64),
         np.array([view.camera.width for view in views], np.int64),
         *_places([view.camera for view in views], [view.cam_from_world for view in views]),
+        _used(views, offset),
     )
+
+
+def drawn_pixels(rays: Rays, count: int, rng: np.random.Generator) -> np.ndarray:
+    """So many pixels of all that are learnt from."""
+    if not len(rays.used):
+        return rng.integers(0, len(rays.pixels), count)
+    return np.asarray(rays.used[rng.integers(0, len(rays.used), count)])
+
+
+def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
+    """Pixels that no mask takes out.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if all(view.used_mask is None for view in views):
+        return np.empty(0, np.int64)
+    masks = [np.ones(v.picture.shape[:2], bool) if v.used_mask is None else v.used_mask for v in views]
+    used = np.concatenate([start + np.flatnonzero(mask) for start, mask in zip(offset, masks)])
+    if not len(used):
+        raise ConfigError("the masks leave no pixel of any picture")
+    return used
 
 
 def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
     """Rays without pictures."""
     none = np.zeros((0, 4), np.uint8)
-    return Rays(none, np.zeros(2, np.int64), np.array([camera.width]), *_places([camera], [cam_from_world]))
+    return Rays(
+        none,
+        np.zeros(2, np.int64),
+        np.array([camera.width]),
+        *_places([camera], [cam_from_world]),
+        np.empty(0, np.int64),
+    )
 
 
-def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, ...]:
+def _places(cameras: Sequence[Camera], places: Sequence[Rigid3]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     lens = [[camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]] for camera in cameras]
     rotation = [place.rotation.reshape(9) for place in places]
     centers = [place.inverse().translation for place in places]

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
+from epipole.fields.exposure import Exposures
 from epipole.fields.gaussian_adam import GaussianAdam, Rates
 from epipole.fields.growing_cloud import GrowingCloud
 from epipole.fields.growth import Growth, halves
 from epipole.fields.photometric import likeness
+from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
+from epipole.fields.pose_steps import PoseSteps
 from epipole.fields.rasterizer import (
     Cloud,
+    Rendering,
     RenderOptions,
     arrays_of,
     blend,
@@ -23,7 +28,7 @@ from epipole.fields.rasterizer import (
     view_of,
 )
 from epipole.fields.training_view import TrainingView
-from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
+from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 SIZES = ((0.10, 4), (0.35, 2), (1.0, 1))
 """Pictures are so many times smaller until that share of the training."""
@@ -88,6 +93,10 @@ class SplatTrainer:
         self._size = _size_of(self._arrays.means)
         dropped = min(MOST_DROPPED, 2.0 / len(self.views))
         self._drop = dropped if dropped >= LEAST_DROPPED else 0.0
+        self._exposures = Exposures(len(self.views)) if config.exposure else None
+        places = [view.cam_from_world for view in self.views]
+        self._poses = PoseSteps(places, self._size) if config.refine_poses else None
+        self._depths: dict[tuple[int, int], PointDepths] = {}
         self._growth, self._num_changes = Growth(len(start)), 0
         self._order: list[int] = []
         self._smaller: dict[tuple[int, int], TrainingView] = {}
@@ -122,6 +131,7 @@ class SplatTrainer:
             "counts": np.array(counts, np.int64),
             "size": np.array(self._size),
             "rng": np.array(json.dumps(self._rng.bit_generator.state)),
+            **{name: value for part in self._own() for name, value in part.state().items()},
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -134,6 +144,17 @@ class SplatTrainer:
         self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
         self._size = float(state["size"])
         self._rng.bit_generator.state = json.loads(str(state["rng"]))
+        for part in self._own():
+            part.restore(state)
+
+    def _own(self) -> list[Exposures | PoseSteps]:
+        """What the views have of their own."""
+        return [part for part in (self._exposures, self._poses) if part is not None]
+
+    @property
+    def placed_views(self) -> list[TrainingView]:
+        """The views, from where their cameras now are."""
+        return [self._view(number, 1) for number in range(len(self.views))]
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
@@ -147,37 +168,85 @@ class SplatTrainer:
             progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
         """
         self._raise_degree(progress)
-        self.loss = self._learn(self._next_view(progress), progress)
+        number = self._next_view()
+        self.loss = self._learn(number, self._factor(number, progress), progress)
         self.num_steps += 1
+        if self._exposures is not None and self.num_steps % len(self.views) == 0:
+            self._take(self._exposures.taken_mean())
         if progress < GROWN and progress * CHANGES / GROWN >= self._num_changes + 1:
             self._num_changes = int(progress * CHANGES / GROWN)
             self._change(progress)
         return self.loss
 
-    def _learn(self, of: TrainingView, progress: float) -> float:
-        """Move what a view sees; returns the loss."""
+    def _learn(self, number: int, factor: int, progress: float) -> float:
+        """Move what a view sees, in pictures `factor` times smaller; returns the loss."""
+        of = self._view(number, factor)
         view = view_of(of.camera, of.cam_from_world, self.options)
         drawn = blend(tiles_of(self._arrays, view, self._shown(progress)), view)
-        found = likeness(drawn.over(self.background), of.over(self.background), self.config.ssim_weight)
-        by_coverage = -(found.by_picture @ self.background) if self.background.any() else None
-        by_pair = sums_of_pairs(drawn, found.by_picture, None, by_coverage)
-        pull, _ = self._adam.move(
+        loss, by_colour, by_coverage = self._compare(number, of, drawn, progress)
+        depths = depth_loss(drawn, self._known(number, factor), self.config.depth_weight)
+        by_pair = sums_of_pairs(drawn, by_colour, depths.by_depth, by_coverage + depths.by_coverage)
+        pull, by_pose = self._adam.move(
             self._arrays, view, drawn.tiles, by_pair, self._rates(progress), self.num_steps + 1
         )
         self._growth.add(pull, drawn.tiles.gaussian, view.width)
-        return found.loss
+        if self._poses is not None:
+            self._poses.move(number, by_pose, progress)
+        return loss + depths.loss
 
-    def _next_view(self, progress: float) -> TrainingView:
-        """Each view once, in an order that is drawn anew each time, in the size of the schedule."""
+    def _compare(
+        self, number: int, of: TrainingView, drawn: Rendering, progress: float
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """The loss of a drawing, in the view's colours and where it is used, and its derivatives by colour and coverage."""
+        exposures, behind = self._exposures, self.background
+        seen = drawn.over(behind) if exposures is None else exposures.applied(number, drawn, behind)
+        truth = of.over(behind)
+        if of.used_mask is not None:
+            used = of.used_mask[..., None].astype(np.float32)
+            seen, truth = seen * used, truth * used
+        found = likeness(seen, truth, self.config.ssim_weight)
+        by_seen = found.by_picture if of.used_mask is None else found.by_picture * used
+        if exposures is not None:
+            return found.loss, *exposures.learn(number, drawn, behind, by_seen, progress)
+        return found.loss, by_seen, -(by_seen @ behind) if behind.any() else np.zeros_like(drawn.coverage)
+
+    def _take(self, colours: np.ndarray) -> None:
+        """A map of colours, A and b, into the Gaussians: 1/2 + DC sh_0 + ... becomes A (1/2 + DC sh_0 + ...) + b."""
+        turn, sh = colours[:, :3], self._arrays.sh
+        sh[:] = sh @ turn.T
+        sh[:, 0] += (turn.sum(axis=1) / 2 - 0.5 + colours[:, 3]) / np.float32(DC)
+
+    def _next_view(self) -> int:
+        """Each view once, in an order that is drawn anew each time."""
         if not self._order:
             self._order = self._rng.permutation(len(self.views)).tolist()
-        number = self._order.pop()
+        return self._order.pop()
+
+    def _factor(self, number: int, progress: float) -> int:
+        """How many times smaller pictures are by the schedule."""
         factor, camera = _until(SIZES, progress), self.views[number].camera
         while factor > 1 and min(camera.width, camera.height) // factor < LEAST_SIDE_PX:
             factor //= 2
+        return factor
+
+    def _view(self, number: int, factor: int) -> TrainingView:
+        """A view, so many times smaller, from where its camera now is."""
         if (number, factor) not in self._smaller:
             self._smaller[number, factor] = self.views[number].smaller(factor)
-        return self._smaller[number, factor]
+        view = self._smaller[number, factor]
+        return (
+            view if self._poses is None else replace(view, cam_from_world=self._poses.cams_from_world[number])
+        )
+
+    def _known(self, number: int, factor: int) -> PointDepths:
+        """Depths of a view's points: those of the model's cameras, wherever these go afterwards."""
+        if (number, factor) not in self._depths:
+            view = self._smaller[number, factor]
+            is_asked = self.config.depth_weight > 0
+            self._depths[number, factor] = point_depths(
+                view if is_asked else replace(view, points_in_world=None)
+            )
+        return self._depths[number, factor]
 
     def _shown(self, progress: float) -> np.ndarray | None:
         """Factors of opacities that leave some Gaussians out, so that none hides behind others (Park et al., DropGaussian, 2025).

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 from epipole._declared import Declared, check_fields
 from epipole.cameras import Camera
@@ -23,6 +23,10 @@ class TrainingView(Declared):
     """RGB, or RGBA with straight alpha."""
     camera: Camera
     cam_from_world: Rigid3
+    used_mask: Bool[np.ndarray, "h w"] | None = None
+    """Where the picture is learnt from and compared; None: everywhere."""
+    points_in_world: Float64[np.ndarray, "n 3"] | None = None
+    """Points of the model that the picture shows."""
 
     def __post_init__(self) -> None:
         """Check that picture and camera fit.
@@ -49,7 +53,10 @@ class TrainingView(Declared):
         params[2:4] = (params[2:4] + 0.5) / factor - 0.5
         camera = Camera(self.camera.model, width, height, params)
         cut = self.picture[: height * factor, : width * factor]
-        return replace(self, picture=shrunk(cut, (width, height)), camera=camera)
+        mask = self.used_mask
+        if mask is not None:
+            mask = shrunk_mask(mask[: height * factor, : width * factor], (width, height))
+        return replace(self, picture=shrunk(cut, (width, height)), camera=camera, used_mask=mask)
 
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture from 0 to 1, before a background of one colour."""
@@ -58,6 +65,12 @@ class TrainingView(Declared):
             return rgb
         alpha = self.picture[..., 3:].astype(np.float32) / np.float32(255.0)
         return rgb * alpha + (np.float32(1.0) - alpha) * background
+
+
+def shrunk_mask(used_mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A mask in another, smaller size: a pixel is used if all that it is made of is."""
+    full = np.where(used_mask, np.uint8(255), np.uint8(0))
+    return np.asarray(cv2.resize(full, size, interpolation=cv2.INTER_AREA) == 255)
 
 
 def shrunk(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -12,7 +12,7 @@ from epipole import _parallel
 from epipole.errors import ConfigError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
-from epipole.fields.rays import rays_of
+from epipole.fields.rays import drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import (
@@ -90,7 +90,7 @@ class VoxelTrainer:
         fallen = LAST_RATES**progress
         self._adam.rates[:] = fallen * COLOUR_RATE
         self._adam.rates[0] = fallen * DENSITY_RATE
-        chosen = self._rng.integers(0, len(self.rays.pixels), RAYS)
+        chosen = drawn_pixels(self.rays, RAYS, self._rng)
         first = self._rng.random(RAYS, np.float32)
         parts = self._followed(chosen, first)
         records = np.concatenate([part[0] for part in parts])

@@ -25,7 +25,14 @@ class Checkpoint:
         self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: SplatTrainer
     ) -> None:
         parts = (
-            (v.name, v.picture, v.camera.params, v.cam_from_world.rotation, v.cam_from_world.translation)
+            (
+                v.name,
+                v.picture,
+                v.camera.params,
+                v.cam_from_world.rotation,
+                v.cam_from_world.translation,
+                v.used_mask,
+            )
             for v in views
         )
         self._path, self._trainer = folder / CHECKPOINT, trainer

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.photometric import likeness, psnr
 from epipole.fields.rasterizer import render as draw
 from epipole.fields.rasterizer import useful_pairs
 from epipole.fields.training_view import TrainingView
@@ -21,6 +20,7 @@ from epipole.pipelines.fields.kinds import KINDS
 from epipole.pipelines.fields.nerf import NerfResult, nerf
 from epipole.pipelines.fields.page import drawn_name
 from epipole.pipelines.fields.run import SplatResult, splat
+from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MODEL, background_of, called, pictures_of
 from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 
@@ -128,7 +128,7 @@ def _compared(
                 picture, work = drawer(view)
                 seconds = perf_counter() - begin
                 beside.append(picture)
-                told = {"psnr": psnr(picture, truth), "ssim": likeness(picture, truth).ssim, "s": seconds}
+                told = {**scores_of(picture, view, background), "s": seconds}
                 each = {part: count / truth[..., 0].size for part, count in work().items()}
                 scores[name].append({**told, **each})
             whole = np.rint(255 * np.clip(np.hstack(beside), 0, 1)).astype(np.uint8)

@@ -33,6 +33,8 @@ class FieldOptions:
     """Larger pictures are shrunk to this longest side."""
     background: Background = "auto"
     """Colour behind everything: white for pictures with transparency, else black."""
+    masks: Path | None = None
+    """Folder of masks, MASKS/NAME.png: where a mask is black a picture is neither learnt from nor compared."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

@@ -9,12 +9,13 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelError
-from epipole.fields.training_view import TrainingView, shrunk
+from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
+from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_rgb
+from epipole.io.photographs import read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
@@ -124,43 +125,86 @@ def _model_of(source: Path, max_side_px: int) -> tuple[Reconstruction, Path]:
 def _views(
     model: Reconstruction, folder: Path, options: FieldOptions, problems: list[str]
 ) -> list[TrainingView]:
-    """By their names; a picture that cannot be read is left out."""
+    """By their names; a picture that cannot be read is left out.
+
+    Raises:
+        ConfigError: there are masks, and of none of the pictures.
+    """
     out, cams_from_world = [], model.cams_from_world()
     rows = np.flatnonzero(model.is_registered())
+    point = model.tracks.point_of_observation()
     for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
         name = model.images.name[row]
         try:
             camera = model.cameras[int(model.camera_of_image[row])]
-            picture, camera = _read(path_inside(folder, name), camera, options.max_side_px)
-            out.append(TrainingView(name, picture, camera, cams_from_world[row]))
+            mask = (
+                None
+                if options.masks is None
+                else read_mask(options.masks, name, size=(camera.width, camera.height))
+            )
+            seen = model.points.xyz_in_world[point[model.tracks.image == row]]
+            path = path_inside(folder, name)
+            out.append(_view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px))
         except EpipoleError as error:
             problems.append(f"{name} is left out: {error}")
+    if options.masks is not None and all(view.used_mask is None for view in out):
+        raise ConfigError(f"no picture has a mask in {options.masks} (NAME.png beside the picture's name)")
     return out
 
 
-def _read(path: Path, camera: Camera, max_side_px: int) -> tuple[np.ndarray, Camera]:
-    """A picture without distortion, in the size that is wanted, and its pinhole camera."""
-    rgba = read_rgba(path)
-    rgb = read_rgb(path) if rgba is None else np.ascontiguousarray(rgba[..., :3])
-    if rgb.shape[:2] != (camera.height, camera.width):
-        raise FileFormatError(
-            path, f"is {rgb.shape[1]} x {rgb.shape[0]}, its camera {camera.width} x {camera.height}"
-        )
+def _view(
+    name: str,
+    path: Path,
+    camera: Camera,
+    cam_from_world: Rigid3,
+    mask: np.ndarray | None,
+    points_in_world: np.ndarray,
+    max_side_px: int,
+) -> TrainingView:
+    """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
+    picture = _read(path, camera)
     pinhole = undistorted_camera(camera)
-    picture = undistort_image(rgb, camera, pinhole)
-    if rgba is not None and (rgba[..., 3] < 255).any():
-        alpha = undistort_image(np.repeat(rgba[..., 3:], 3, axis=2), camera, pinhole)
-        picture = np.concatenate([picture, alpha[..., :1]], axis=2)
-    return _fitted(picture, pinhole, max_side_px)
+    picture = _undistorted(picture, camera, pinhole)
+    fitted = _fitted(pinhole, max_side_px)
+    size = fitted.width, fitted.height
+    if mask is not None:
+        full = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
+        mask = shrunk_mask(undistort_image(full, camera, pinhole)[..., 0] == 255, size)
+    picture = shrunk(picture, size) if size != (pinhole.width, pinhole.height) else picture
+    return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _fitted(picture: np.ndarray, camera: Camera, max_side_px: int) -> tuple[np.ndarray, Camera]:
+def _read(path: Path, camera: Camera) -> np.ndarray:
+    """RGB, or RGBA where something is transparent.
+
+    Raises:
+        FileFormatError: it cannot be read, or is not of its camera's size.
+    """
+    rgba = read_rgba(path)
+    picture = read_rgb(path) if rgba is None else rgba
+    if picture.shape[:2] != (camera.height, camera.width):
+        h, w = picture.shape[:2]
+        raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")
+    is_plain = rgba is None or (rgba[..., 3] == 255).all()
+    return np.ascontiguousarray(picture[..., :3]) if is_plain else picture
+
+
+def _undistorted(picture: np.ndarray, camera: Camera, pinhole: Camera) -> np.ndarray:
+    rgb = undistort_image(np.ascontiguousarray(picture[..., :3]), camera, pinhole)
+    if picture.shape[2] == 3:
+        return rgb
+    alpha = undistort_image(np.repeat(picture[..., 3:], 3, axis=2), camera, pinhole)
+    return np.concatenate([rgb, alpha[..., :1]], axis=2)
+
+
+def _fitted(camera: Camera, max_side_px: int) -> Camera:
+    """The same view with no side longer than that."""
     factor = max(camera.width, camera.height) / max_side_px
     if factor <= 1:
-        return picture, camera
+        return camera
     size = max(1, round(camera.width / factor)), max(1, round(camera.height / factor))
     params = camera.params.copy()
     ratio = np.array([size[0] / camera.width, size[1] / camera.height])
     params[:2] *= ratio
     params[2:4] = (params[2:4] + 0.5) * ratio - 0.5
-    return shrunk(picture, size), Camera(camera.model, *size, params)
+    return Camera(camera.model, *size, params)

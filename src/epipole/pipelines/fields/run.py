@@ -95,7 +95,7 @@ def splat(
         cloud = trainer.cloud
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
-            write_cameras(aside / CAMERAS, pictures.train)
+            write_cameras(aside / CAMERAS, trainer.placed_views)
         told: dict[str, Any] = {"num_gaussians": len(cloud)}
         told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
         summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)

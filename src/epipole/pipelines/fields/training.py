@@ -14,18 +14,19 @@ from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.photometric import likeness, psnr
 from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import FieldPage, drawn_name, render_page
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
+from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
 
 METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
+MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
 PROBES, PROBED, PROBE_SHARE = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 3, 0.1
 """At these shares of the training so many held-out views are drawn and compared; their time is not counted, but where it is more than
@@ -108,7 +109,7 @@ def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
     if is_model(source):
         return gather_field_pictures(source, wanted)
     model = run.root / MODEL
-    reconstruct(source, model, progress=run.job.progress)
+    reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
     pictures = source if source.is_dir() else model / "images"
     return gather_field_pictures(model, wanted, pictures)
 
@@ -180,7 +181,7 @@ def _probed(trainer: Trainer, pictures: FieldPictures, most_s: float) -> float |
     for view in [pictures.test[row] for row in rows] if pictures.test else []:
         if perf_counter() - begin > most_s:
             return None
-        scores.append(psnr(trainer.draw(view), view.over(trainer.background)))
+        scores.append(scores_of(trainer.draw(view), view, trainer.background)["psnr"])
     return float(np.mean(scores)) if scores else None
 
 
@@ -198,12 +199,11 @@ def compared(trainer: Trainer, pictures: FieldPictures, run: Run) -> list[dict[s
     scores = []
     with run.stage("test"), run.folder.publish("test") as aside:
         for n, view in enumerate(pictures.test):
-            drawn, truth = trainer.draw(view), view.over(trainer.background)
+            drawn = trainer.draw(view)
             write_png(
                 aside / "test" / drawn_name(view.name), np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
             )
-            score = {"name": view.name, "psnr": psnr(drawn, truth), "ssim": likeness(drawn, truth).ssim}
-            scores.append(score)
+            scores.append({"name": view.name, **scores_of(drawn, view, trainer.background)})
             run.report("test", n + 1, len(pictures.test))
     return scores
 
@@ -224,8 +224,7 @@ def finished(
         "num_test": len(pictures.test),
         "steps": trainer.num_steps,
         "train_s": trained.curve[-1][0] if trained.curve else 0.0,
-        "psnr": float(np.mean([one["psnr"] for one in scores])) if scores else None,
-        "ssim": float(np.mean([one["ssim"] for one in scores])) if scores else None,
+        **{name: float(np.mean([one[name] for one in scores])) if scores else None for name in MEANS},
         "background": "white" if trainer.background[0] else "black",
         "timings_s": run.timings_s,
     }

@@ -1,0 +1,110 @@
+"""Colours of each picture: cameras choose exposure and white balance anew, which a scene's colours cannot explain.
+
+Beside the field an affine map of colours is learnt for each picture, x' = A x + b, which what is drawn goes through before it is
+compared (Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024, section 6.1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from epipole import _parallel
+from epipole._declared import checked
+from epipole.fields import _photometric_kernels as kernels
+from epipole.fields.rasterizer import Rendering
+from epipole.fields.rows_adam import RowsAdam
+
+IDENTITY = np.eye(3, 4, dtype=np.float32)
+TOGETHER = 16_384
+"""Pixels in one piece of work."""
+RATES = 1e-2, 1e-3
+"""A step at the begin and at the end."""
+
+
+class Exposures:
+    """A map of colours for each picture.
+
+    Attributes:
+        maps: (views, 3, 4) A and b.
+    """
+
+    def __init__(self, num_views: int) -> None:
+        self.maps = np.tile(IDENTITY, (num_views, 1, 1))
+        self._adam = RowsAdam(num_views, 12, RATES)
+
+    def applied(
+        self, view: int, drawn: Rendering, background: Float32[np.ndarray, " 3"]
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """A drawing in the colours of a view, before a background, which has no part in them."""
+        out = np.empty_like(drawn.colour)
+        colour, coverage = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1)
+        _parallel.map_chunks(
+            lambda a, b, _: kernels.map_colours(
+                *(colour, coverage, self.maps[view], background, a, b, out.reshape(-1, 3))
+            ),
+            len(coverage),
+            -(-len(coverage) // TOGETHER),
+        )
+        return out
+
+    def learn(
+        self,
+        view: int,
+        drawn: Rendering,
+        background: Float32[np.ndarray, " 3"],
+        by_applied: Float32[np.ndarray, "h w 3"],
+        progress: float,
+    ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+        """Move a view's map; returns the derivatives by the drawing's colour and coverage.
+
+        Args:
+            view: whose.
+            drawn: what was drawn.
+            background: (3,) colour behind it.
+            by_applied: derivative of the loss by `applied`.
+            progress: share of the training that is done.
+        """
+        by_colour, by_coverage = np.empty_like(drawn.colour), np.empty_like(drawn.coverage)
+        known = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1), self.maps[view], background
+        by, out = by_applied.reshape(-1, 3), (by_colour.reshape(-1, 3), by_coverage.reshape(-1))
+
+        def back(start: int, stop: int, _: int) -> np.ndarray:
+            total = np.zeros(12)
+            kernels.map_colours_back(*known, by, start, stop, *out, np.empty(12, np.float32), total)
+            return total
+
+        found = _parallel.map_chunks(back, len(by), -(-len(by) // TOGETHER))
+        step = self._adam.step(view, np.sum([np.zeros(12), *found], axis=0), progress)
+        self.maps[view] += step.reshape(3, 4)
+        return by_colour, by_coverage
+
+    def taken_mean(self) -> Float32[np.ndarray, "3 4"]:
+        """The mean of all maps, taken out of them: the scene's colours alone cannot be told from it, and should have it."""
+        mean = self.maps.astype(np.float64).mean(axis=0)
+        turn = self.maps[:, :, :3] @ np.linalg.inv(mean[:, :3])
+        self.maps[:, :, 3] -= (turn @ mean[:, 3]).astype(np.float32)
+        self.maps[:, :, :3] = turn
+        return mean.astype(np.float32)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on."""
+        return {"exposure_maps": self.maps, **self._adam.state("exposure")}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+        self.maps = state["exposure_maps"]
+        self._adam.restore("exposure", state)
+
+
+@checked
+def colour_match(
+    picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]
+) -> Float64[np.ndarray, "3 4"]:
+    """The map of colours, A and b, that brings a picture nearest to another: linear least squares.
+
+    Held-out pictures have an exposure, too, that nobody knows: compared in its colours, they tell of the scene alone.
+    """
+    flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (picture, truth))
+    known = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+    return np.linalg.lstsq(known, wanted, rcond=None)[0].T

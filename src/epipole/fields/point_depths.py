@@ -1,0 +1,62 @@
+"""Depths of points that are known, held against those that are drawn (Deng et al., "Depth-supervised NeRF", CVPR 2022)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.fields.rasterizer import Rendering
+from epipole.fields.training_view import TrainingView
+
+LEAST_COVERAGE = np.float32(0.1)
+"""Of a pixel: where less is drawn there is no depth to speak of."""
+
+
+class PointDepths(NamedTuple):
+    """Pixels of a picture that show known points."""
+
+    row: np.ndarray
+    column: np.ndarray
+    depth: np.ndarray
+    """(n,) along the optical axis."""
+
+
+class DepthLoss(NamedTuple):
+    """A loss and its derivatives."""
+
+    loss: float
+    """The weight times mean |log(drawn / known)|: the same in any unit."""
+    by_depth: np.ndarray
+    """(h, w) by the drawing's depth."""
+    by_coverage: np.ndarray
+    """(h, w) by its coverage."""
+
+
+def point_depths(view: TrainingView) -> PointDepths:
+    """Of the points that a view shows; of two in one pixel, the nearer."""
+    points = np.zeros((0, 3)) if view.points_in_world is None else view.points_in_world
+    places = view.cam_from_world.apply(points)
+    pixels = view.camera.project(places)
+    inside = np.isfinite(pixels).all(axis=1) & (places[:, 2] > 0)
+    at = np.rint(np.where(inside[:, None], pixels, -1.0)).astype(np.int64)
+    inside &= (at >= 0).all(axis=1) & (at[:, 0] < view.camera.width) & (at[:, 1] < view.camera.height)
+    column, row, depth = at[inside, 0], at[inside, 1], places[inside, 2]
+    order = np.argsort(depth, kind="stable")
+    first = order[np.unique(row[order] * view.camera.width + column[order], return_index=True)[1]]
+    return PointDepths(row[first], column[first], depth[first].astype(np.float32))
+
+
+def depth_loss(drawn: Rendering, known: PointDepths, weight: float) -> DepthLoss:
+    """With D the depth times coverage C, the depth of a pixel is D / C."""
+    by_depth, by_coverage = np.zeros_like(drawn.depth), np.zeros_like(drawn.coverage)
+    at = known.row, known.column
+    shown = drawn.coverage[at] > LEAST_COVERAGE
+    at = known.row[shown], known.column[shown]
+    if not len(at[0]):
+        return DepthLoss(0.0, by_depth, by_coverage)
+    depth, coverage = drawn.depth[at], drawn.coverage[at]
+    off = np.log(depth / (coverage * known.depth[shown]))
+    sign = np.sign(off) * np.float32(weight / len(off))
+    by_depth[at], by_coverage[at] = sign / depth, -sign / coverage
+    return DepthLoss(weight * float(np.abs(off).mean(dtype=np.float64)), by_depth, by_coverage)

@@ -1,0 +1,43 @@
+"""Cameras that move with what they have seen (Lin et al., "BARF: Bundle-adjusting neural radiance fields", ICCV 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from epipole.fields.rows_adam import RowsAdam
+from epipole.geometry import Rigid3
+
+RATES = 1e-3, 1e-5
+"""A step at the begin and at the end, of the angle in radians, and of the place in the scene's size."""
+
+
+class PoseSteps:
+    """Where cameras are, as it is learnt.
+
+    Attributes:
+        cams_from_world: of each.
+    """
+
+    def __init__(self, cams_from_world: Sequence[Rigid3], size: float) -> None:
+        self.cams_from_world = list(cams_from_world)
+        self._unit = np.repeat([size, 1.0], 3)
+        self._adam = RowsAdam(len(self.cams_from_world), 6, RATES)
+
+    def move(self, view: int, gradient: np.ndarray, progress: float) -> None:
+        """One camera, by the derivative (6,) of the loss by xi = (translation, rotation) in exp(xi) @ cam_from_world."""
+        xi = self._unit * self._adam.step(view, self._unit * gradient, progress)
+        self.cams_from_world[view] = Rigid3.exp(xi) @ self.cams_from_world[view]
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on."""
+        rotations = np.stack([place.rotation for place in self.cams_from_world])
+        translations = np.stack([place.translation for place in self.cams_from_world])
+        return {"pose_rotation": rotations, "pose_translation": translations, **self._adam.state("pose")}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+        parts = zip(state["pose_rotation"], state["pose_translation"])
+        self.cams_from_world = [Rigid3(rotation, translation) for rotation, translation in parts]
+        self._adam.restore("pose", state)

@@ -1,0 +1,40 @@
+"""Adam for what each view has of its own: a few numbers, moved when that view is drawn (Kingma and Ba, ICLR 2015)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+MOMENTUM, SQUARES, LEAST = 0.9, 0.99, 1e-15
+
+
+class RowsAdam:
+    """Means of derivatives and of their squares, by rows that take their steps at different times.
+
+    Attributes:
+        mean: (n, k).
+        square: (n, k).
+        count: (n,) steps.
+    """
+
+    def __init__(self, count: int, width: int, rates: tuple[float, float]) -> None:
+        """Of `count` rows of `width` numbers; rates at the begin and at the end of the training."""
+        self.mean, self.square = np.zeros((count, width)), np.zeros((count, width))
+        self.count, self._rates = np.zeros(count, np.int64), rates
+
+    def step(self, row: int, gradient: np.ndarray, progress: float) -> np.ndarray:
+        """What a row changes by, for its derivative (k,) at a share of the training."""
+        self.count[row] += 1
+        self.mean[row] += (1 - MOMENTUM) * (gradient - self.mean[row])
+        self.square[row] += (1 - SQUARES) * (gradient**2 - self.square[row])
+        mean = self.mean[row] / (1 - MOMENTUM ** int(self.count[row]))
+        square = self.square[row] / (1 - SQUARES ** int(self.count[row]))
+        rate = self._rates[0] * (self._rates[1] / self._rates[0]) ** progress
+        return -rate * mean / (np.sqrt(square) + LEAST)
+
+    def state(self, name: str) -> dict[str, np.ndarray]:
+        """All of it, by names that begin with this one."""
+        return {f"{name}_mean": self.mean, f"{name}_square": self.square, f"{name}_count": self.count}
+
+    def restore(self, name: str, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+        self.mean, self.square, self.count = (state[f"{name}_{part}"] for part in ("mean", "square", "count"))

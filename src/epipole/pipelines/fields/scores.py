@@ -1,0 +1,29 @@
+"""How like a drawing is to a picture that was held out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.fields.exposure import colour_match
+from epipole.fields.photometric import likeness, psnr
+from epipole.fields.training_view import TrainingView
+
+
+def scores_of(drawn: np.ndarray, view: TrainingView, background: np.ndarray) -> dict[str, float]:
+    """PSNR in dB, SSIM, and PSNR after the map of colours that fits best (`psnr_matched`), where the picture is used.
+
+    Args:
+        drawn: (h, w, 3) the drawing.
+        view: the picture.
+        background: (3,) colour behind it.
+    """
+    truth = view.over(background)
+    used = np.ones(truth.shape[:2], bool) if view.used_mask is None else view.used_mask
+    if not used.any():
+        return dict.fromkeys(("psnr", "ssim", "psnr_matched"), float("nan"))
+    shown, wanted = drawn[used][None], truth[used][None]
+    colours = colour_match(shown, wanted).astype(np.float32)
+    matched = shown @ colours[:, :3].T + colours[:, 3]
+    weight = used[..., None].astype(np.float32)
+    ssim = likeness(drawn * weight, truth * weight).ssim
+    return {"psnr": psnr(shown, wanted), "ssim": ssim, "psnr_matched": psnr(matched, wanted)}
