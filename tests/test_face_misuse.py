@@ -19,7 +19,7 @@ VERBS = (
     "undistort",
     "convert",
 )
-MORE_VERBS = ("view", "examine_stereo", "slam", "evaluate_trajectory")
+MORE_VERBS = ("view", "share", "examine_stereo", "slam", "evaluate_trajectory")
 CONFIGS = [name for name in dir(epipole) if name.endswith("Config")]
 WRONG = (
     None,

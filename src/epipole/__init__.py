@@ -25,6 +25,7 @@ _JOBS = (
     "undistort",
     "convert",
     "view",
+    "share",
     "demo",
 )
 _MORE_JOBS = ("compare_fields", "stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
@@ -51,6 +52,7 @@ _RESULTS = (
         "FieldComparison",
         "Drawn",
         "NerfResult",
+        "SharedPage",
         "SlamResult",
         "SplatResult",
         "TrackedFrame",

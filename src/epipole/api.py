@@ -58,6 +58,8 @@ from epipole.pipelines.stereo.run import stereo as stereo
 from epipole.pipelines.stereo.run import stereo_many as stereo_many
 from epipole.pipelines.stereo.run import stereo_of_model as stereo_of_model
 from epipole.pipelines.undistortion.run import undistort as undistort
+from epipole.pipelines.viewing.run import SharedPage as SharedPage
+from epipole.pipelines.viewing.run import share as share
 from epipole.pipelines.viewing.run import view as view
 from epipole.scene import Reconstruction as Reconstruction
 from epipole.scene import RectifiedRig as RectifiedRig

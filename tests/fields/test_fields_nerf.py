@@ -7,7 +7,7 @@ import pytest
 from fields_scenes import CAMERA, views
 from test_fields_run import frames_of, lens
 
-from epipole import nerf, render
+from epipole import nerf, render, share
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.fields.photometric import psnr
 from epipole.fields.rasterizer import render as draw
@@ -75,6 +75,17 @@ def test_its_gaussians_look_like_it(result):
     assert psnr(one, other) > psnr(np.ones_like(other), other) + 3.0
     with pytest.raises(DegenerateGeometryError, match="empty"):
         gaussians_of(voxels._replace(values=np.zeros_like(voxels.values)), 50)
+
+
+@pytest.mark.parametrize(
+    "result", ["grid"], indirect=True
+)  # a neural field is first made a grid, which takes long
+def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
+    done = share(result.out, tmp_path / "page.html")
+    count = f"{len(splat_view(result.out).cloud):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    assert done.shown == f"{count} Gaussians"
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "as trained" in page and page.count('"ahead":') == len(views()) - 2 and "next-camera" in page
 
 
 def test_another_kind_takes_the_place_of_the_first(source, tmp_path):

@@ -94,7 +94,8 @@ def test_a_page_without_scripts_runs_none(render: Callable[..., str]) -> None:
 def test_templates_and_assets_are_files_of_the_package() -> None:
     files = resources.files("epipole.report")
     assert {p.name for p in files.joinpath("assets").iterdir()} == {
-        *("page.js", "match_matrix.js", "space.js", "end.js", "page.css", "figures.css")
+        *("page.js", "match_matrix.js", "orbit.js", "space.js", "end.js", "page.css", "figures.css"),
+        *("gaussian_drawing.js", "gaussians.js", "gaussians.css"),
     }
     names = {p.name for p in files.joinpath("templates").iterdir()}
     assert "base.html.jinja" in names and all(name.endswith(".html.jinja") for name in names)

@@ -17,7 +17,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, PrefixLoader, Stric
 from markupsafe import Markup
 
 from epipole._version import __version__
-from epipole.report.markup import count, escape, json_block, number, plural, seconds
+from epipole.report.markup import bytes_block, count, escape, json_block, number, plural, seconds
 
 _PACKAGE = "epipole.report"
 
@@ -55,7 +55,7 @@ def _environment(package: str) -> Environment:
         keep_trailing_newline=True,
     )
     words = (count, plural, number, seconds)
-    for function in (*words, json_block, joined_assets, content_hash):
+    for function in (*words, json_block, bytes_block, joined_assets, content_hash):
         environment.globals[function.__name__] = function
     environment.globals["version"] = __version__
     return environment

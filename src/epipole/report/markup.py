@@ -34,6 +34,12 @@ def json_block(element_id: str, data: Any) -> Markup:
     return Markup(f'<script type="application/json" id="{escape(element_id)}">{text}</script>')
 
 
+def bytes_block(element_id: str, data: bytes) -> Markup:
+    """Bytes for the page's script, which no browser runs or shows."""
+    text = base64.b64encode(data).decode("ascii")
+    return Markup(f'<script type="application/octet-stream" id="{escape(element_id)}">{text}</script>')
+
+
 def count(value: int) -> str:
     """A whole number with thousands separated."""
     return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")

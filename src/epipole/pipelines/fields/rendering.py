@@ -16,16 +16,20 @@ from epipole.errors import FileFormatError
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
 from epipole.io.atomic import atomic_write
-from epipole.io.files import read_json
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in
-from epipole.pipelines.fields.scene import SUMMARY, looked_at, splat_view, told_first_view
+from epipole.pipelines.fields.scene import (
+    BACKGROUNDS,
+    SUMMARY,
+    looked_at,
+    splat_view,
+    told_background,
+    told_first_view,
+)
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
-
-BACKGROUNDS = {"white": 1.0, "black": 0.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,10 +118,4 @@ def _background(source: Path, wanted: RenderJob) -> float:
     """As it was trained, where that is known."""
     if wanted.background != "auto":
         return BACKGROUNDS[wanted.background]
-    summary = (source if source.is_dir() else source.parent) / SUMMARY
-    try:
-        content = read_json(summary)
-    except FileFormatError:
-        return 0.0
-    told = content.get("background") if isinstance(content, dict) else None
-    return BACKGROUNDS.get(told, 0.0) if isinstance(told, str) else 0.0
+    return told_background((source if source.is_dir() else source.parent) / SUMMARY) or 0.0

@@ -15,13 +15,18 @@ from epipole.geometry import Rigid3
 from epipole.io.files import read_json
 from epipole.io.gaussian_files import read_gaussians
 from epipole.io.transforms_json import model_of_cameras, write_transforms
+from epipole.pipelines.fields.cameras import Shot, shots_of_model
+from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in
+from epipole.pipelines.fields.sharing import page_of
+from epipole.report.scene_page import ScenePage
 from epipole.scene import Points
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
 SPLAT, SUMMARY, FIRST_VIEW, CAMERAS = "splat.ply", "summary.json", "first_view", "cameras.json"
 MOST_SHOWN = 800_000
 """Gaussians of a grid."""
+BACKGROUNDS = {"white": 1.0, "black": 0.0}
 LENGTHS = "Lengths are in the unit of the cameras, metres only where these are metric"
 
 
@@ -43,6 +48,21 @@ def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandl
         FileFormatError: the file is damaged.
     """
     return view_splats(splat_view(path), port=port, host=host, block=block)
+
+
+def share(path: Path, most: int) -> ScenePage:
+    """The Gaussians, at most so many, as one page; with the cameras of the training where they are known.
+
+    Raises:
+        FileFormatError: a file is damaged.
+    """
+    view, folder = splat_view(path), path if path.is_dir() else path.parent
+    is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
+    cameras: list[Shot] = []
+    if is_result and (folder / CAMERAS).is_file():
+        cameras = shots_of_model(folder / CAMERAS, RenderJob())
+    background = told_background(folder / SUMMARY) or 0.0
+    return page_of(view, path.resolve().name, cameras, background, most)
 
 
 def splat_view(path: Path) -> SplatView:
@@ -97,6 +117,16 @@ def write_cameras(path: Path, views: Sequence[TrainingView]) -> None:
     names, rows = [view.name for view in views], list(range(len(views)))
     model = model_of_cameras(names, cameras, rows, cams_from_world, none)
     write_transforms(model, path, image_folder="")
+
+
+def told_background(summary: Path) -> float | None:
+    """The grey value behind everything as it was trained; None where no job has told it."""
+    try:
+        content = read_json(summary)
+    except FileFormatError:
+        return None
+    told = content.get("background") if isinstance(content, dict) else None
+    return BACKGROUNDS.get(told) if isinstance(told, str) else None
 
 
 def told_first_view(summary: Path) -> list[np.ndarray] | None:

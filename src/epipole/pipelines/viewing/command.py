@@ -8,23 +8,34 @@ from typing import Annotated
 
 import tyro
 
+from epipole.pipelines.viewing.config import USUAL_SHARED
+
 
 def view(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     port: int | None = None,
     host: str = "127.0.0.1",
+    share: Path | None = None,
+    share_max: int = USUAL_SHARED,
 ) -> None:
     """Show a model, a path with its map, the depth of a pair, or Gaussians in the browser.
 
     Args:
-        out: Output folder of `reconstruct`, `slam`, `stereo` or `splat`, a COLMAP model, or a PLY file of Gaussians.
+        out: Output folder of `reconstruct`, `slam`, `stereo`, `splat` or `nerf`, a COLMAP model, or a file of Gaussians.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
+        share: Write one .html file that shows Gaussians in any browser instead, and start no server.
+        share_max: At most so many Gaussians are in that file, the most visible.
     """
     import threading
 
+    from epipole.pipelines.viewing.run import share as write_page
     from epipole.pipelines.viewing.run import view as run
 
+    if share is not None:
+        page = write_page(out, share, share_max=share_max)
+        print(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
+        return
     handle = run(out, port=port, host=host, block=False)
     if handle.note:
         print(f"epipole: {handle.note}", file=sys.stderr)

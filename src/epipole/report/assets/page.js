@@ -1,11 +1,18 @@
 /* The frame of a page with scripts: hover text, sorting, enlarged pictures. No library. */
-/* exported cssColour, darkScheme, NAMES, showTip, fitCanvas */
+/* exported bytesOf, cssColour, darkScheme, NAMES, showTip, fitCanvas */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const readJson = (id) => (byId(id) ? JSON.parse(byId(id).textContent) : null);
 const cssColour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const darkScheme = matchMedia("(prefers-color-scheme: dark)");
 const NAMES = readJson("names") || [];
+
+function bytesOf(text) {
+  const binary = atob(text),
+    out = new Uint8Array(binary.length);
+  for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);
+  return out;
+}
 
 function showTip(event, text) {
   const tip = byId("tip");

@@ -1,13 +1,6 @@
 /* The 3D view: points splatted into pixels with a depth buffer, frusta as lines. No WebGL. */
-/* global byId, readJson, cssColour, darkScheme, NAMES, showTip, fitCanvas */
+/* global byId, readJson, bytesOf, cssColour, darkScheme, NAMES, showTip, fitCanvas, orbitEye, fullScreen */
 "use strict";
-function bytesOf(text) {
-  const binary = atob(text),
-    out = new Uint8Array(binary.length);
-  for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);
-  return out;
-}
-
 function spaceView(canvas, data) {
   const n = data.count,
     steps = new Uint16Array(bytesOf(data.xyz).buffer),
@@ -25,25 +18,41 @@ function spaceView(canvas, data) {
   const curves = data.curves || [],
     curveBoxes = [...document.querySelectorAll(".show-curve")];
   const pen = canvas.getContext("2d");
-  const start = () => ({ focus: data.focus.slice(), yaw: 0.9, pitch: -0.55, dist: 2.2 * data.radius });
-  let eye = start(),
-    hovered = -1,
+  const start = () => ({
+    focus: data.focus.slice(),
+    yaw: 0.9,
+    pitch: -0.55,
+    roll: 0,
+    dist: 2.2 * data.radius,
+    spread: 0.5 / 1.15,
+  });
+  let hovered = -1,
     asked = false,
     pixels = null,
-    depth = null,
-    active = false;
-
-  function basis() {
-    const cy = Math.cos(eye.yaw),
-      sy = Math.sin(eye.yaw),
-      cp = Math.cos(eye.pitch),
-      sp = Math.sin(eye.pitch);
-    const f = [cp * cy, cp * sy, sp],
-      r = [sy, -cy, 0];
-    const d = [f[1] * r[2] - f[2] * r[1], f[2] * r[0] - f[0] * r[2], f[0] * r[1] - f[1] * r[0]];
-    return { f, r, d, o: eye.focus.map((v, k) => v - eye.dist * f[k]) };
-  }
-  const focal = () => 1.15 * Math.min(canvas.width, canvas.height);
+    depth = null;
+  const { basis, focal, eye, flyTo } = orbitEye(canvas, {
+    start,
+    radius: data.radius,
+    redraw,
+    hover(event) {
+      const found = cameraAt(event);
+      if (found !== hovered) {
+        hovered = found;
+        redraw();
+      }
+      canvas.style.cursor = found < 0 ? "" : "pointer";
+      showTip(event, found < 0 ? "" : cameras[found].name);
+    },
+    click(event) {
+      const found = cameraAt(event);
+      if (found >= 0) lookFrom(cameras[found]);
+    },
+    leave(event) {
+      hovered = -1;
+      showTip(event, "");
+      redraw();
+    },
+  });
 
   function toView(b, p) {
     const [x, y, z] = p.map((v, k) => v - b.o[k]);
@@ -65,7 +74,7 @@ function spaceView(canvas, data) {
       ground = cssColour("--stage");
     out.fill(packed(...[1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16))));
     depth.fill(0);
-    const size = Number(byId("point-size").value) * ratio * eye.dist,
+    const size = Number(byId("point-size").value) * ratio * eye().dist,
       near = 0.01 * data.radius;
     const [r0, r1] = b.r,
       [d0, d1, d2] = b.d,
@@ -217,24 +226,6 @@ function spaceView(canvas, data) {
     return best;
   }
 
-  function flyTo(goal) {
-    const from = eye,
-      begin = performance.now();
-    const length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : 600;
-    const turn = Math.atan2(Math.sin(goal.yaw - from.yaw), Math.cos(goal.yaw - from.yaw));
-    (function step(now) {
-      const t = Math.min(1, Math.max(0, (now - begin) / length)),
-        s = t * t * (3 - 2 * t);
-      eye = {
-        focus: from.focus.map((v, k) => v + s * (goal.focus[k] - v)),
-        yaw: from.yaw + s * turn,
-        pitch: from.pitch + s * (goal.pitch - from.pitch),
-        dist: from.dist + s * (goal.dist - from.dist),
-      };
-      redraw();
-      if (t < 1) requestAnimationFrame(step);
-    })(begin);
-  }
   function lookFrom(camera) {
     const axis = [0, 1, 2].map((a) => [0, 3, 6, 9].reduce((sum, q) => sum + camera.corners[q + a], 0));
     const f = axis.map((v) => v / Math.hypot(...axis));
@@ -242,6 +233,7 @@ function spaceView(canvas, data) {
     const reach = Math.max(depthOfScene, 0.3 * data.radius),
       back = 2.2 * data.size;
     flyTo({
+      ...start(),
       focus: camera.center.map((v, k) => v + reach * f[k]),
       yaw: Math.atan2(f[1], f[0]),
       pitch: Math.asin(Math.max(-1, Math.min(1, f[2]))),
@@ -249,101 +241,11 @@ function spaceView(canvas, data) {
     });
   }
 
-  const fingers = new Map();
-  let moved = 0,
-    span = 0;
-  function turnBy(dx, dy) {
-    eye.yaw -= 0.006 * dx;
-    eye.pitch = Math.max(-1.57, Math.min(1.57, eye.pitch - 0.006 * dy));
-  }
-  function panBy(dx, dy) {
-    const b = basis(),
-      scale = eye.dist / ((focal() * canvas.clientWidth) / canvas.width);
-    eye.focus = eye.focus.map((v, k) => v - scale * (dx * b.r[k] + dy * b.d[k]));
-  }
-  function zoomBy(factor) {
-    eye.dist = Math.max(0.005 * data.radius, Math.min(60 * data.radius, eye.dist * factor));
-  }
-  canvas.addEventListener("pointerdown", (event) => {
-    canvas.setPointerCapture(event.pointerId);
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    moved = 0;
-    span = 0;
-    active = true;
-    showTip(event, "");
-  });
-  canvas.addEventListener("pointermove", (event) => {
-    const last = fingers.get(event.pointerId);
-    if (!last) {
-      const found = cameraAt(event);
-      if (found !== hovered) {
-        hovered = found;
-        redraw();
-      }
-      canvas.style.cursor = found < 0 ? "" : "pointer";
-      return showTip(event, found < 0 ? "" : cameras[found].name);
-    }
-    const dx = event.clientX - last[0],
-      dy = event.clientY - last[1];
-    fingers.set(event.pointerId, [event.clientX, event.clientY]);
-    moved += Math.abs(dx) + Math.abs(dy);
-    if (fingers.size === 2) {
-      const [p, q] = [...fingers.values()],
-        now = Math.hypot(p[0] - q[0], p[1] - q[1]);
-      if (span > 0) zoomBy(span / Math.max(now, 1));
-      span = now;
-      panBy(dx / 2, dy / 2);
-    } else if (event.buttons & 6 || event.shiftKey) panBy(dx, dy);
-    else turnBy(dx, dy);
-    redraw();
-  });
-  for (const kind of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(kind, (event) => {
-      fingers.delete(event.pointerId);
-      span = 0;
-      const found = kind === "pointerup" && moved < 4 ? cameraAt(event) : -1;
-      if (found >= 0) lookFrom(cameras[found]);
-    });
-  }
-  canvas.addEventListener("pointerleave", (event) => {
-    active = false;
-    hovered = -1;
-    showTip(event, "");
-    redraw();
-  });
-  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-  canvas.addEventListener(
-    "wheel",
-    (event) => {
-      if (!active && !event.ctrlKey) return;
-      event.preventDefault();
-      zoomBy(Math.exp(0.0012 * event.deltaY * (event.deltaMode ? 16 : 1)));
-      redraw();
-    },
-    { passive: false },
-  );
-  canvas.addEventListener("keydown", (event) => {
-    const act = {
-      ArrowLeft: () => turnBy(20, 0),
-      ArrowRight: () => turnBy(-20, 0),
-      ArrowUp: () => turnBy(0, 20),
-      ArrowDown: () => turnBy(0, -20),
-      "+": () => zoomBy(0.85),
-      "-": () => zoomBy(1.18),
-    }[event.key];
-    if (act) {
-      event.preventDefault();
-      act();
-      redraw();
-    }
-  });
   byId("reset-view").addEventListener("click", () => flyTo(start()));
   byId("view-above").addEventListener("click", () =>
     flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57, dist: 2.7 * data.radius }),
   );
-  byId("full-screen").addEventListener("click", () =>
-    document.fullscreenElement ? document.exitFullscreen() : canvas.parentElement.requestFullscreen(),
-  );
+  byId("full-screen").addEventListener("click", () => fullScreen(canvas.parentElement));
   for (const id of ["point-size", "frustum-size", "show-cameras"]) byId(id).addEventListener("input", redraw);
   for (const box of curveBoxes) box.addEventListener("input", redraw);
   new ResizeObserver(redraw).observe(canvas);

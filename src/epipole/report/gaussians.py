@@ -1,0 +1,92 @@
+"""Gaussians as bytes of a page: 32 each, and 12 more for how their colours change with direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int64
+
+from epipole.scene.gaussian_cloud import DC, GaussianCloud
+
+ROW = np.dtype(
+    [
+        ("mean", "<f4", 3),
+        ("colour", "<u4"),
+        ("quat_wxyz", "<i2", 4),
+        ("log_scale", "<u2", 3),
+        ("opacity", "<u2"),
+    ]
+)
+"""Colour is that from all sides: red, green and blue of 10 bits each, red the lowest."""
+DEGREE_KEPT = 1
+"""Of harmonics: their coefficients for -y, z and -x are three more words as the colour's."""
+MOST_LOG_SCALE = 40.0
+COLOURS, HARMONICS = (-1.0, 2.0), (-2.0, 2.0)
+"""What is beyond is clipped: hardly anything is."""
+
+Range = tuple[float, float]
+"""The value of the whole number 0, and how much more that of the largest one is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedGaussians:
+    """What the page's script unpacks."""
+
+    rows: bytes
+    """Of `ROW`."""
+    harmonics: bytes | None
+    """Three words of 32 bits each; None where colours do not depend on direction."""
+    scale_range: Range
+    colour_range: Range
+    harmonic_range: Range
+
+
+def most_visible(cloud: GaussianCloud, most: int) -> Int64[np.ndarray, " m"]:
+    """Rows, in their order, of at most so many Gaussians whose opacity times largest face is largest."""
+    if len(cloud) <= most:
+        return np.arange(len(cloud))
+    lengths = np.sort(np.clip(cloud.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE), axis=1)
+    # The logarithm of the opacity, from its logit.
+    visible = lengths[:, 1] + lengths[:, 2] - np.logaddexp(0.0, -cloud.opacity_logits.astype(np.float64))
+    return np.sort(np.argpartition(-visible, most)[:most])
+
+
+def packed(cloud: GaussianCloud) -> PackedGaussians:
+    """Places as they are; all else rounded to whole numbers within its range."""
+    rows = np.empty(len(cloud), ROW)
+    quats = cloud.quats_wxyz.astype(np.float64)
+    quats /= np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-30)
+    colours = 0.5 + DC * cloud.sh[:, 0].astype(np.float64)
+    log_scales = np.clip(cloud.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE)
+    scale_range, colour_range = _range_of(log_scales), _range_of(np.clip(colours, *COLOURS))
+    rows["mean"] = cloud.means_in_world
+    rows["colour"] = _words(colours, colour_range)
+    rows["quat_wxyz"] = np.rint(32767.0 * quats)
+    rows["log_scale"] = _steps(log_scales, scale_range, 65535)
+    logits = np.clip(cloud.opacity_logits.astype(np.float64), -50.0, 50.0)
+    rows["opacity"] = np.rint(65535.0 / (1.0 + np.exp(-logits)))
+    if cloud.sh_degree < DEGREE_KEPT:
+        return PackedGaussians(rows.tobytes(), None, scale_range, colour_range, (0.0, 0.0))
+    first = np.clip(cloud.sh[:, 1:4].astype(np.float64), *HARMONICS)
+    harmonic_range = _range_of(first)
+    words = np.stack([_words(first[:, k], harmonic_range) for k in range(3)], axis=1)
+    return PackedGaussians(
+        rows.tobytes(), words.astype("<u4").tobytes(), scale_range, colour_range, harmonic_range
+    )
+
+
+def _range_of(values: np.ndarray) -> Range:
+    low, high = float(values.min()), float(values.max())
+    return low, high - low
+
+
+def _steps(values: np.ndarray, within: Range, most: int) -> np.ndarray:
+    low, span = within
+    return np.clip(np.rint((values - low) * (most / max(span, 1e-30))), 0, most)
+
+
+def _words(triples: np.ndarray, within: Range) -> np.ndarray:
+    """Three numbers of 10 bits each in one word."""
+    steps = _steps(triples, within, 1023).astype(np.uint32)
+    return steps[:, 0] | steps[:, 1] << 10 | steps[:, 2] << 20
