@@ -135,7 +135,7 @@ def test_only_a_ply_file_is_replaced_by_one(tmp_path: Path) -> None:
     out = output_folder(tmp_path / "out", model)
     for name in (f"images/{model.images.name[0]}", "sparse/0/points3D.bin"):
         before = (out / name).read_bytes()
-        with pytest.raises(WorkspaceError, match="is no PLY or SPZ file"):
+        with pytest.raises(WorkspaceError, match="is no PLY, SPZ or SOG file"):
             convert(out, out / name, "ply")
         assert (out / name).read_bytes() == before
     for _ in range(2):
@@ -157,7 +157,7 @@ def test_gaussians_are_written_in_the_format_of_the_name(tmp_path: Path, rng) ->
     cloud = GaussianCloud(*(rng.normal(size=shape).astype(np.float32) for shape in shapes))
     (tmp_path / "trained").mkdir()
     write_gaussians(tmp_path / "trained" / "splat.ply", cloud)
-    for name in ("a.spz", "a.compressed.ply", "a.splat", "a.spz", "a.ply"):
+    for name in ("a.spz", "a.compressed.ply", "a.splat", "a.sog", "a.spz", "a.sog", "a.ply"):
         assert convert(tmp_path / "trained", tmp_path / name, "splat").out == tmp_path / name
         found = read_gaussians(tmp_path / name)
         order = np.argsort(found.means_in_world[:, 0]), np.argsort(cloud.means_in_world[:, 0])

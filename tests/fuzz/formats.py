@@ -342,7 +342,8 @@ def _splats(name: str) -> Format:
         assert len(found) and np.isfinite(found.sh).all() and found.quats_wxyz.any(axis=1).all()
         assert np.isfinite(found.opacity_logits).all() and np.isfinite(found.log_scales).all()
 
-    return Format(put, name, "ply" if name.endswith("ply") else "binary", read, ("read_gaussians",))
+    kind = {".ply": "ply", ".sog": "zip"}.get(Path(name).suffix, "binary")
+    return Format(put, name, kind, read, ("read_gaussians", *(("read_sog",) if kind == "zip" else ())))
 
 
 def _grid(folder: Path) -> None:
@@ -696,7 +697,7 @@ FORMATS: dict[str, Format] = {
     "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
     "hash": Format(_put_hash, "hash.npz", "binary", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
-    **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.splat")},
+    **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.sog", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
     "ply-text": Format(_put("cloud.ply", TEXT_PLY), "cloud.ply", "text", _cloud, ("read_points_ply",)),
     "bal": Format(_put("a.txt", BAL), "a.txt", "text", _bal("a.txt"), ("read_bal",)),

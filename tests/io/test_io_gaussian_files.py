@@ -27,7 +27,7 @@ def cloud_of(rng, count=300, num_sh=16):
 
 
 @pytest.mark.parametrize("num_sh", NUM_SH)
-@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz", "a.splat"])
+@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz", "a.sog", "a.splat"])
 def test_what_is_read_looks_like_what_was_written(rng, tmp_path, name, num_sh):
     cloud = cloud_of(rng, num_sh=num_sh)
     write_gaussians(tmp_path / name, cloud)

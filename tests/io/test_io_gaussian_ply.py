@@ -62,3 +62,13 @@ def test_damaged_files_are_refused(rng, tmp_path):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FileFormatError, match=words):
             read_gaussian_ply(tmp_path / name)
+
+
+def test_a_file_of_none_and_a_rotation_that_is_no_number(rng, tmp_path):
+    cloud = cloud_of(rng, 5, 4)
+    cloud.quats_wxyz[1, 2] = np.nan
+    write_gaussian_ply(tmp_path / "a.ply", cloud)
+    assert len(read_gaussian_ply(tmp_path / "a.ply")) == 4
+    write_gaussian_ply(tmp_path / "a.ply", cloud.rows(np.zeros(0, np.int64)))
+    with pytest.raises(FileFormatError, match="holds no Gaussian"):
+        read_gaussian_ply(tmp_path / "a.ply")

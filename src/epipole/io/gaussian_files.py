@@ -1,4 +1,4 @@
-"""Gaussians in the files that splats are passed on in: PLY, compressed PLY, SPZ and .splat.
+"""Gaussians in the files that splats are passed on in: PLY, compressed PLY, SPZ, SOG and .splat.
 
 Compressed PLY (16 bytes a Gaussian and 45 of harmonics) and SPZ (Niantic; gzip before version 4, zstd from then on) are read and written
 by `gsply`. SPZ's axes are right, up, back: turned half around x from those of a PLY file. A .splat holds 32 bytes a Gaussian: place,
@@ -16,18 +16,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.io._finite_gaussians import MOST_GAUSSIANS, MOST_LOGIT, finite_gaussians
+from epipole.io._sog_files import META
+from epipole.io._sog_files import is_sog as is_sog
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes, open_file
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.sog import read_sog, write_sog
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
 
 if TYPE_CHECKING:
     from gsply import GSData
 
-SUFFIXES = (".ply", ".compressed.ply", ".spz", ".splat")
-MOST_GAUSSIANS = 100_000_000
-MOST_LOGIT = 15.0
-"""Of an opacity that a file holds as 0 or 1."""
+SUFFIXES = (".ply", ".compressed.ply", ".spz", ".sog", ".splat")
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 _NGSP = struct.Struct("<III")
 _TURNED = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
@@ -40,7 +41,7 @@ _DAMAGE = (
 
 
 def read_gaussians(path: str | Path) -> GaussianCloud:
-    """Read Gaussians of any of the formats; those with a number that is not finite are left out.
+    """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
 
     Raises:
         FileFormatError: it is of no such format, is cut short, or holds no Gaussian that is finite.
@@ -51,6 +52,8 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
         return _read_splat(path)
     if suffix == ".spz":
         return _read_spz(path)
+    if suffix == ".sog" or path.name.lower() == META:
+        return read_sog(path)
     if suffix != ".ply":
         raise FileFormatError(path, f"Gaussians are read from {', '.join(SUFFIXES)}")
     return _read_compressed_ply(path) if _is_compressed(path) else read_gaussian_ply(path)
@@ -69,6 +72,8 @@ def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
         _write_splat(path, cloud)
     elif suffix == ".spz":
         _write_by(path, ".spz", lambda part, gsply: gsply.write_spz(part, _gsdata(_half_turned(cloud))))
+    elif suffix == ".sog":
+        write_sog(path, cloud)
     elif path.name.lower().endswith(".compressed.ply"):
         _write_by(
             path,
@@ -120,15 +125,10 @@ def _cloud(path: Path, data: GSData) -> GaussianCloud:
     rest = np.zeros((n, 0, 3)) if data.shN is None else np.asarray(data.shN).reshape(n, -1, 3)
     if rest.shape[1] + 1 not in NUM_SH:
         raise FileFormatError(path, f"{rest.shape[1]} harmonics are those of no degree")
-    quats = np.asarray(data.quats, np.float32)
-    quats = np.where((quats**2).sum(axis=1, keepdims=True) > 0, quats, np.array([1, 0, 0, 0], np.float32))
     logits = np.clip(np.asarray(data.opacities), -MOST_LOGIT, MOST_LOGIT).reshape(-1)
     sh = np.concatenate([np.asarray(data.sh0)[:, None], rest], axis=1)
-    parts = [np.asarray(part, np.float32) for part in (data.means, data.scales, quats, logits, sh)]
-    good = np.all([np.isfinite(part).reshape(n, -1).all(axis=1) for part in parts], axis=0)
-    if not good.any():
-        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
-    return GaussianCloud(*(np.ascontiguousarray(part[good]) for part in parts))
+    parts = (data.means, data.scales, data.quats, logits, sh)
+    return finite_gaussians(path, [np.asarray(part, np.float32) for part in parts])
 
 
 def _half_turned(cloud: GaussianCloud) -> GaussianCloud:
@@ -228,20 +228,14 @@ def _read_splat(path: Path) -> GaussianCloud:
     with np.errstate(all="ignore"):
         log_scales = np.log(rows["scale"])
         opacity = np.clip(rows["rgba"][:, 3] / 255.0, 1e-7, 1 - 1e-7)
-    quats = (rows["quat"].astype(np.float32) - 128.0) / 128.0
-    none = ~quats.any(axis=1)
-    quats[none] = 1, 0, 0, 0
-    good = np.isfinite(rows["mean"]).all(axis=1) & np.isfinite(log_scales).all(axis=1)
-    if not good.any():
-        raise FileFormatError(path, f"none of its {len(rows)} Gaussians is finite")
     parts = (
         rows["mean"],
         log_scales,
-        quats,
+        (rows["quat"].astype(np.float32) - 128.0) / 128.0,
         np.log(opacity / (1.0 - opacity)),
         ((rows["rgba"][:, :3] / 255.0 - 0.5) / DC)[:, None],
     )
-    return GaussianCloud(*(np.ascontiguousarray(part[good], np.float32) for part in parts))
+    return finite_gaussians(path, [np.asarray(part, np.float32) for part in parts])
 
 
 def _write_splat(path: Path, cloud: GaussianCloud) -> None:

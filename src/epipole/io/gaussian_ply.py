@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import FileFormatError
+from epipole.io._finite_gaussians import finite_gaussians
 from epipole.io.atomic import atomic_write
 from epipole.io.ply import ply_columns
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
@@ -57,18 +58,15 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
         return np.stack(rows, axis=1) if rows else np.zeros((len(columns["x"]), 0), np.float32)
 
     n = len(columns["x"])
-    dc, above = table("f_dc_0", "f_dc_1", "f_dc_2"), table(*rest).reshape(n, 3, -1).transpose(0, 2, 1)
-    quats = table(*(f"rot_{k}" for k in range(4)))
-    with np.errstate(over="ignore"):
-        quats = np.where((quats**2).sum(axis=1, keepdims=True) > 0, quats, np.array([1, 0, 0, 0], np.float32))
+    dc, above = (
+        table("f_dc_0", "f_dc_1", "f_dc_2"),
+        table(*rest).reshape(n, 3, higher // 3).transpose(0, 2, 1),
+    )
     parts = (
         table("x", "y", "z"),
         table("scale_0", "scale_1", "scale_2"),
-        quats,
+        table(*(f"rot_{k}" for k in range(4))),
         table("opacity")[:, 0],
         np.concatenate([dc[:, None], above], axis=1),
     )
-    good = np.all([np.isfinite(part).reshape(n, -1).all(axis=1) for part in parts], axis=0)
-    if not good.any():
-        raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
-    return GaussianCloud(*(np.ascontiguousarray(part[good]) for part in parts))
+    return finite_gaussians(path, parts)

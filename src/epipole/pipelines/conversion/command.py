@@ -17,7 +17,7 @@ def convert(
 
     Args:
         source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.
-        target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz or .splat), otherwise a new folder; transforms and bundler get their pictures, too.
+        target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler get their pictures, too.
         format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat.
     """
     from rich.console import Console

@@ -12,7 +12,7 @@ from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.files import open_file
-from epipole.io.gaussian_files import SUFFIXES, read_gaussians, write_gaussians
+from epipole.io.gaussian_files import SUFFIXES, is_sog, read_gaussians, write_gaussians
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
@@ -41,7 +41,7 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
     Args:
         source: output folder of `reconstruct`, a COLMAP model, or a transforms.json; for `splat` an output folder of `splat`, or a
             file of Gaussians.
-        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
+        target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
             conversion of the same model, whose other formats stay. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
             where the disk is the same): the paths in these files are then right.
         format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat.
@@ -99,7 +99,7 @@ def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
 
 
 def _refuse_to_replace(target: Path) -> None:
-    """Only a PLY or SPZ file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
+    """Only a PLY, SPZ or SOG file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
 
     Raises:
         WorkspaceError: a file of another kind stands there.
@@ -108,8 +108,8 @@ def _refuse_to_replace(target: Path) -> None:
         return
     with open_file(target) as stream:
         head = stream.read(4)
-    if head and not head.startswith((b"ply", b"NGSP", b"\x1f\x8b")):
-        raise WorkspaceError(f"{target} is there already and is no PLY or SPZ file: give another name")
+    if head and not head.startswith((b"ply", b"NGSP", b"\x1f\x8b")) and not is_sog(target):
+        raise WorkspaceError(f"{target} is there already and is no PLY, SPZ or SOG file: give another name")
 
 
 def _names_with_place(model: Reconstruction) -> list[str]:

@@ -81,7 +81,7 @@ def render(
     """Draw trained Gaussians, a neural field or a grid, from a circle or given cameras, to a video or pictures.
 
     Args:
-        source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .splat).
+        source: Output folder of `splat` or `nerf`, or a file of Gaussians (.ply, .compressed.ply, .spz, .sog, .splat).
         out: A video (.mp4), or a folder for PNG pictures.
         job: From where, and how large.
     """

@@ -32,7 +32,7 @@ LENGTHS = "Lengths are in the unit of the cameras, metres only where these are m
 
 def is_mine(path: Path) -> bool:
     """Whether a folder holds trained Gaussians or a grid, or a file is one of Gaussians."""
-    if path.suffix.lower() in (".spz", ".splat") and path.is_file():
+    if path.suffix.lower() in (".spz", ".sog", ".splat") and path.is_file():
         return True
     if path.suffix.lower() == ".ply" and path.is_file():
         with path.open("rb") as stream:

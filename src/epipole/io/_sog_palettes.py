@@ -1,0 +1,130 @@
+"""Few values that stand for many: 256 numbers for all numbers of a kind, and rows for all rows of harmonics.
+
+Both are Lloyd's iteration (1982) from a start that the data give: the same numbers always give the same file.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64, UInt8
+
+CODES, PALETTE = 256, 65536
+"""Most numbers and rows that the format has."""
+_BINS, _STEPS_OF_CODES = 256, 50
+_GROUPS, _STEPS, _STEPS_OF_GROUPS, _ROUNDS = 64, 6, 6, 4
+_SAMPLE, _TOGETHER = 1 << 15, 1 << 14
+
+
+def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Float32[np.ndarray, " 256"]:
+    """The numbers that numbers are rounded to, in order: all of them, where there are no more than 256.
+
+    Values are sorted once, so that a step of Lloyd's iteration is a search of the 255 borders.
+
+    Args:
+        values: what is rounded.
+        power: a value v counts exp(power v) times.
+    """
+    ordered = np.sort(values, axis=None)
+    first = np.flatnonzero(np.diff(ordered, prepend=np.float32(-np.inf)))
+    if len(first) <= CODES:
+        return np.pad(ordered[first], (0, CODES - len(first)), mode="edge")
+    ordered = ordered.astype(np.float64)
+    weights = np.exp(power * (ordered - ordered[-1]))
+    sums = np.concatenate([[0.0], np.cumsum(weights * ordered)])
+    masses = np.concatenate([[0.0], np.cumsum(weights)])
+    codes = _spread(ordered, weights)
+    for _ in range(_STEPS_OF_CODES):
+        borders = np.searchsorted(ordered, 0.5 * (codes[1:] + codes[:-1]))
+        edges = np.concatenate([[0], borders, [len(ordered)]])
+        mass = np.diff(masses[edges])
+        means = np.diff(sums[edges]) / np.maximum(mass, 1e-300)
+        moved = np.sort(np.where(mass > 0, means, codes))
+        if np.array_equal(moved, codes):
+            break
+        codes = moved
+    return codes.astype(np.float32)
+
+
+def _spread(ordered: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """A start: as close together as the cube root of the density, which is best where codes are many (Panter and Dite, 1951)."""
+    counts, edges = np.histogram(ordered, _BINS, weights=weights)
+    share = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
+    wanted = (np.arange(CODES) + 0.5) / CODES * share[-1]
+    return np.interp(wanted, share, edges)
+
+
+def codes_of(
+    values: Float32[np.ndarray, "*shape"], codebook: Float32[np.ndarray, " 256"]
+) -> UInt8[np.ndarray, "*shape"]:
+    """The nearest number's place in the codebook."""
+    book = codebook.astype(np.float64)
+    return np.searchsorted(0.5 * (book[1:] + book[:-1]), values).astype(np.uint8)
+
+
+def palette_of(
+    rows: Float32[np.ndarray, "n d"], weights: Float[np.ndarray, " n"], size: int
+) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
+    """Rows that stand for all, and which one for each.
+
+    In two steps, which takes a small part of the time: rows are put into groups, and each group gets a share of the palette, as large as
+    its share of the weighted squares of deviations, and an iteration of its own. Groups stand one after the other.
+    """
+    if size >= len(rows):
+        return rows, np.arange(len(rows))
+    stride = -(-len(rows) // _SAMPLE)
+    groups = _lloyd(rows[::stride], weights[::stride], min(_GROUPS, size), _STEPS_OF_GROUPS)
+    group, away = _nearest(rows, groups)
+    order = np.argsort(group, kind="stable")
+    edges = np.searchsorted(group[order], np.arange(len(groups) + 1))
+    shares = _shares(np.diff(edges), np.bincount(group, weights * away, len(groups)), size)
+    palette, labels, done = [], np.empty(len(rows), np.int64), 0
+    for first, last, share in zip(edges[:-1], edges[1:], shares.tolist()):
+        own = order[first:last]
+        if len(own) == 0:
+            continue
+        centers = _lloyd(rows[own], weights[own], share, _STEPS)
+        labels[own] = done + _nearest(rows[own], centers)[0]
+        palette.append(centers)
+        done += len(centers)
+    return np.concatenate(palette), labels
+
+
+def _shares(counts: np.ndarray, wanted: np.ndarray, size: int) -> np.ndarray:
+    """Of a palette, in whole numbers that add up to no more than it has: one for each group that is not empty, none beyond its rows."""
+    shares = np.minimum(counts, 1)
+    for _ in range(_ROUNDS):
+        open_groups = np.where(shares < counts, wanted, 0.0)
+        more = np.floor(open_groups / max(open_groups.sum(), 1e-30) * (size - shares.sum()))
+        shares = np.minimum(counts, shares + more.astype(np.int64))
+    return shares
+
+
+def _lloyd(rows: np.ndarray, weights: np.ndarray, size: int, steps: int) -> np.ndarray:
+    """Centres of clusters; one that has become empty goes to the row that is worst off."""
+    if size >= len(rows):
+        return rows
+    centers = rows[np.linspace(0, len(rows) - 1, size).astype(np.int64)]
+    for _ in range(steps):
+        label, distance = _nearest(rows, centers)
+        order = np.argsort(label, kind="stable")
+        counts = np.bincount(label, minlength=size)
+        filled = counts > 0
+        starts = (np.cumsum(counts) - counts)[filled]
+        sums = np.add.reduceat((rows * weights[:, None])[order], starts, axis=0)
+        centers = np.empty_like(centers)
+        centers[filled] = sums / np.add.reduceat(weights[order], starts)[:, None]
+        empty = size - np.count_nonzero(filled)
+        centers[~filled] = rows[np.argsort(-weights * distance, kind="stable")[:empty]]
+    return centers
+
+
+def _nearest(rows: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the centres to each row, and the squared distance."""
+    half = 0.5 * (centers**2).sum(axis=1)
+    label, distance = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
+    for first in range(0, len(rows), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        score = half - rows[some] @ centers.T
+        label[some] = score.argmin(axis=1)
+        distance[some] = np.maximum(0.0, (rows[some] ** 2).sum(axis=1) + 2.0 * score.min(axis=1))
+    return label, distance
