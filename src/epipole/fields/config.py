@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from epipole._declared import check_fields
@@ -24,6 +25,11 @@ class SplatConfig:
     """Share of SSIM in the loss; the rest is L1."""
     antialiased: bool = False
     """Train with Mip-Splatting's filter: for pictures of many sizes."""
+    start: Literal["dense", "points", "random"] = "dense"
+    """Where the first Gaussians are: at the model's points (points), also at those that stereo of neighbouring views finds where
+    the model has few (dense), or where the cameras look (random, and where there are no points)."""
+    start_from: Path | None = None
+    """Begin with these Gaussians: a PLY file of some, or an output folder of `splat` or `nerf`."""
     exposure: bool = False
     """Learn a map of colours for each picture: where cameras chose exposure and white balance anew."""
     refine_poses: bool = False

@@ -17,7 +17,12 @@ from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
 HALVINGS = 3
 """Of cells, from the first that are held against silhouettes."""
+PARALLEL = 1e-3
+"""Mean square of the sine of the angles between axes, below which they are parallel."""
 FIRST_OPACITY, NEIGHBOURS = 0.15, 3
+NEAREST, FARTHEST = 2.0, 100.0
+"""Depths of points that are drawn in a view, in the distance between neighbouring cameras: nearer ones are seen by one camera, and what is
+farther hardly moves."""
 TRIES, MOST_VIEWS = 40, 24
 """Points drawn for each that is wanted, and views that each is held against."""
 
@@ -43,6 +48,42 @@ def cloud_of_points(
         np.full(n, np.log(FIRST_OPACITY / (1 - FIRST_OPACITY)), np.float32),
         ((rgb / 255.0 - 0.5) / DC).astype(np.float32)[:, None],
     )
+
+
+@checked
+def points_in_frusta(
+    views: Sequence[TrainingView], count: int, seed: int = 0
+) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Points drawn in what each camera sees, at an inverse depth that is drawn, too, and the colours of their pixels.
+
+    Args:
+        views: cameras at two or more places.
+        count: points that are wanted; there may be fewer.
+        seed: of what is drawn.
+
+    Raises:
+        DegenerateGeometryError: all cameras stand at one place, or no pixel is left to look through.
+    """
+    centers = np.stack([view.cam_from_world.inverse().translation for view in views])
+    between = cKDTree(centers).query(centers, 2)[0][:, 1]
+    if not between.any():
+        raise DegenerateGeometryError("all cameras stand at one place: nothing tells how far the scene is")
+    apart, rng = float(np.median(between[between > 0])), np.random.default_rng([24, seed])
+    points, colours = [], []
+    for view in views:
+        used = np.ones(view.picture.shape[:2], bool) if view.used_mask is None else view.used_mask
+        if view.picture.shape[2] == 4:
+            used = used & (view.picture[..., 3] > 0)
+        row, column = np.nonzero(used)
+        chosen = rng.permutation(len(row))[: -(-count // len(views))]
+        row, column = row[chosen], column[chosen]
+        depth = apart / rng.uniform(1.0 / FARTHEST, 1.0 / NEAREST, len(row))
+        rays = view.camera.unproject(np.stack([column, row], axis=1).astype(np.float64))
+        points.append(view.cam_from_world.inverse().apply(rays / rays[:, 2:] * depth[:, None]))
+        colours.append(view.picture[row, column, :3])
+    if not any(len(part) for part in points):
+        raise DegenerateGeometryError("the pictures are transparent, or masked, everywhere")
+    return np.concatenate(points)[:count], np.concatenate(colours)[:count]
 
 
 @checked
@@ -132,6 +173,17 @@ def may_be_full(
     return kept
 
 
+def look_the_same_way(views: Sequence[TrainingView]) -> bool:
+    """Whether optical axes are so nearly parallel that they meet nowhere in particular."""
+    axes = np.stack([view.cam_from_world.rotation[2] for view in views])
+    return bool(np.linalg.eigvalsh(_across(axes).sum(axis=0))[0] < PARALLEL * len(views))
+
+
+def _across(axes: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) what of a place lies across each axis (n, 3)."""
+    return np.asarray(np.eye(3) - axes[:, :, None] * axes[:, None, :])
+
+
 def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     """The point nearest to all optical axes, and how far the pictures reach around it.
 
@@ -140,9 +192,9 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     """
     centers = np.stack([view.cam_from_world.inverse().translation for view in views])
     axes = np.stack([view.cam_from_world.rotation[2] for view in views])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    across = _across(axes)
     total = across.sum(axis=0)
-    if np.linalg.eigvalsh(total)[0] < 1e-3 * len(views):
+    if look_the_same_way(views):
         raise DegenerateGeometryError("the cameras look the same way: nothing tells how far the scene is")
     middle = np.linalg.solve(total, (across @ centers[..., None])[..., 0].sum(axis=0))
     depth = ((middle - centers) * axes).sum(axis=1)

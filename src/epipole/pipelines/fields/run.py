@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from epipole.errors import ConfigError
 from epipole.fields.config import SplatConfig
 from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes, share_in_view
 from epipole.io.gaussian_ply import write_gaussian_ply
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, SPLAT, first_view_of, write_cameras
 from epipole.pipelines.fields.training import background_of, called, compared, finished, pictures_of, train
-from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
+from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-LEAST_POINTS = 100
-"""Of a model: with fewer the first Gaussians are drawn."""
-LEAST_IN_VIEW = 0.02
-"""Of the points: with fewer in most pictures the cameras look elsewhere."""
-FIRST_SHARE = 0.1
-"""Of the Gaussians in the end, where they are drawn."""
 BORNE, STEP_S = 3600.0, 0.02
 """Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
 PROGRAM_BYTES, WORK_BYTES, WORK_BYTES_OF_PIXEL = 230e6, 480, 200
@@ -86,7 +79,9 @@ def splat(
         config = replace(config, max_gaussians=most)
         background = background_of(wanted, pictures)
         with run.stage("start"):
-            trainer = SplatTrainer(pictures.train, _start(pictures, config, run), config, background)
+            start = first_gaussians(pictures, config, most, partial(run.report, "start"))
+            run.warnings += start.warnings
+            trainer = SplatTrainer(pictures.train, start.cloud, config, background)
         with run.stage("train"):
             checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
             gigabytes = 1e-9 * _memory(pictures, most, config.sh_degree)
@@ -141,19 +136,3 @@ def _borne(pictures: FieldPictures, wanted: FieldOptions) -> int:
     seconds = STEP_S * (wanted.steps or 0) if wanted.seconds is None else wanted.seconds
     told = sum(view.camera.width * view.camera.height for view in pictures.train) / PIXELS_OF_EACH
     return max(LEAST_POINTS, int(min(BORNE * seconds**0.5, told)))
-
-
-def _start(pictures: FieldPictures, config: SplatConfig, run: Run) -> GaussianCloud:
-    """A Gaussian at each point that is known; where too few are, drawn where the cameras look."""
-    points, rgb = pictures.points_in_world, pictures.rgb
-    good = np.isfinite(points).all(axis=1)
-    if good.sum() < LEAST_POINTS:
-        count = max(LEAST_POINTS, int(FIRST_SHARE * (config.max_gaussians or 0)))
-        points, rgb = points_in_silhouettes(pictures.train, count, config.seed)
-        good = np.ones(len(points), bool)
-    elif share_in_view(pictures.train, points[good]) < LEAST_IN_VIEW:
-        run.warnings.append(
-            "most cameras look away from the points: are their axes those of the format (OpenGL's in a transforms.json,"
-            " OpenCV's in a COLMAP model)?"
-        )
-    return cloud_of_points(points[good], rgb[good])

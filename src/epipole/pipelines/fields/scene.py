@@ -21,6 +21,7 @@ from epipole.pipelines.fields.kinds import kind_in
 from epipole.pipelines.fields.sharing import page_of
 from epipole.report.scene_page import ScenePage
 from epipole.scene import Points
+from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
 SPLAT, SUMMARY, FIRST_VIEW, CAMERAS = "splat.ply", "summary.json", "first_view", "cameras.json"
@@ -71,18 +72,31 @@ def splat_view(path: Path) -> SplatView:
     Raises:
         FileFormatError: the file is damaged.
     """
-    found = kind_in(path)
-    if found is None:
-        file = path if path.is_file() else path / SPLAT
-        cloud = read_gaussians(file)
-    else:
-        kind, file = found
-        cloud = gaussians_of(kind.voxels(kind.read(file)), MOST_SHOWN)
+    cloud, file = _gaussians_in(path, MOST_SHOWN)
     known = told_first_view(file.with_name(SUMMARY))
     if known is None:
         known = looked_at(cloud.means_in_world.astype(np.float64))
     position, look_at, up = known
     return SplatView(cloud, position, look_at, up, LENGTHS)
+
+
+def gaussians_in(path: Path, most: int) -> GaussianCloud:
+    """Gaussians of an output folder or a file; of a field, at most so many.
+
+    Raises:
+        FileFormatError: there is no such file, or it is damaged.
+    """
+    return _gaussians_in(path, most)[0]
+
+
+def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
+    """And the file that they, or the field, are in."""
+    found = kind_in(path)
+    if found is not None:
+        kind, file = found
+        return gaussians_of(kind.voxels(kind.read(file)), most), file
+    file = path if path.is_file() else path / SPLAT
+    return read_gaussians(file), file
 
 
 def looked_at(places: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,140 @@
+"""Points by stereo of neighbouring views: where a model has few, Gaussians begin at these, too.
+
+Pictures of a training are small, and a pair of them takes a tenth of a second: what is found so, is found before a training has begun
+to look for it (as EDGS does by a network; Kotovenko et al., 2025).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.disparity_search.config import DisparityConfig
+from epipole.disparity_search.rectification import Rectification, is_right_of_left, rectify, within_both
+from epipole.disparity_search.search import match_stereo
+from epipole.errors import EpipoleError
+from epipole.fields.training_view import TrainingView
+from epipole.scene import StereoRig
+
+SIDE_PX = 480
+"""Of the pictures that are compared: larger ones are made smaller by a whole factor."""
+PARTNERS, BEST_DEG, SPREAD = 2, 8.0, 0.6
+"""Of each view, those that see most of its points from an angle nearest to that; one that is e^SPREAD times as large counts 0.6."""
+LEAST_SCORE, LEAST_POINTS = 0.1, 20
+RANGE_SHARE, RANGE_PX = 0.15, 4.0
+"""How much farther than the known points disparities are searched, of their range and in pixels."""
+MOST_ERROR = 0.01
+"""Standard deviation of a disparity, of the disparity: so much of its depth a point may be off."""
+
+
+class DensePoints(NamedTuple):
+    """Points of the world and their colours."""
+
+    points_in_world: np.ndarray
+    rgb: np.ndarray
+
+
+def dense_points(
+    views: Sequence[TrainingView], count: int, seed: int, told: Callable[[int, int], None]
+) -> DensePoints:
+    """At most so many points, drawn from all that neighbouring views find; none where no two fit.
+
+    Args:
+        views: pinhole cameras that know which of the model's points they show.
+        count: points.
+        seed: of the draw.
+        told: called with pairs done and all pairs.
+    """
+    pairs, found = neighbours_of(views), list[DensePoints]()
+    for n, (one, other) in enumerate(pairs):
+        told(n, len(pairs))
+        try:
+            found.append(_points_of_pair(views[one], views[other]))
+        except EpipoleError:  # one stands before the other, or they share no row: others may fit
+            continue
+    told(len(pairs), len(pairs))
+    if not found:
+        return DensePoints(np.empty((0, 3)), np.empty((0, 3), np.uint8))
+    points, rgb = (np.concatenate(parts) for parts in zip(*found))
+    chosen = np.sort(np.random.default_rng([23, seed]).permutation(len(points))[:count])
+    return DensePoints(points[chosen], rgb[chosen])
+
+
+def neighbours_of(views: Sequence[TrainingView]) -> list[tuple[int, int]]:
+    """Pairs of views that see the same points from angles that tell their depth."""
+    pairs = set[tuple[int, int]]()
+    for one, view in enumerate(views):
+        scores = np.array([_score(view, other) if other is not view else 0.0 for other in views])
+        for other in np.argsort(-scores, kind="stable")[:PARTNERS].tolist():
+            if scores[other] > LEAST_SCORE:
+                pairs.add((min(one, other), max(one, other)))
+    return sorted(pairs)
+
+
+def _score(view: TrainingView, other: TrainingView) -> float:
+    """Share of a view's points that the other sees, times how good the angle between them is."""
+    points = _known(view)
+    places = other.cam_from_world.apply(points)
+    pixels, size = other.camera.project(places), np.array([other.camera.width, other.camera.height])
+    inside = (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1) & (places[:, 2] > 0)
+    if inside.sum() < LEAST_POINTS:
+        return 0.0
+    rays = [points[inside] - one.cam_from_world.inverse().translation for one in (view, other)]
+    rays = [ray / np.linalg.norm(ray, axis=1, keepdims=True) for ray in rays]
+    angle = float(np.median(np.rad2deg(np.arccos(np.clip((rays[0] * rays[1]).sum(axis=1), -1.0, 1.0)))))
+    off = np.log(max(angle, 1e-6) / BEST_DEG) / SPREAD
+    return float(inside.mean() * np.exp(-0.5 * off**2))
+
+
+def _known(view: TrainingView) -> np.ndarray:
+    points = np.empty((0, 3)) if view.points_in_world is None else view.points_in_world
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _points_of_pair(one: TrainingView, other: TrainingView) -> DensePoints:
+    """Points of the left of two views.
+
+    Raises:
+        DegenerateGeometryError: the two cannot be rectified.
+        ConfigError: or their disparities have no range.
+    """
+    longest = max(one.camera.width, one.camera.height, other.camera.width, other.camera.height)
+    left, right = (view.smaller(-(-longest // SIDE_PX)) for view in (one, other))
+    rig = StereoRig(left.camera, right.camera, right.cam_from_world @ left.cam_from_world.inverse())
+    if is_right_of_left(rig):
+        rig, left, right = rig.swapped(), right, left
+    flat = rectify(rig)
+    pictures = flat.apply(*(np.ascontiguousarray(view.picture[..., :3]) for view in (left, right)))
+    known = left.cam_from_world.apply(np.concatenate([_known(left), _known(right)]))
+    found = match_stereo(*pictures, _range_of(flat, known))
+    found = within_both(found, flat.left_valid, flat.right_valid)
+    disparity = found.disparity_px + flat.rig.principal_offset_px
+    with np.errstate(invalid="ignore"):
+        good = (disparity > 0) & (found.sigma_px < MOST_ERROR * disparity) & _is_used(flat, left)
+    row, column = np.nonzero(good)
+    depth = flat.rig.focal_px * flat.rig.baseline / disparity[good].astype(np.float64)
+    rays = np.stack([column - flat.rig.cx, row - flat.rig.cy, np.full(len(row), flat.rig.focal_px)], axis=1)
+    places = (rays * (depth / flat.rig.focal_px)[:, None]) @ flat.rectified_from_left
+    return DensePoints(left.cam_from_world.inverse().apply(places), pictures[0][good])
+
+
+def _range_of(flat: Rectification, places: np.ndarray) -> DisparityConfig:
+    """Disparities of points (n, 3) in the left camera's axes, and some more."""
+    depth = places @ flat.rectified_from_left[2]
+    disparities = flat.rig.focal_px * flat.rig.baseline / depth[depth > 0] - flat.rig.principal_offset_px
+    low, high = np.quantile(disparities, [0.01, 0.99])
+    more = RANGE_SHARE * (high - low) + RANGE_PX
+    return DisparityConfig(min_disparity_px=int(low - more), max_disparity_px=int(high + more))
+
+
+def _is_used(flat: Rectification, view: TrainingView) -> np.ndarray:
+    """(h, w) where a rectified left picture shows what is neither masked nor transparent."""
+    used = np.ones(view.picture.shape[:2], bool) if view.used_mask is None else view.used_mask
+    if view.picture.shape[2] == 4:
+        used = used & (view.picture[..., 3] > 0)
+    at = np.rint(flat.left_map_px).astype(np.int64)
+    inside = (at >= 0).all(axis=2) & (at[..., 0] < view.camera.width) & (at[..., 1] < view.camera.height)
+    at = np.where(inside[..., None], at, 0)
+    return np.asarray(inside & used[at[..., 1], at[..., 0]])
