@@ -35,6 +35,12 @@ class FieldOptions:
     """Colour behind everything: white for pictures with transparency, else black."""
     masks: Path | None = None
     """Folder of masks, MASKS/NAME.png: where a mask is black a picture is neither learnt from nor compared."""
+    view: bool = False
+    """Watch the training in the browser; it takes at most a tenth of its time."""
+    port: int | None = None
+    """Of the live view; None: 8080, or the next free one."""
+    host: str = "127.0.0.1"
+    """Address of the live view; 0.0.0.0 lets other machines in."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

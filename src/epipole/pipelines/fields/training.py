@@ -21,6 +21,7 @@ from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import FieldPage, drawn_name, render_page
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.fields.scores import scores_of
+from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
 
@@ -89,7 +90,9 @@ def called(
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
-    settings = {"job": asdict(pictures), "config": asdict(config)}
+    watched = ("view", "host", "port")  # which change nothing of what comes out
+    kept = {name: value for name, value in asdict(pictures).items() if name not in watched}
+    settings = {"job": kept, "config": asdict(config)}
     task = Job(kind=kind, inputs=(source,), settings=settings, progress=progress)
     return Called(source, out, pictures, config, settings, task)
 
@@ -150,7 +153,7 @@ def train(
     is_over = False
     run.report("train", 0, 100, note)
     num_due = sum(share < done() for share in PROBES)
-    with heeded_interrupts() as is_pressed:
+    with open_watch(wanted, pictures) as watch, heeded_interrupts() as is_pressed:
         while (share := done()) < 1.0 and not is_over:
             if num_due < len(PROBES) and share >= PROBES[num_due]:
                 num_due += 1
@@ -160,6 +163,7 @@ def train(
                 if likeness_then is not None:
                     probes.append([at, trainer.num_steps, likeness_then])
             loss = trainer.step(share)
+            watch.show(trainer, share)
             is_over = is_pressed()
             if share * CURVE_POINTS >= len(curve):
                 curve.append([seconds(), trainer.num_steps, loss, len(trainer)])
