@@ -5,13 +5,18 @@ import json
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, scene, views
+from fields_scenes import CAMERA, WHITE, scene, views
 from test_fields_run import frames_of, lens
 
-from epipole import render
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole import render, splat
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
+from epipole.fields.normals import normals_of
+from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
+from epipole.image import color_map
 from epipole.io.gaussian_files import write_gaussians
+from epipole.io.gaussian_ply import read_gaussian_ply
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
@@ -35,6 +40,55 @@ def test_given_cameras(splats, tmp_path):
     render(splats, tmp_path / "out", cameras=tmp_path / "transforms.json", width=32, background="white")
     small = read_rgb(tmp_path / "out" / "00.png")
     assert small.shape == (24, 32, 3) and small[0, 0].min() == 255
+
+
+def test_depth_normals_and_coverage(splats, tmp_path):
+    content = lens() | {"frames": frames_of(views()[:2], tmp_path)}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    drawn = draw(scene(), CAMERA, views()[0].cam_from_world)
+    shown = drawn.coverage > 0.5
+    depth = np.where(shown, drawn.depth / np.maximum(drawn.coverage, 0.5), np.nan)
+    wanted = {
+        "depth": color_map(depth) / 255.0,
+        "normals": np.nan_to_num(0.5 + 0.5 * normals_of(depth, CAMERA)),
+        "coverage": np.repeat(drawn.coverage[..., None], 3, axis=2),
+    }
+    for output, picture in wanted.items():
+        render(splats, tmp_path / output, cameras=tmp_path / "transforms.json", output=output)
+        found = read_rgb(tmp_path / output / "00.png") / 255.0
+        assert np.abs(found - picture).max() < 0.01, output
+        assert (tmp_path / output / "01.png").is_file()
+
+
+def test_normals_of_a_plane_and_of_nothing():
+    camera = Camera("PINHOLE", 40, 30, [35.0, 36.0, 19.0, 14.0])
+    normal = np.array([0.3, -0.5, -0.8])
+    normal /= np.linalg.norm(normal)
+    row, column = np.mgrid[:30, :40]
+    rays = camera.unproject(np.stack([column, row], axis=2).reshape(-1, 2).astype(float))
+    depth = (-2.0 / (rays / rays[:, 2:] @ normal)).reshape(30, 40)
+    found = normals_of(depth, camera)
+    assert np.isnan(found[0]).all() and np.isnan(found[:, -1]).all()
+    np.testing.assert_allclose(found[1:-1, 1:-1], np.broadcast_to(normal, (28, 38, 3)), atol=1e-9)
+    depth[10, 10] = np.nan
+    unknown = np.isnan(normals_of(depth, camera)[1:-1, 1:-1, 0])
+    assert {(10, 9), (10, 11), (9, 10), (11, 10)} <= {(r + 1, c + 1) for r, c in np.argwhere(unknown)}
+    with pytest.raises(ShapeError):
+        normals_of(depth[:5], camera)
+
+
+def test_a_filter_is_used_again_that_was_trained_with(tmp_path):
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    splat(folder, tmp_path / "out", steps=5, max_gaussians=200, sh_degree=0, antialiased=True)
+    cloud = read_gaussian_ply(tmp_path / "out" / "splat.ply")
+    render(tmp_path / "out", tmp_path / "drawn", cameras=folder / "transforms.json")
+    render(tmp_path / "out", tmp_path / "other", cameras=folder / "transforms.json", antialiased=False)
+    for name, asked in (("drawn", True), ("other", False)):
+        wanted = draw(cloud, CAMERA, views()[0].cam_from_world, RenderOptions(antialiased=asked))
+        found = read_rgb(tmp_path / name / "00.png") / 255.0
+        assert np.abs(found - np.clip(wanted.over(WHITE), 0, 1)).max() < 0.01
 
 
 def test_a_circle_goes_round_and_looks_at_the_middle():

@@ -25,7 +25,7 @@ class SplatConfig:
     """Share of SSIM in the loss; the rest is L1."""
     antialiased: bool = False
     """Train with Mip-Splatting's filter: for pictures of many sizes."""
-    start: Literal["dense", "points", "random"] = "dense"
+    start: Literal["points", "dense", "random"] = "points"
     """Where the first Gaussians are: at the model's points (points), also at those that stereo of neighbouring views finds where
     the model has few (dense), or where the cameras look (random, and where there are no points)."""
     start_from: Path | None = None

@@ -95,8 +95,10 @@ class RenderJob:
     """Pictures a second of a video."""
     background: Background = "auto"
     """Colour behind everything: as it was trained, else black."""
-    antialiased: bool = False
-    """With Mip-Splatting's filter: if it was trained with it."""
+    antialiased: bool | None = None
+    """With Mip-Splatting's filter; None: if it was trained with it."""
+    output: Literal["colour", "depth", "normals", "coverage"] = "colour"
+    """What is drawn. Depth in colours, near blue, far red, the same for all pictures; normals as (n + 1) / 2 in the camera's axes."""
 
     def __post_init__(self) -> None:
         """Check the ranges.

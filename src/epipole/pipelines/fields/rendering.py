@@ -13,8 +13,10 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.errors import FileFormatError
+from epipole.fields.normals import normals_of
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
+from epipole.image import color_map, color_range
 from epipole.io.atomic import atomic_write
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
@@ -26,9 +28,11 @@ from epipole.pipelines.fields.scene import (
     SUMMARY,
     looked_at,
     splat_view,
+    told_antialiased,
     told_background,
     told_first_view,
 )
+from epipole.pipelines.fields.surfaces import seen_from
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
 
 
@@ -70,6 +74,8 @@ def render(
     colour = np.full(3, _background(source, wanted), np.float32)
     picture_of, first_view = _drawer(source, wanted, colour)
     shots = orbit(*first_view, wanted) if wanted.cameras is None else shots_of_model(wanted.cameras, wanted)
+    if wanted.output != "colour":
+        picture_of = _surface_drawer(source, wanted.output, shots[0])
     spent = [0.0]
 
     def pictures() -> Iterator[tuple[Shot, np.ndarray]]:
@@ -107,11 +113,31 @@ def _drawer(
             lambda shot: kind.draw(field, shot.camera, shot.cam_from_world, colour)[0],
             (position, look_at, up),
         )
-    view, options = splat_view(source), RenderOptions(antialiased=wanted.antialiased)
+    view, asked = splat_view(source), wanted.antialiased
+    if asked is None:
+        asked = told_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
+    options = RenderOptions(antialiased=asked)
     return (
         lambda shot: draw(view.cloud, shot.camera, shot.cam_from_world, options).over(colour),
         (view.position, view.look_at, view.up),
     )
+
+
+def _surface_drawer(source: Path, output: str, first: Shot) -> Callable[[Shot], np.ndarray]:
+    """What draws depth, normals or coverage of a shot, as a picture from 0 to 1."""
+    see, _ = seen_from(source)
+    limits = color_range(see(first).surface())
+
+    def depth(shot: Shot) -> np.ndarray:
+        return color_map(see(shot).surface(), limits) / np.float32(255.0)
+
+    def normals(shot: Shot) -> np.ndarray:
+        return np.nan_to_num(0.5 + 0.5 * normals_of(see(shot).surface(), shot.camera))
+
+    def coverage(shot: Shot) -> np.ndarray:
+        return np.repeat(see(shot).coverage[..., None], 3, axis=2)
+
+    return {"depth": depth, "normals": normals, "coverage": coverage}[output]
 
 
 def _background(source: Path, wanted: RenderJob) -> float:

@@ -15,7 +15,14 @@ from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians
 from epipole.pipelines.fields.pictures import FieldPictures
-from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, SPLAT, first_view_of, write_cameras
+from epipole.pipelines.fields.scene import (
+    ANTIALIASED,
+    CAMERAS,
+    FIRST_VIEW,
+    SPLAT,
+    first_view_of,
+    write_cameras,
+)
 from epipole.pipelines.fields.training import background_of, called, compared, finished, pictures_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
@@ -91,7 +98,7 @@ def splat(
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
             write_cameras(aside / CAMERAS, trainer.placed_views)
-        told: dict[str, Any] = {"num_gaussians": len(cloud)}
+        told: dict[str, Any] = {"num_gaussians": len(cloud), ANTIALIASED: config.antialiased}
         told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
         summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)
         if not trained.is_interrupted:

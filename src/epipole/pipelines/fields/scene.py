@@ -24,7 +24,9 @@ from epipole.scene import Points
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.viewer import SplatView, ViewerHandle, view_splats
 
-SPLAT, SUMMARY, FIRST_VIEW, CAMERAS = "splat.ply", "summary.json", "first_view", "cameras.json"
+SPLAT, SUMMARY, CAMERAS = "splat.ply", "summary.json", "cameras.json"
+FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
+"""Names in the summary."""
 MOST_SHOWN = 800_000
 """Gaussians of a grid."""
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
@@ -135,12 +137,21 @@ def write_cameras(path: Path, views: Sequence[TrainingView]) -> None:
 
 def told_background(summary: Path) -> float | None:
     """The grey value behind everything as it was trained; None where no job has told it."""
+    told = _told(summary, "background")
+    return BACKGROUNDS.get(told) if isinstance(told, str) else None
+
+
+def told_antialiased(summary: Path) -> bool:
+    """Whether Gaussians were trained with Mip-Splatting's filter."""
+    return _told(summary, ANTIALIASED) is True
+
+
+def _told(summary: Path, name: str) -> Any:
     try:
         content = read_json(summary)
     except FileFormatError:
         return None
-    told = content.get("background") if isinstance(content, dict) else None
-    return BACKGROUNDS.get(told) if isinstance(told, str) else None
+    return content.get(name) if isinstance(content, dict) else None
 
 
 def told_first_view(summary: Path) -> list[np.ndarray] | None:

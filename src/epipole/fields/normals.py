@@ -1,0 +1,38 @@
+"""Which way surfaces face, from their depth."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from epipole._declared import checked
+from epipole.cameras import Camera
+from epipole.errors import ShapeError
+
+
+@checked
+def normals_of(depth: Float[np.ndarray, "h w"], camera: Camera) -> Float64[np.ndarray, "h w 3"]:
+    """Unit normals in the camera's axes, towards the camera: across the differences of neighbouring pixels' places.
+
+    Args:
+        depth: along the optical axis, NaN where nothing is seen.
+        camera: a pinhole of the same size.
+
+    Returns:
+        NaN at pixels whose neighbours above, below, left and right are not all known.
+
+    Raises:
+        ShapeError: the depth is not of the camera's size.
+    """
+    if depth.shape != (camera.height, camera.width):
+        raise ShapeError(f"depth is {depth.shape[::-1]}, its camera {camera.width} x {camera.height}")
+    row, column = np.mgrid[: camera.height, : camera.width]
+    rays = camera.unproject(np.stack([column, row], axis=2).reshape(-1, 2).astype(np.float64))
+    places = (rays / rays[:, 2:]).reshape(*depth.shape, 3) * depth.astype(np.float64)[..., None]
+    out = np.full(places.shape, np.nan)
+    right = places[1:-1, 2:] - places[1:-1, :-2]
+    down = places[2:, 1:-1] - places[:-2, 1:-1]
+    across = np.cross(down, right)  # y is down: towards the camera
+    with np.errstate(invalid="ignore", divide="ignore"):
+        out[1:-1, 1:-1] = across / np.linalg.norm(across, axis=2, keepdims=True)
+    return out

@@ -1,0 +1,77 @@
+"""What cameras see of any trained field: depth, coverage and colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.fields.rasterizer import RenderOptions
+from epipole.fields.rasterizer import render as draw
+from epipole.io.gaussian_files import read_gaussians
+from epipole.pipelines.fields.cameras import Shot
+from epipole.pipelines.fields.kinds import Kind, kind_in
+from epipole.pipelines.fields.scene import SPLAT, SUMMARY, told_antialiased
+
+LEAST_OPACITY, LEAST_COVERAGE = 0.1, 0.5
+"""Of Gaussians that tell how large the scene is, and of pixels that show a surface."""
+
+
+class Seen(NamedTuple):
+    """A field from a camera."""
+
+    depth: np.ndarray
+    """(h, w) along the optical axis, times coverage."""
+    coverage: np.ndarray
+    """(h, w)"""
+    colour: np.ndarray
+    """(h, w, 3) times coverage."""
+
+    def surface(self) -> np.ndarray:
+        """(h, w) depth, NaN where there is more background than field."""
+        shown = self.coverage > LEAST_COVERAGE
+        return np.where(shown, self.depth / np.maximum(self.coverage, LEAST_COVERAGE), np.nan)
+
+
+def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
+    """What draws a shot, and places (n, 3) that say where the scene is.
+
+    Raises:
+        FileFormatError: the field cannot be read.
+    """
+    found = kind_in(source)
+    if found is not None:
+        kind, file = found
+        field = kind.read(file)
+        return lambda shot: _marched(kind, field, shot), kind.places(field)
+    file = source / SPLAT if source.is_dir() else source
+    cloud, options = (
+        read_gaussians(file),
+        RenderOptions(antialiased=told_antialiased(file.with_name(SUMMARY))),
+    )
+    opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits))
+    places = cloud.means_in_world[opacity >= LEAST_OPACITY].astype(np.float64)
+
+    def splatted(shot: Shot) -> Seen:
+        drawn = draw(cloud, shot.camera, shot.cam_from_world, options)
+        return Seen(drawn.depth, drawn.coverage, drawn.colour)
+
+    return splatted, places if len(places) else cloud.means_in_world.astype(np.float64)
+
+
+def _marched(kind: Kind, field: Any, shot: Shot) -> Seen:
+    """What is seen before white but not before black is background; depth along rays becomes that along the axis."""
+    black, depth, _ = kind.draw(field, shot.camera, shot.cam_from_world, np.zeros(3, np.float32))
+    white = kind.draw(field, shot.camera, shot.cam_from_world, np.ones(3, np.float32))[0]
+    return Seen(depth * _along_axis(shot.camera), 1.0 - (white - black).mean(axis=2), black)
+
+
+def _along_axis(camera: Camera) -> np.ndarray:
+    """(h, w) the share of a length along each pixel's ray that lies along the optical axis."""
+    matrix = camera.K
+    v, u = np.mgrid[: camera.height, : camera.width]
+    x, y = (u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]
+    return np.asarray(1.0 / np.sqrt(x * x + y * y + 1.0), np.float32)
