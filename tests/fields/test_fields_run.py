@@ -17,8 +17,10 @@ from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.io import write_points_ply
 from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields import checkpoints, training
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.pictures import gather_field_pictures
 from epipole.pipelines.fields.scene import is_mine, splat_view
 
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
@@ -145,6 +147,41 @@ def test_sets_with_a_split_of_their_own_keep_it(tmp_path):
         )
     found = splat(tmp_path, tmp_path / "out", **OPTIONS | {"steps": 3})
     assert (found.summary["num_train"], found.summary["num_test"]) == (10, 4)
+
+
+def test_masks_lie_beside_by_name(source, tmp_path):
+    mask = np.full((CAMERA.height, CAMERA.width), 255, np.uint8)
+    mask[:, :20] = 0
+    (tmp_path / "masks" / "images").mkdir(parents=True)
+    for name in ("00.png", "03.png"):
+        cv2.imwrite(str(tmp_path / "masks" / "images" / f"{name}.png"), mask)
+    options = FieldOptions(masks=tmp_path / "masks", test_every=7)
+    gathered = gather_field_pictures(source, options)
+    by_name = {view.name: view.used_mask for view in [*gathered.train, *gathered.test]}
+    assert sorted(name for name, used in by_name.items() if used is not None) == [
+        "images/00.png",
+        "images/03.png",
+    ]
+    np.testing.assert_array_equal(by_name["images/03.png"], mask > 0)
+    small = gather_field_pictures(source, replace(options, max_side_px=32))
+    half = next(view for view in small.train if view.name == "images/03.png").used_mask
+    assert half.shape == (24, 32) and not half[:, :10].any() and half[:, 10:].all()
+    found = splat(source, tmp_path / "out", job=options, **OPTIONS | {"steps": 3})
+    held = json.loads((found.out / "metrics.json").read_text())["views"][0]
+    assert held["name"] == "images/00.png" and np.isfinite([held["psnr"], held["psnr_matched"]]).all()
+    (tmp_path / "other").mkdir()
+    with pytest.raises(ConfigError, match="no picture has a mask"):
+        gather_field_pictures(source, replace(options, masks=tmp_path / "other"))
+    cv2.imwrite(str(tmp_path / "masks" / "images" / "05.png.png"), mask[:5])
+    assert any("mask is" in problem for problem in gather_field_pictures(source, options).problems)
+
+
+def test_cameras_that_moved_are_written(source, tmp_path):
+    options = OPTIONS | {"test_every": 0, "refine_poses": True, "exposure": True}
+    found = splat(source, tmp_path / "out", **options)
+    moved = read_transforms(found.out / "cameras.json", image_folder="").cams_from_world()
+    off = [np.linalg.norm((moved[n] @ view.cam_from_world.inverse()).log()) for n, view in enumerate(views())]
+    assert 1e-5 < np.median(off) < 0.2
 
 
 def test_an_interrupt_keeps_what_was_learnt(source, tmp_path):
