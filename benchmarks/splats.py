@@ -19,6 +19,7 @@ import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "splats.json"
+PICTURE = REPOSITORY / "docs" / "pictures" / "field_curves.png"
 
 SIZES = ("num_gaussians", "num_voxels", "num_parameters")
 """What the size of a field is called."""
@@ -57,7 +58,29 @@ def trained(task: Task, data: Path, seed: int) -> dict[str, Any]:
         kept = ("psnr", "ssim", "steps", "train_s", "timings_s")
         told = {name: found.summary[name] for name in kept}
         size = next(found.summary[name] for name in SIZES if name in found.summary)
-        return {"seed": seed, **told, "size": size}
+        along = json.loads((found.out / "metrics.json").read_text())["held_out"]["rows"]
+        return {"seed": seed, **told, "size": size, "held_out_along": along}
+
+
+def draw_curves(known: dict[str, list[dict[str, Any]]], path: Path) -> None:
+    """PSNR against seconds of the median runs: of three held-out views along the way, of all at the end."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(8, 4.5))
+    for name, runs in known.items():
+        middle = runs[len(runs) // 2]
+        if middle.get("held_out_along"):
+            along = [(row[0], row[2]) for row in middle["held_out_along"]]
+            seconds, likeness = zip(*along, (middle["train_s"], middle["psnr"]))
+            axes.plot(seconds, likeness, marker="o", markersize=3, label=name)
+    axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR of held-out views, dB")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
@@ -73,6 +96,7 @@ def main() -> None:
         runs = [trained(TASKS[name], data, seed) for seed in range(arguments.seeds)]
         known[name] = sorted(runs, key=lambda run: run["psnr"])
         RESULTS.write_text(json.dumps({"machine": describe_machine(2), "tasks": known}, indent=1) + "\n")
+    draw_curves(known, PICTURE)
     table = Table("task", "seeds", "PSNR (median)", "least", "most", "SSIM", "steps", "ms a step", "size")
     for name, runs in known.items():
         middle = runs[len(runs) // 2]

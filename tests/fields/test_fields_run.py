@@ -174,6 +174,9 @@ def test_masks_lie_beside_by_name(source, tmp_path):
         gather_field_pictures(source, replace(options, masks=tmp_path / "other"))
     cv2.imwrite(str(tmp_path / "masks" / "images" / "05.png.png"), mask[:5])
     assert any("mask is" in problem for problem in gather_field_pictures(source, options).problems)
+    cv2.imwrite(str(tmp_path / "masks" / "images" / "06.png.png"), np.zeros_like(mask))
+    problems = gather_field_pictures(source, options).problems
+    assert any(problem.startswith("images/06.png") and "leaves nothing" in problem for problem in problems)
 
 
 def test_cameras_that_moved_are_written(source, tmp_path):

@@ -1,7 +1,7 @@
 """Colours of each picture: cameras choose exposure and white balance anew, which a scene's colours cannot explain.
 
 Beside the field an affine map of colours is learnt for each picture, x' = A x + b, which what is drawn goes through before it is
-compared (Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024, section 6.1).
+compared (Kerbl et al., "A hierarchical 3D Gaussian representation", ACM TOG 2024).
 """
 
 from __future__ import annotations

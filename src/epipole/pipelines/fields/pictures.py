@@ -15,7 +15,7 @@ from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_mask, read_rgb
+from epipole.io.photographs import mask_of, read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
@@ -144,10 +144,14 @@ def _views(
             )
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
             path = path_inside(folder, name)
-            out.append(_view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px))
+            view = _view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            if view.used_mask is None or view.used_mask.any():
+                out.append(view)
+            else:
+                problems.append(f"{name} is left out: its mask leaves nothing of it")
         except EpipoleError as error:
             problems.append(f"{name} is left out: {error}")
-    if options.masks is not None and all(view.used_mask is None for view in out):
+    if options.masks is not None and not any(mask_of(options.masks, name) for name in model.images.name):
         raise ConfigError(f"no picture has a mask in {options.masks} (NAME.png beside the picture's name)")
     return out
 
