@@ -49,6 +49,24 @@ def test_results_are_written(result):
     assert metrics[kind.count] > 1000 and kind_in(result.out) == (kind, result.out / kind.file)
 
 
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_what_was_interrupted_goes_on_with_the_same_bits(source, tmp_path, kind):
+    def stop(progress):
+        if progress.stage == "train" and progress.done > 55:
+            raise KeyboardInterrupt
+
+    options = {"test_every": 7, "steps": 60, "kind": kind}
+    whole = nerf(source, tmp_path / "whole", **options)
+    first = nerf(source, tmp_path / "out", progress=stop, **options)
+    assert first.summary["interrupted"] and (tmp_path / "out" / "checkpoint.npz").is_file()
+    assert 30 < first.summary["steps"] < 60
+    found = nerf(source, tmp_path / "out", **options)
+    assert f"ended at step {first.summary['steps']}, and goes on" in found.warnings[0]
+    file = KINDS[kind].file
+    assert (found.out / file).read_bytes() == (whole.out / file).read_bytes()
+    assert not (tmp_path / "out" / "checkpoint.npz").exists()
+
+
 def test_what_is_read_draws_the_same(result):
     kind, place = kind_of(result), views()[3].cam_from_world
     found = kind.read(result.out / kind.file)

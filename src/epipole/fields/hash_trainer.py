@@ -25,6 +25,7 @@ from epipole.fields.hash_field import (
     sampled,
     seen,
 )
+from epipole.fields.random_state import set_state, state_of
 from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -112,6 +113,33 @@ class HashTrainer:
         wanted = count * PIECES * SAMPLES / max(self.num_samples, 1)
         self._num_rays = int(np.clip(wanted, 0.5 * count, min(2 * count, MOST_RAYS)))
         return sum(part.error for part in parts) / (3 * count)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+        moved = {
+            "value": (self.field.tables, *self.field.weights),
+            "mean": self._mean,
+            "square": self._square,
+        }
+        return {
+            **{f"{kind}_{n}": part for kind, parts in moved.items() for n, part in enumerate(parts)},
+            "alpha": self._alpha,
+            "occupied": self.field.room.occupied,
+            "counts": np.array([self.num_steps, self._num_rays], np.int64),
+            "rng": state_of(self._rng),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
+        values, self._mean, self._square = (
+            [state[f"{kind}_{n}"] for n in range(len(self._mean))] for kind in ("value", "mean", "square")
+        )
+        occupied = state["occupied"]
+        room = self.field.room._replace(occupied=occupied, blocks=blocks_of(occupied > 0))
+        self.field = self.field._replace(room=room, tables=values[0], weights=tuple(values[1:]))
+        self._alpha = state["alpha"]
+        self.num_steps, self._num_rays = state["counts"].tolist()
+        set_state(self._rng, state["rng"])
 
     def _followed(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Followed:
         """Pixels (n,) of all pictures, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ from epipole.fields.growth import Growth, halves
 from epipole.fields.photometric import likeness
 from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
+from epipole.fields.random_state import set_state, state_of
 from epipole.fields.rasterizer import (
     Cloud,
     Rendering,
@@ -130,7 +130,7 @@ class SplatTrainer:
             "order": np.array(self._order, np.int64),
             "counts": np.array(counts, np.int64),
             "size": np.array(self._size),
-            "rng": np.array(json.dumps(self._rng.bit_generator.state)),
+            "rng": state_of(self._rng),
             **{name: value for part in self._own() for name, value in part.state().items()},
         }
 
@@ -143,7 +143,7 @@ class SplatTrainer:
         self._order = state["order"].tolist()
         self.num_steps, self._num_changes, self._num_first = state["counts"].tolist()
         self._size = float(state["size"])
-        self._rng.bit_generator.state = json.loads(str(state["rng"]))
+        set_state(self._rng, state["rng"])
         for part in self._own():
             part.restore(state)
 

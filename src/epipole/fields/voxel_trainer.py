@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -12,6 +12,7 @@ from epipole import _parallel
 from epipole.errors import ConfigError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
+from epipole.fields.random_state import set_state, state_of
 from epipole.fields.rays import drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -99,6 +100,28 @@ class VoxelTrainer:
         self.num_samples = sum(part[3] for part in parts)
         self.num_steps += 1
         return sum(part[2] for part in parts) / (3 * RAYS)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+        named = {
+            **self.field._asdict(),
+            **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
+        }
+        return {
+            **{name: np.asarray(part) for name, part in named.items()},
+            "counts": np.array([self.num_steps, self._level, self._looks], np.int64),
+            "rng": state_of(self._rng),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
+        parts: dict[str, Any] = {name: state[name] for name in Voxels._fields}
+        parts |= {"size": float(parts["size"]), "delta": np.float32(parts["delta"])}
+        self.field = Voxels(**parts)
+        self._adam = GridAdam(*(state[f"adam_{name}"] for name in GridAdam._fields))
+        self.num_steps, self._level, looks = state["counts"].tolist()
+        self._looks, self._rows_at = bool(looks), None
+        set_state(self._rng, state["rng"])
 
     def _followed(
         self, chosen: np.ndarray, first: np.ndarray

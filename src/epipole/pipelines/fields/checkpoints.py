@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from epipole._version import __version__
-from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.runs.units import digest, is_done, load, store
 
@@ -18,11 +17,22 @@ CHECKPOINT, EVERY_S = "checkpoint.npz", 60.0
 """Its name in the output folder, and how often it is written."""
 
 
+@runtime_checkable
+class Resumable(Protocol):
+    """What can go on from where it was."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+
+
 class Checkpoint:
     """The file of one job: that of other pictures, options or another version is not read."""
 
     def __init__(
-        self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: SplatTrainer
+        self, folder: Path, settings: dict[str, Any], views: Sequence[TrainingView], trainer: Resumable
     ) -> None:
         parts = (
             (

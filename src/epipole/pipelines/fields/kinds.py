@@ -39,6 +39,12 @@ class FieldTrainer(Protocol):
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
 
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state`."""
+
     def __len__(self) -> int:
         """Numbers, or rows of them, that are learnt."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from epipole.fields.config import NerfConfig
+from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.kinds import KINDS, Field
 from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, first_view_of, write_cameras
@@ -37,6 +38,8 @@ def nerf(
 ) -> NerfResult:
     """Train a neural field, or a grid of densities and colours, on pictures that surround a scene; Ctrl-C ends the training, and keeps what was learnt.
 
+    Called again with the same options it goes on where it was; after a crash, where it was at most a minute before.
+
     Args:
         source: as of `splat`: photographs, a video, an output folder of `reconstruct`, a COLMAP model, a transforms.json or
             LLFF's poses_bounds.npy.
@@ -63,7 +66,8 @@ def nerf(
         with run.stage("start"):
             trainer = kind.trainer(pictures.train, background_of(wanted, pictures), config.seed)
         with run.stage("train"):
-            trained = train(trainer, pictures, wanted, run)
+            checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
+            trained = train(trainer, pictures, wanted, run, checkpoint=checkpoint)
         with run.stage("write"), run.folder.publish("model") as aside:
             kind.write(aside / kind.file, trainer.field)
             write_cameras(aside / CAMERAS, pictures.train)
@@ -73,4 +77,6 @@ def nerf(
         }
         told[FIRST_VIEW] = first_view_of(kind.places(trainer.field), pictures.train)
         summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)
+        if not trained.is_interrupted:
+            checkpoint.remove()
         return NerfResult(run.root, trainer.field, summary, tuple(run.warnings))
