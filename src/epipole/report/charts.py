@@ -183,7 +183,7 @@ def draw_curves(
         f'<text class="label" x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 8}" text-anchor="middle">'
         f"{escape(x_label)}</text>"
     )
-    parts.append(f'<text class="label" x="4" y="{_TOP - 3}">{escape(y_label)}</text>')
+    parts.append(f'<text class="label" x="{_LEFT}" y="{_TOP - 3}">{escape(y_label)}</text>')
     return svg(_WIDTH, _HEIGHT, parts, f"{y_label} against {x_label}")
 
 
