@@ -16,6 +16,7 @@ from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import first_view_of
 from epipole.viewer.live import Budget
+from epipole.viewer.live_server import opened_live
 
 if TYPE_CHECKING:
     from epipole.viewer.field_watch import FieldWatch
@@ -71,25 +72,12 @@ def open_watch(wanted: FieldOptions, pictures: FieldPictures) -> Iterator[Watch]
     if not wanted.view:
         yield Watch()
         return
-    # viser is slow to import, and few trainings are watched.
-    from rich.console import Console
-
     from epipole.viewer.field_watch import FieldWatch
-    from epipole.viewer.handle import serve
-    from epipole.viewer.server import note_on_port, open_server
 
     told = first_view_of(_places_of(pictures), pictures.train)
     first = tuple(np.array(told[name]) for name in ("position", "look_at", "up"))
-    server = open_server(wanted.host, wanted.port)
-    shown = server.get_port()
-    viewer = FieldWatch(server, first)
-    handle = serve(viewer, shown, wanted.host, note_on_port(wanted.port, shown), block=False)
-    note = f" ({handle.note})" if handle.note else ""
-    Console(stderr=True).print(f"Live view at {handle.url}{note}", highlight=False, markup=False)
-    try:
+    with opened_live(lambda server: FieldWatch(server, first), wanted.host, wanted.port) as viewer:
         yield BrowserWatch(viewer)
-    finally:
-        handle.stop()
 
 
 def _places_of(pictures: FieldPictures) -> np.ndarray:

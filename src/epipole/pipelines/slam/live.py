@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.drawing import FINAL_RGB, path_curve
@@ -16,6 +15,7 @@ from epipole.pipelines.slam.frames import Frame, TrackedFrame
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
 from epipole.viewer.live import Budget, LiveScene, picture_with_points
+from epipole.viewer.live_server import opened_live
 
 if TYPE_CHECKING:
     from epipole.viewer.live_viewer import LiveViewer
@@ -68,21 +68,10 @@ def open_live(source: FrameSource, job: JobOptions) -> Iterator[LiveView]:
     if not job.view:
         yield LiveView()
         return
-    # viser is slow to import, and few runs are watched.
-    from epipole.viewer.handle import serve
     from epipole.viewer.live_viewer import LiveViewer
-    from epipole.viewer.server import note_on_port, open_server
 
-    server = open_server(job.host, job.port)
-    shown = server.get_port()
-    viewer = LiveViewer(server, source.camera.camera)
-    handle = serve(viewer, shown, job.host, note_on_port(job.port, shown), block=False)
-    note = f" ({handle.note})" if handle.note else ""
-    Console(stderr=True).print(f"Live view at {handle.url}{note}", highlight=False, markup=False)
-    try:
+    with opened_live(lambda server: LiveViewer(server, source.camera.camera), job.host, job.port) as viewer:
         yield BrowserView(viewer, source.num_frames)
-    finally:
-        handle.stop()
 
 
 def _words(first: str, answer: TrackedFrame) -> str:
