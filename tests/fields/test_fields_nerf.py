@@ -19,6 +19,11 @@ from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_vox
 from epipole.pipelines.fields.scene import is_mine, splat_view
 
 STEPS = 120
+LEAST_PSNR = {"grid": 20, "hash": 18}
+MOST_OFF = {"grid": 5e-3, "hash": 2e-2}
+"""Of a pixel, after the rounding of a field's file: the network adds up what its tables lose."""
+DARKEST = {"grid": 0.7, "hash": 0.8}
+MOST_LEVELS = {"grid": 2, "hash": 4}
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +48,14 @@ def kind_of(result):
 def test_results_are_written(result):
     metrics = json.loads((result.out / "metrics.json").read_text())
     assert metrics["num_train"] == 12 and metrics["num_test"] == 2 and metrics["steps"] == STEPS
-    assert metrics["psnr"] > 18 and metrics["background"] == "white"
+    assert metrics["psnr"] > LEAST_PSNR[metrics["kind"]] and metrics["background"] == "white"
     assert sorted(path.name for path in (result.out / "test").iterdir()) == ["images_00.png", "images_07.png"]
     kind = KINDS[metrics["kind"]]
     assert metrics[kind.count] > 1000 and kind_in(result.out) == (kind, result.out / kind.file)
+    if metrics["kind"] == "grid":
+        assert (
+            metrics["num_voxels"] == len(result.field.values) == len(kind.read(result.out / kind.file).values)
+        )
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
@@ -71,13 +80,18 @@ def test_what_is_read_draws_the_same(result):
     kind, place = kind_of(result), views()[3].cam_from_world
     found = kind.read(result.out / kind.file)
     one, other = (kind.draw(field, CAMERA, place, np.ones(3))[0] for field in (result.field, found))
-    assert np.abs(one - other).max() < 2e-2 and np.abs(one - other).mean() < 1e-3 and one.min() < 0.8
+    name = result.summary["kind"]
+    assert np.abs(one - other).max() < MOST_OFF[name] and np.abs(one - other).mean() < 1e-3
+    assert one.min() < DARKEST[name]
 
 
 def test_the_command_draws_it(result, source, tmp_path):
     render(result.out, tmp_path / "out", cameras=source / "transforms.json")
     found = read_rgb(tmp_path / "out" / "07.png")
-    assert np.abs(found.astype(int) - read_rgb(result.out / "test" / "images_07.png")).max() <= 4
+    assert (
+        np.abs(found.astype(int) - read_rgb(result.out / "test" / "images_07.png")).max()
+        <= (MOST_LEVELS[result.summary["kind"]])
+    )
     render(result.out / kind_of(result).file, tmp_path / "round", frames=2, width=32)
     assert read_rgb(tmp_path / "round" / "00000.png").min() < 200
 

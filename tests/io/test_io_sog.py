@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from test_io_gaussian_files import CAMERA, cloud_of
 from test_io_gaussian_ply import PARTS
 
+from epipole import _parallel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.fields.rasterizer import render
 from epipole.io._sog_palettes import codebook_of, codes_of, palette_of
@@ -234,6 +235,17 @@ def test_very_few_and_all_the_same(rng, tmp_path, count):
     assert len(found) == count and found.means_in_world == pytest.approx(
         np.repeat(one.means_in_world, count, 0), 1e-5
     )
+
+
+def test_any_number_of_threads_writes_the_same(rng, tmp_path):
+    cloud = cloud_of(rng, 9000, 4)
+    for name, threads in (("a", 1), ("b", 3)):
+        _parallel.set_num_threads(threads)
+        try:
+            write_sog(tmp_path / f"{name}.sog", cloud)
+        finally:
+            _parallel.set_num_threads(None)
+    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
 
 
 def test_codebooks_and_palettes(rng):

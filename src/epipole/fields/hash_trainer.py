@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole import _parallel
-from epipole.errors import ConfigError
 from epipole.fields import _hash_kernels as kernels
 from epipole.fields._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.hash_field import (
@@ -71,11 +70,9 @@ class HashTrainer:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view.
+            ConfigError: there is no view, or masks leave no pixel of any.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
-        if not views:
-            raise ConfigError("there is no picture to train on")
         self.rays = rays_of(views)
         self.background = background.astype(np.float32)
         self.num_steps = self.num_samples = 0

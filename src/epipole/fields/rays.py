@@ -32,7 +32,13 @@ class Rays(NamedTuple):
 
 
 def rays_of(views: Sequence[TrainingView]) -> Rays:
-    """All pixels of all views."""
+    """All pixels of all views.
+
+    Raises:
+        ConfigError: there is no view, or masks leave no pixel of any.
+    """
+    if not views:
+        raise ConfigError("there is no picture to train on")
     pixels, offset = [], [0]
     for view in views:
         flat = view.picture.reshape(-1, view.picture.shape[2])

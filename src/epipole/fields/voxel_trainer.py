@@ -9,7 +9,6 @@ import numpy as np
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole.errors import ConfigError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
 from epipole.fields.random_state import set_state, state_of
@@ -57,11 +56,9 @@ class VoxelTrainer:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view.
+            ConfigError: there is no view, or masks leave no pixel of any.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
-        if not views:
-            raise ConfigError("there is no picture to train on")
         self.rays = rays_of(views)
         self.background = background.astype(np.float32)
         self.num_steps = self.num_samples = 0

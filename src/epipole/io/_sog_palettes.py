@@ -8,11 +8,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Int64, UInt8
 
+from epipole import _parallel
+
 CODES, PALETTE = 256, 65536
 """Most numbers and rows that the format has."""
 _BINS, _STEPS_OF_CODES = 256, 50
 _GROUPS, _STEPS, _STEPS_OF_GROUPS, _ROUNDS = 64, 6, 6, 4
-_SAMPLE, _TOGETHER = 1 << 15, 1 << 14
+_SAMPLE, _TOGETHER = 1 << 15, 1 << 12
 
 
 def codebook_of(values: Float32[np.ndarray, "*shape"], power: float = 0.0) -> Float32[np.ndarray, " 256"]:
@@ -119,12 +121,16 @@ def _lloyd(rows: np.ndarray, weights: np.ndarray, size: int, steps: int) -> np.n
 
 
 def _nearest(rows: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the centres to each row, and the squared distance."""
+    """Of the centres to each row, and the squared distance; the same for any number of threads."""
     half = 0.5 * (centers**2).sum(axis=1)
     label, distance = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
-    for first in range(0, len(rows), _TOGETHER):
-        some = slice(first, first + _TOGETHER)
-        score = half - rows[some] @ centers.T
-        label[some] = score.argmin(axis=1)
-        distance[some] = np.maximum(0.0, (rows[some] ** 2).sum(axis=1) + 2.0 * score.min(axis=1))
+
+    def look(first: int, last: int, _: int) -> None:
+        score = half - rows[first:last] @ centers.T
+        label[first:last] = score.argmin(axis=1)
+        squares = (rows[first:last] ** 2).sum(axis=1)
+        distance[first:last] = np.maximum(0.0, squares + 2.0 * score.min(axis=1))
+
+    with _parallel.single_threaded_blas():
+        _parallel.map_chunks(look, len(rows), -(-len(rows) // _TOGETHER))
     return label, distance
