@@ -18,13 +18,14 @@ from epipole.fields._projection_kernels import (
     GREEN,
     HALF_HEIGHT,
     NARROWING,
-    OPACITY,
+    PEAK,
     REACH,
     RED,
+    RIGHTMOST,
     SLOPE,
-    A,
-    B,
-    C,
+    XX,
+    XY,
+    YY,
     X,
     Y,
 )
@@ -43,7 +44,7 @@ from epipole.fields._simd_kernels import (
     touched_blocks,
     unblend_block,
 )
-from epipole.fields._tile_kernels import TILE, rightmost
+from epipole.fields._tile_kernels import TILE
 
 OVER = np.float32(1e-4)
 """Transmittance below which what comes behind is not seen."""
@@ -71,7 +72,7 @@ def _fetch_row(flat, row, width):
 @kernel(fuse=True)
 def _blocks_of(e, x, y, last_row):
     """Bits of the blocks that an ellipse at (x, y) touches in a tile."""
-    return touched_blocks(x, y, e[SLOPE], e[REACH], e[NARROWING], rightmost(e), e[HALF_HEIGHT], last_row)
+    return touched_blocks(x, y, e[SLOPE], e[REACH], e[NARROWING], e[RIGHTMOST], e[HALF_HEIGHT], last_row)
 
 
 @kernel
@@ -87,14 +88,13 @@ def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
         _fetch_row(flat, pairs_of_tile[min(at + SOON, last - 1), 0], ELLIPSE)
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
-        half_a, b, half_c = np.float32(0.5) * e[A], e[B], np.float32(0.5) * e[C]
-        opacity, red, green, blue, depth = e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        shape = e[XX], e[XY], e[YY], e[PEAK]
+        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
         blocks = _blocks_of(e, x, y, last_row)
         while blocks:
             block = lowest_bit(blocks)
             blocks &= blocks - 1
-            dx, dy = np.float32(SIDE * (block % ACROSS)) - x, np.float32(SIDE * (block // ACROSS)) - y
-            blend_block(state, block * LANES, dx, dy, half_a, b, half_c, opacity, red, green, blue, depth)
+            blend_block(state, block * LANES, x, y, *shape, *colour)
             count += LANES
     return last, count
 
@@ -144,18 +144,15 @@ def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, s
         _fetch_row(flat_out, pairs_of_tile[soon, 1], SUMS)
         e = ellipses[pairs_of_tile[at, 0]]
         x, y = e[X] - left, e[Y] - top
-        half_a, b, half_c = np.float32(0.5) * e[A], e[B], np.float32(0.5) * e[C]
-        opacity, red, green, blue, depth = e[OPACITY], e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        shape = e[XX], e[XY], e[YY], e[PEAK]
+        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
         for k in range(SUMS * LANES):
             sums[k] = np.float32(0.0)
         blocks = _blocks_of(e, x, y, last_row)
         while blocks:
             block = lowest_bit(blocks)
             blocks &= blocks - 1
-            dx, dy = np.float32(SIDE * (block % ACROSS)) - x, np.float32(SIDE * (block // ACROSS)) - y
-            unblend_block(
-                state, block * LANES, sums, dx, dy, half_a, b, half_c, opacity, red, green, blue, depth
-            )
+            unblend_block(state, block * LANES, sums, x, y, *shape, *colour)
         out = by_pair[pairs_of_tile[at, 1]]
         for k in range(SUMS):
             out[k] = sum_of_lanes(sums, k * LANES)
@@ -215,8 +212,8 @@ def count_useful(tiles, begin, end, width, height):
                 for at in range(tiles.start[tile], tiles.start[tile + 1]):
                     e = tiles.ellipses[tiles.pairs_of_tile[at, 0]]
                     dx, dy = np.float32(column) - e[X], np.float32(row) - e[Y]
-                    power = np.float32(-0.5) * (e[A] * dx * dx + e[C] * dy * dy) - e[B] * dx * dy
-                    alpha = e[OPACITY] * np.float32(math.exp(power))
+                    eighth = e[XX] * dx * dx + e[XY] * dx * dy + e[YY] * dy * dy + e[PEAK]
+                    alpha = np.float32(math.exp(np.float32(8.0) * eighth))
                     if alpha >= LEAST_ALPHA:
                         count += 1
                         through *= np.float32(1.0) - min(alpha, LARGEST_ALPHA)

@@ -4,9 +4,11 @@ A Gaussian of mean m and covariance C = (R S)(R S)^T is seen, to first order abo
 Gross, EWA volume splatting, 2001), as an ellipse with
     x_cam = W m + t,    V = (J W) C (J W)^T + blur I,    J = d project / d x_cam,
 and its alpha at a pixel that is d off is o exp(-d^T V^-1 d / 2). What is below 1/255 is not drawn: that is where
-d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` holds what blending needs (`ELLIPSE`); with the conic V^-1 = [[a, b], [b, c]] the
-ellipse's pixels of a row that is dy off are those within
-    x - (b / a) dy +- sqrt(k / a - (a c - b^2) / a^2 dy^2),    |dy| <= sqrt(k V_yy).
+d^T V^-1 d > k = 2 ln(255 o). A row of `ellipses` holds what blending needs (`ELLIPSE`): with the conic V^-1 = [[a, b], [b, c]]
+    ln(alpha) / 8 = XX dx^2 + XY dx dy + YY dy^2 + PEAK,    XX = -a / 16,    XY = -b / 8,    YY = -c / 16,    PEAK = ln(o) / 8,
+and the ellipse's pixels of a row that is dy off are those within
+    x - (b / a) dy +- sqrt(k / a - (a c - b^2) / a^2 dy^2),    |dy| <= sqrt(k V_yy),
+furthest right at dy = RIGHTMOST = -(b / a) V_yy sqrt(k / V_xx) and furthest left as far above.
 Colours are max(0, 1/2 + sum of harmonics); derivatives follow the equations backwards, Gaussian by Gaussian, so that nothing is
 added by two threads.
 """
@@ -15,7 +17,7 @@ import math
 
 from epipole._jit import kernel
 
-X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_HEIGHT, SLOPE, REACH, NARROWING, HALF_WIDTH = range(15)
+X, Y, XX, XY, YY, PEAK, RED, GREEN, BLUE, DEPTH, HALF_HEIGHT, SLOPE, REACH, NARROWING, RIGHTMOST = range(15)
 ELLIPSE = 16
 """Numbers of a row: one cache line."""
 LEAST_ALPHA = 1.0 / 255.0
@@ -125,14 +127,14 @@ def seen_covariance(jac, cov):
 
 @kernel
 def project(view, cloud, shown, start, stop, ellipses, basis):
-    """Fill rows start..stop of `ellipses`; OPACITY is 0 for what is not seen.
+    """Fill rows start..stop of `ellipses`; DEPTH is 0 for what is not seen.
 
     shown (n,): factors of the opacities; basis (16,) is scratch.
     """
     count = cloud.sh.shape[1]
     for n in range(start, stop):
         row = ellipses[n]
-        row[OPACITY] = 0.0
+        row[DEPTH] = 0.0
         x, y, z = in_camera(view, cloud.means[n])
         opacity = shown[n] / (1.0 + math.exp(-float(cloud.logits[n])))
         if not (z > view.near_plane and opacity > LEAST_ALPHA):
@@ -162,9 +164,10 @@ def project(view, cloud, shown, start, stop, ellipses, basis):
         ):
             continue
         a, b, c = vyy / det, -vxy / det, vxx / det
-        row[X], row[Y], row[A], row[B], row[C], row[OPACITY] = px, py, a, b, c, opacity
-        row[DEPTH], row[HALF_HEIGHT], row[HALF_WIDTH] = z, half_height, half_width
+        row[X], row[Y], row[DEPTH], row[PEAK] = px, py, z, 0.125 * math.log(opacity)
+        row[XX], row[XY], row[YY] = -0.0625 * a, -0.125 * b, -0.0625 * c
         row[SLOPE], row[REACH], row[NARROWING] = b / a, k / a, (a * c - b * b) / (a * a)
+        row[HALF_HEIGHT], row[RIGHTMOST] = half_height, -b / a * half_height * half_height / half_width
         mean, center = cloud.means[n], view.center
         dx, dy, dz = mean[0] - center[0], mean[1] - center[1], mean[2] - center[2]
         length = math.sqrt(dx * dx + dy * dy + dz * dz)

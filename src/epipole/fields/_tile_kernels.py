@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.fields._projection_kernels import HALF_HEIGHT, HALF_WIDTH, NARROWING, REACH, SLOPE, X, Y
+from epipole.fields._projection_kernels import HALF_HEIGHT, NARROWING, REACH, RIGHTMOST, SLOPE, X, Y
 
 TILE = 16
 
@@ -18,12 +18,6 @@ def _rows_of_tiles(ellipse, height):
     if last < first:
         return 0, -1
     return int(first) // TILE, int(last) // TILE
-
-
-@kernel(fuse=True)
-def rightmost(ellipse):
-    """How far below an ellipse's middle its rightmost point is; its leftmost is as far above."""
-    return -ellipse[SLOPE] * ellipse[HALF_HEIGHT] * ellipse[HALF_HEIGHT] / ellipse[HALF_WIDTH]
 
 
 @kernel(fuse=True)
@@ -45,7 +39,7 @@ def _tiles_in_row(ellipse, row, width, height):
     bottom = (
         min(TILE * row + TILE - 1, height - 1, math.floor(ellipse[Y] + ellipse[HALF_HEIGHT])) - ellipse[Y]
     )
-    left, right = widest(ellipse[SLOPE], ellipse[REACH], ellipse[NARROWING], rightmost(ellipse), top, bottom)
+    left, right = widest(ellipse[SLOPE], ellipse[REACH], ellipse[NARROWING], ellipse[RIGHTMOST], top, bottom)
     first = max(math.ceil(ellipse[X] + left), 0)
     last = min(math.floor(ellipse[X] + right), width - 1)
     if last < first:

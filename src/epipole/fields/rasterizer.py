@@ -16,8 +16,9 @@ from epipole.fields import _blend_kernels as blend_kernels
 from epipole.fields import _gradient_kernels as gradient_kernels
 from epipole.fields import _projection_kernels as projection_kernels
 from epipole.fields import _tile_kernels as tile_kernels
-from epipole.fields._simd_kernels import LANES, PLANE, SUMS
+from epipole.fields._simd_kernels import PLANE, SUMS
 from epipole.fields._tile_kernels import TILE
+from epipole.fields._vector_kernels import LANES
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 
@@ -216,7 +217,7 @@ def _by_depth(seen: np.ndarray) -> np.ndarray:
     Depths are positive: their bits sort as they do. One sort of 64 bits, depth and row, takes a tenth of the time of a stable
     argsort.
     """
-    rows = np.flatnonzero(seen[:, projection_kernels.OPACITY] > 0)
+    rows = np.flatnonzero(seen[:, projection_kernels.DEPTH] > 0)
     keys = seen[rows, projection_kernels.DEPTH].view(np.uint32).astype(np.uint64) << np.uint64(32)
     keys |= rows.astype(np.uint64)
     keys.sort()
