@@ -7,7 +7,7 @@ from plain_rasterizer import plain_render
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields import _blend_kernels, _gradient_kernels, _projection_kernels, _tile_kernels
+from epipole.fields import _blend_kernels, _gradient_kernels, _projection_kernels, _tile_kernels, rasterizer
 from epipole.fields.rasterizer import (
     RenderOptions,
     arrays_of,
@@ -62,6 +62,16 @@ def test_a_picture_is_that_of_the_equations(rng, num_sh, antialiased):
         off = np.abs(one - other)
         assert np.percentile(off, 99) < 1e-4 and off.max() < 2e-2
     assert found.over(np.ones(3, np.float32)) == pytest.approx(colour + (1 - coverage)[..., None], abs=2e-2)
+
+
+@reference_of(_tile_kernels.sort_by_depth)
+@pytest.mark.parametrize("n", [0, 1, 5000])
+def test_the_nearest_come_first_and_equal_ones_in_their_order(rng, n):
+    depths = np.exp(rng.normal(0.0, 9.0, n)).astype(np.float32)
+    depths[rng.random(n) < 0.3] = rng.choice([0.0, 1.0, 2.0])
+    rows = np.flatnonzero(depths)
+    wanted = rows[np.argsort(depths[rows], kind="stable")]
+    np.testing.assert_array_equal(rasterizer._by_depth(depths), wanted)
 
 
 @reference_of(_blend_kernels.count_useful)

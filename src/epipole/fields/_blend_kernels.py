@@ -44,12 +44,10 @@ from epipole.fields._simd_kernels import (
     touched_blocks,
     unblend_block,
 )
-from epipole.fields._tile_kernels import TILE
+from epipole.fields._tile_kernels import SOON, TILE
 
 OVER = np.float32(1e-4)
 """Transmittance below which what comes behind is not seen."""
-SOON = 8
-"""Ellipses ahead that are fetched from memory: they lie anywhere, and blending takes less time than waiting for them."""
 LOOK_EVERY = 16
 """Ellipses after which a tile looks whether it is over."""
 

@@ -126,15 +126,15 @@ def seen_covariance(jac, cov):
 
 
 @kernel
-def project(view, cloud, shown, start, stop, ellipses, basis):
-    """Fill rows start..stop of `ellipses`; DEPTH is 0 for what is not seen.
+def project(view, cloud, shown, start, stop, ellipses, depths, basis):
+    """Fill rows start..stop of `ellipses` for what is seen, and `depths` (n,), which is 0 for what is not.
 
     shown (n,): factors of the opacities; basis (16,) is scratch.
     """
     count = cloud.sh.shape[1]
     for n in range(start, stop):
         row = ellipses[n]
-        row[DEPTH] = 0.0
+        depths[n] = 0.0
         x, y, z = in_camera(view, cloud.means[n])
         opacity = shown[n] / (1.0 + math.exp(-float(cloud.logits[n])))
         if not (z > view.near_plane and opacity > LEAST_ALPHA):
@@ -164,6 +164,7 @@ def project(view, cloud, shown, start, stop, ellipses, basis):
         ):
             continue
         a, b, c = vyy / det, -vxy / det, vxx / det
+        depths[n] = z
         row[X], row[Y], row[DEPTH], row[PEAK] = px, py, z, 0.125 * math.log(opacity)
         row[XX], row[XY], row[YY] = -0.0625 * a, -0.125 * b, -0.0625 * c
         row[SLOPE], row[REACH], row[NARROWING] = b / a, k / a, (a * c - b * b) / (a * a)

@@ -5,9 +5,49 @@ import math
 import numpy as np
 
 from epipole._jit import kernel
-from epipole.fields._projection_kernels import HALF_HEIGHT, NARROWING, REACH, RIGHTMOST, SLOPE, X, Y
+from epipole.fields._projection_kernels import ELLIPSE, HALF_HEIGHT, NARROWING, REACH, RIGHTMOST, SLOPE, X, Y
+from epipole.fields._simd_kernels import fetch
 
 TILE = 16
+DIGIT, LAST_DIGIT = 11, 2047
+"""Bits of a depth that are sorted at once."""
+SOON = 8
+"""Ellipses ahead that are fetched from memory: they lie anywhere, and using them takes less time than waiting for them."""
+
+
+@kernel
+def sort_by_depth(bits, first, second, counts):
+    """Rows whose depth is not 0, the nearest first, of the same depth in their order: the first of `second` (n,); returns how many.
+
+    Depths are positive: their bits (n,) sort as they do, eleven at a time, the lowest first. first (n,) and counts (3, 2048) of zeros are
+    scratch. It takes a quarter of the time of sorting depth and row as one number.
+    """
+    for row in range(len(bits)):
+        if bits[row] != 0:
+            for digit in range(3):
+                counts[digit, (bits[row] >> DIGIT * digit) & LAST_DIGIT] += 1
+    total = 0
+    for digit in range(3):
+        total = 0
+        for value in range(LAST_DIGIT + 1):
+            here = counts[digit, value]
+            counts[digit, value] = total
+            total += here
+    for row in range(len(bits)):
+        if bits[row] != 0:
+            _put_by_digit(row, bits, 0, counts, second)
+    for at in range(total):
+        _put_by_digit(second[at], bits, 1, counts, first)
+    for at in range(total):
+        _put_by_digit(first[at], bits, 2, counts, second)
+    return total
+
+
+@kernel(fuse=True)
+def _put_by_digit(row, bits, digit, counts, out):
+    value = (bits[row] >> DIGIT * digit) & LAST_DIGIT
+    out[counts[digit, value]] = row
+    counts[digit, value] += 1
 
 
 @kernel(fuse=True)
@@ -48,9 +88,16 @@ def _tiles_in_row(ellipse, row, width, height):
 
 
 @kernel
-def count_tiles(ellipses, start, stop, size, num_across, counts, of_ellipse):
-    """Add to `counts` (tiles,) the ellipses start..stop that touch each; `of_ellipse` gets the tiles of each."""
+def count_tiles(seen, order, start, stop, size, num_across, ellipses, counts, of_ellipse):
+    """Put the rows of `seen` in their order into start..stop of `ellipses`.
+
+    `counts` (tiles,) is raised by those that touch each; `of_ellipse` gets the tiles of each.
+    """
+    flat = seen.reshape(-1)
     for e in range(start, stop):
+        fetch(flat, order[min(e + SOON, stop - 1)] * ELLIPSE)
+        for k in range(ELLIPSE):
+            ellipses[e, k] = seen[order[e], k]
         total = 0
         first, last = _rows_of_tiles(ellipses[e], size[1])
         for row in range(first, last + 1):

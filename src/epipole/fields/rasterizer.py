@@ -183,19 +183,22 @@ def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles
     """
     seen = np.empty((len(cloud.means), projection_kernels.ELLIPSE), np.float32)
     factors = np.ones(len(seen), np.float32) if shown is None else shown
+    depths = np.empty(len(seen), np.float32)
     _parallel.map_chunks(
-        lambda a, b, _: projection_kernels.project(view, cloud, factors, a, b, seen, np.empty(16)),
+        lambda a, b, _: projection_kernels.project(view, cloud, factors, a, b, seen, depths, np.empty(16)),
         len(seen),
         pieces_of(len(seen)),
     )
-    order = _by_depth(seen)
-    ellipses = seen[order]
+    order = _by_depth(depths)
+    ellipses = np.empty((len(order), seen.shape[1]), np.float32)
     size, across = np.array([view.width, view.height]), -(-view.width // TILE)
     num_tiles, pieces = across * -(-view.height // TILE), pieces_of(len(ellipses))
     counts = np.zeros((pieces, num_tiles), np.int64)
     own = np.zeros(len(ellipses), np.int64)
     _parallel.map_chunks(
-        lambda a, b, piece: tile_kernels.count_tiles(ellipses, a, b, size, across, counts[piece], own),
+        lambda a, b, piece: tile_kernels.count_tiles(
+            seen, order, a, b, size, across, ellipses, counts[piece], own
+        ),
         len(ellipses),
         pieces,
     )
@@ -211,17 +214,11 @@ def tiles_of(cloud: Cloud, view: View, shown: np.ndarray | None = None) -> Tiles
     return Tiles(order, ellipses, pair, pairs, start, start[1:].copy(), across, 0)
 
 
-def _by_depth(seen: np.ndarray) -> np.ndarray:
-    """Rows that are seen, the nearest first, of the same depth in their order.
-
-    Depths are positive: their bits sort as they do. One sort of 64 bits, depth and row, takes a tenth of the time of a stable
-    argsort.
-    """
-    rows = np.flatnonzero(seen[:, projection_kernels.DEPTH] > 0)
-    keys = seen[rows, projection_kernels.DEPTH].view(np.uint32).astype(np.uint64) << np.uint64(32)
-    keys |= rows.astype(np.uint64)
-    keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
+def _by_depth(depths: np.ndarray) -> np.ndarray:
+    """Rows that are seen, the nearest first, of the same depth in their order."""
+    first, second = (np.empty(len(depths), np.int64) for _ in range(2))
+    counts = np.zeros((3, tile_kernels.LAST_DIGIT + 1), np.int64)
+    return second[: tile_kernels.sort_by_depth(depths.view(np.uint32), first, second, counts)]
 
 
 def blend(tiles: Tiles, view: View) -> Rendering:
