@@ -28,7 +28,10 @@ _JOBS = (
     "share",
     "demo",
 )
-_MORE_JOBS = ("compare_fields", "stereo_many", "stereo_of_model", "examine_stereo", "evaluate_trajectory")
+_MORE_JOBS = (
+    *("compare_fields", "export_lesson", "stereo_many", "stereo_of_model", "examine_stereo"),
+    "evaluate_trajectory",
+)
 _CONFIGS = (
     *("ReconstructConfig", "FeatureConfig", "MatchConfig", "PairingConfig", "RansacConfig", "MapperConfig"),
     *("AnchorOptions", "SlamConfig", "JobOptions", "StereoConfig", "CalibrationConfig", "BoardConfig"),
@@ -51,6 +54,7 @@ _RESULTS = (
         "DemoResult",
         "FieldComparison",
         "Drawn",
+        "ExportedLesson",
         "NerfResult",
         "SharedPage",
         "SlamResult",
@@ -73,7 +77,19 @@ _ROOMS = (
         "image",
         "inertial",
     ),
-    *("io", "mapping", "metrics", "optim", "pipelines", "report", "robust", "runs", "scene", "solvers"),
+    *(
+        "io",
+        "lesson",
+        "mapping",
+        "metrics",
+        "optim",
+        "pipelines",
+        "report",
+        "robust",
+        "runs",
+        "scene",
+        "solvers",
+    ),
     *("synthetic", "viewer"),
 )
 __all__ = [*_JOBS, *_MORE_JOBS, *_CONFIGS, *_DATA, *_RESULTS, *_ROOMS, "__version__"]  # noqa: PLE0604 - the names are strings

@@ -10,6 +10,8 @@ from epipole.config import FeatureConfig as FeatureConfig
 from epipole.config import MatchConfig as MatchConfig
 from epipole.config import RansacConfig as RansacConfig
 from epipole.geometry import Rigid3 as Rigid3
+from epipole.lesson.run import ExportedLesson as ExportedLesson
+from epipole.lesson.run import export_lesson as export_lesson
 from epipole.pipelines.calibration.config import CalibrationConfig as CalibrationConfig
 from epipole.pipelines.calibration.files import CalibrationRun as CalibrationRun
 from epipole.pipelines.calibration.run import calibrate as calibrate

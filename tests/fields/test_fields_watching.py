@@ -103,12 +103,19 @@ def test_a_browser_sees_the_scene(tmp_path):
     server = open_server("127.0.0.1", None)
     port = server.get_port()
     server.stop()
-    options = {"time": "20s", "max_gaussians": 300, "sh_degree": 0, "view": True, "port": port}
+    looked = threading.Event()
+
+    def until_it_was_seen(_progress):
+        if looked.is_set():
+            raise KeyboardInterrupt
+
+    options = {"time": "40s", "max_gaussians": 300, "sh_degree": 0, "view": True, "port": port}
+    options["progress"] = until_it_was_seen
     training = threading.Thread(target=splat, args=(folder, tmp_path / "out"), kwargs=options)
     training.start()
     try:
         with open_tab(tmp_path) as tab:
-            stop, text, picture = time.monotonic() + 15, "", np.zeros(1)
+            stop, text, picture = time.monotonic() + 30, "", np.zeros(1)
             # A page that is asked for before the server listens is asked for again.
             while time.monotonic() < stop and ("% of the training" not in text or picture.std() < 5):
                 if "% of the training" not in text:
@@ -118,5 +125,6 @@ def test_a_browser_sees_the_scene(tmp_path):
                 picture = tab.picture({"x": 300, "y": 200, "width": 200, "height": 300})
             assert "% of the training" in text and picture.std() > 5  # coloured balls before white
     finally:
+        looked.set()
         training.join()
     assert (tmp_path / "out" / "splat.ply").is_file()

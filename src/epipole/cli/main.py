@@ -32,6 +32,7 @@ COMMANDS = (
     "epipole.pipelines.stereo.command:stereo_doctor",
     "epipole.pipelines.calibration.command:calibrate",
     "epipole.pipelines.demo.command:demo",
+    "epipole.lesson.command:lesson",
     "epipole.pipelines.viewing.command:view",
     "epipole.pipelines.evaluation.command:evaluate",
     "epipole.pipelines.undistortion.command:undistort",
@@ -39,7 +40,7 @@ COMMANDS = (
     "epipole.cli.main:version",
 )
 """Module and function of every command."""
-ANSWERING = ("stereo-doctor", "view", "evaluate", "version")
+ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "version")
 """Commands that are run for what they print, which --quiet leaves."""
 EVERYWHERE = {
     **{"-q": "quiet", "--quiet": "quiet"},
@@ -106,7 +107,7 @@ def _run(words: list[str]) -> None:
         _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
     except KeyboardInterrupt:
         note = "epipole: stopped. What was finished is kept; the same command goes on from there or begins again."
-        print("" if words[:1] == ["view"] else f"\n{note}", file=sys.stderr)
+        print("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", file=sys.stderr)
         sys.exit(130)
 
 

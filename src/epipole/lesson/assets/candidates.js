@@ -1,0 +1,92 @@
+/* The four motions that an essential matrix leaves, and how many points lie before both cameras in each. */
+const SCENE = JSON.parse(byId("scene").textContent);
+
+/* Both turns and the direction of E, without a decomposition into singular values (Horn, Recovering baseline and orientation
+   from essential matrix, 1990): with |t| = 1 the cofactors of E less or more [t]x E are turns. */
+function candidatesOf(E) {
+  const [a, b, c] = transposed(E);
+  const products = [cross(a, b), cross(b, c), cross(c, a)];
+  const t = unit(products.reduce((best, one) => (norm(one) > norm(best) ? one : best)));
+  const size = Math.sqrt(0.5 * E.flat().reduce((sum, v) => sum + v * v, 0));
+  const sized = E.map((row) => scaled(row, 1 / size));
+  const cofactors = [cross(sized[1], sized[2]), cross(sized[2], sized[0]), cross(sized[0], sized[1])];
+  const across = times(skew(t), sized);
+  const turns = [-1, 1].map((sign) => cofactors.map((row, i) => plus(row, scaled(across[i], sign))));
+  return turns.flatMap((R) => [t, scaled(t, -1)].map((direction) => ({ R, t: direction })));
+}
+
+/* As `epipole.geometry.triangulation.triangulate_two_view`: the middle of the shortest way between two rays, and where it is on each. */
+function triangulated({ R, t }, ray1, ray2) {
+  const d1 = applied(R, unit(ray1)),
+    d2 = unit(ray2),
+    normal = cross(d1, d2),
+    sine = dot(normal, normal);
+  const along1 = dot(cross(d2, t), normal) / sine,
+    along2 = dot(cross(d1, t), normal) / sine;
+  const middle = scaled(plus(plus(scaled(d1, along1), t), scaled(d2, along2)), 0.5);
+  return { point: moved(inverseMotion({ R, t }), middle), along1, along2 };
+}
+
+const angleOf = (R) => {
+  const axis = [R[2][1] - R[1][2], R[0][2] - R[2][0], R[1][0] - R[0][1]]; // sine and cosine: either alone is unsure somewhere
+  return (Math.atan2(norm(axis), R[0][0] + R[1][1] + R[2][2] - 1) * 180) / Math.PI;
+};
+
+function candidateNumbers({ tx, tz, yaw, far, noise }) {
+  const R = transposed(rotationOf([0, degrees(yaw), 0])),
+    truth = { R, t: scaled(applied(R, [tx, 0, tz]), -1) };
+  const corners = SCENE.corners.map(([x, y, z]) => [x, y, z - 5 + far]);
+  const seen = (motion, k) =>
+    corners.map((corner, j) => rayOf(plus(project(moved(motion, corner)), scaled(SCENE.noise[k][j], noise))));
+  const rays1 = seen({ R: rotationOf([0, 0, 0]), t: [0, 0, 0] }, 0),
+    rays2 = seen(truth, 1);
+  const found = candidatesOf(times(skew(truth.t), truth.R)).map((motion) => {
+    const points = rays1.map((ray, j) => triangulated(motion, ray, rays2[j]));
+    return { motion, points, count: points.filter((p) => p.along1 > 0 && p.along2 > 0).length };
+  });
+  return found.sort((one, other) => other.count - one.count);
+}
+
+/* A camera from above: where it is, and which way it looks. */
+function drawCamera(svg, toPlace, { R, t }, kind) {
+  const back = inverseMotion({ R, t }),
+    at = toPlace(back.t);
+  const ends = [-0.45, 0.45].map((x) => toPlace(moved(back, [x, 0, 0.8])));
+  add(svg, "path", { class: "camera " + kind, d: `M${at} L${ends[0]} L${ends[1]} Z` });
+}
+
+function drawFour(found) {
+  const inRow = (width) => (width < 600 ? 2 : 4),
+    side = (width) => (width - 12) / inRow(width) - 12;
+  const [svg, width] = fitted("four", (all) => (4 / inRow(all)) * (2 * side(all) + 34) + 12);
+  const wide = side(width);
+  found.forEach(({ motion, points, count }, k) => {
+    const left = 12 + (wide + 12) * (k % inRow(width)),
+      top = 34 + (2 * wide + 34) * Math.floor(k / inRow(width)),
+      inside = add(svg, "svg", { x: left, y: top, width: wide, height: 2 * wide, viewBox: "-105 -210 210 420" });
+    add(svg, "text", { class: "label", x: left, y: top - 8 }, `${WORDS.candidate} ${"ABCD"[k]}: ${count}`);
+    add(inside, "rect", { class: count === points.length ? "frame chosen" : "frame", x: -104, y: -209, width: 208, height: 418 });
+    const reach = Math.max(...points.map(({ point }) => Math.abs(point[2])).filter((z) => z < 60), 3),
+      scale = 195 / (reach + 1);
+    const toPlace = ([x, , z]) => [scale * x, -scale * z];
+    for (const { point, along1, along2 } of points) {
+      const [x, y] = toPlace(point);
+      if (Number.isFinite(x)) add(inside, "circle", { class: along1 > 0 && along2 > 0 ? "object" : "behind", cx: x, cy: y, r: 5 });
+    }
+    drawCamera(inside, toPlace, { R: rotationOf([0, 0, 0]), t: [0, 0, 0] }, "one");
+    drawCamera(inside, toPlace, motion, "other");
+  });
+}
+
+watch(["tx", "tz", "yaw", "far", "noise"], (values) => {
+  const found = candidateNumbers(values);
+  found.forEach(({ motion, count }, k) => {
+    show(`angle${k}`, angleOf(motion.R), "°");
+    motion.t.forEach((v, axis) => show(`t${k}${axis}`, v));
+    show(`count${k}`, count, "", 1);
+  });
+  drawFour(found);
+  const [a, b, c, d] = found.map(({ count }) => count);
+  told("four-told", WORDS.four_told, { all: SCENE.corners.length, a, b, c, d });
+});
+document.documentElement.dataset.ready = "yes";

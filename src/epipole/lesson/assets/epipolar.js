@@ -1,0 +1,121 @@
+/* A pixel of the first picture, its line in the second, and what a match beside it leaves over. */
+const SCENE = JSON.parse(byId("scene").textContent);
+
+/* As `epipole.geometry.epipolar`. */
+const essentialOf = ({ R, t }) => times(skew(t), R);
+const fundamentalOf = (E) => times(times(transposed(K_INVERSE), E), K_INVERSE);
+const lineOf = (F, [u, v]) => {
+  const line = applied(F, [u, v, 1]);
+  return scaled(line, 1 / Math.hypot(line[0], line[1]));
+};
+function sampsonOf(F, [u, v], [u2, v2]) {
+  const second = applied(F, [u, v, 1]),
+    first = applied(transposed(F), [u2, v2, 1]);
+  return Math.abs(dot(second, [u2, v2, 1])) / Math.hypot(second[0], second[1], first[0], first[1]);
+}
+
+/* The second camera is moved by (tx, ty, tz) and turned: cam2_from_cam1 = (R, -R c). */
+function motionOf({ tx, ty, tz, yaw, pitch, roll }) {
+  const R = transposed(rotationOf([degrees(-pitch), degrees(yaw), degrees(roll)]));
+  return { R, t: scaled(applied(R, [tx, ty, tz]), -1) };
+}
+
+function epipolarNumbers(values) {
+  const motion = motionOf(values),
+    E = essentialOf(motion),
+    F = fundamentalOf(E),
+    pixel = [values.u, values.v];
+  const line = lineOf(F, pixel),
+    inSecond = moved(motion, scaled(rayOf(pixel), values.Z));
+  const there = inSecond[2] > 0 ? project(inSecond) : [NaN, NaN];
+  const aside = Number.isFinite(line[0]) ? [line[0], line[1]] : [0, 0];
+  const match = plus(there, scaled(aside, values.off));
+  return {
+    motion,
+    E,
+    F,
+    line,
+    match,
+    residual: dot([...match, 1], applied(F, [...pixel, 1])),
+    distance: Math.abs(dot([...match, 1], line)),
+    sampson: sampsonOf(F, pixel, match),
+    e2: pixelOf(applied(K, motion.t)),
+    e1: pixelOf(applied(K, inverseMotion(motion).t)),
+  };
+}
+
+const finite = (point) => point.every(Number.isFinite);
+
+/* A line (a, b, c) with a^2 + b^2 = 1, far beyond the picture's rim. */
+function drawLine(inside, [a, b, c], kind) {
+  if (!Number.isFinite(a)) return;
+  const [x, y] = [319.5 - a * (a * 319.5 + b * 239.5 + c), 239.5 - b * (a * 319.5 + b * 239.5 + c)];
+  add(inside, "line", { class: kind, x1: x - 4000 * b, y1: y + 4000 * a, x2: x + 4000 * b, y2: y - 4000 * a });
+}
+
+function drawHouse(inside, motion) {
+  const corners = SCENE.corners.map((corner) => moved(motion, corner));
+  for (const [a, b] of SCENE.edges) {
+    if (corners[a][2] < 0.1 || corners[b][2] < 0.1) continue;
+    const [one, other] = [project(corners[a]), project(corners[b])];
+    add(inside, "line", { class: "house", x1: one[0], y1: one[1], x2: other[0], y2: other[1] });
+  }
+}
+
+function drawCross(inside, [x, y], kind) {
+  if (!Number.isFinite(x) || Math.hypot(x, y) > 1e5) return;
+  add(inside, "path", { class: "cross " + kind, d: `M${x - 11},${y} h22 M${x},${y - 11} v22` });
+}
+
+const HERE = {
+  R: [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ],
+  t: [0, 0, 0],
+};
+
+function drawPictures({ u, v }, found) {
+  const below = (width) => width < 600,
+    side = (width) => (below(width) ? width - 24 : (width - 44) / 2);
+  const [svg, width] = fitted("pictures", (all) => 0.75 * side(all) * (1 + below(all)) + (below(all) ? 88 : 44));
+  const wide = side(width),
+    next = below(width) ? [12, 0.75 * wide + 74] : [wide + 32, 30];
+  const first = picture(svg, 12, 30, wide, WORDS.first),
+    second = picture(svg, ...next, wide, WORDS.second);
+  first.id = "first";
+  drawHouse(first, HERE);
+  drawHouse(second, found.motion);
+  for (const other of [80, 240, 400].flatMap((y) => [[120, y], [520, y]])) {
+    const line = lineOf(found.F, other);
+    drawLine(second, line, "thin");
+    const match = project(moved(found.motion, scaled(rayOf(other), 5)));
+    drawLine(first, lineOf(transposed(found.F), match), "thin");
+  }
+  drawLine(second, found.line, "ray one");
+  drawCross(first, found.e1, "end");
+  drawCross(second, found.e2, "end");
+  add(first, "circle", { class: "one", cx: u, cy: v, r: 9 });
+  if (finite(found.match)) add(second, "circle", { class: "other", cx: found.match[0], cy: found.match[1], r: 9 });
+}
+
+const set = watch(["u", "v", "Z", "off", "tx", "ty", "tz", "yaw", "pitch", "roll"], (values) => {
+  const found = epipolarNumbers(values);
+  const shown = { x2: found.match[0], y2: found.match[1], distance: found.distance, sampson: found.sampson };
+  const ends = { e2u: found.e2[0], e2v: found.e2[1], e1u: found.e1[0], e1v: found.e1[1] };
+  for (const [name, value] of Object.entries({ ...shown, ...ends })) show(name, value, WORDS.unit_px);
+  show("residual", found.residual);
+  for (const [name, A] of Object.entries({ E: found.E, F: found.F, K })) matrixTable("matrix-" + name, A);
+  drawPictures(values, found);
+  told("pictures-told", WORDS.pictures_told, { ...values, ...shown });
+});
+
+function follow(event) {
+  const inside = byId("first"),
+    at = new DOMPoint(event.clientX, event.clientY).matrixTransform(inside.getScreenCTM().inverse());
+  if (at.x >= 0 && at.x <= 639 && at.y >= 0 && at.y <= 479) set({ u: at.x, v: at.y });
+}
+byId("pictures").addEventListener("pointermove", follow);
+byId("pictures").addEventListener("pointerdown", follow);
+document.documentElement.dataset.ready = "yes";

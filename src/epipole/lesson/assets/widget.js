@@ -1,0 +1,125 @@
+/* What every page of the lesson does: sliders and their numbers, drawings in SVG, charts. No library. */
+/* exported byId, show, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
+"use strict";
+const byId = (id) => document.getElementById(id);
+const WORDS = JSON.parse(byId("words").textContent);
+const SVG = "http://www.w3.org/2000/svg";
+
+/* A number as it is shown: so many digits that count, no exponent where none is needed. */
+function shownNumber(value, digits = 4) {
+  if (value === Infinity) return WORDS.infinite || "∞";
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (size < 1e-9) return "0"; // rounding
+  if (size < 1e-4 || size >= 1e6) return value.toExponential(digits - 1).replace("-", "−");
+  const places = Math.max(0, digits - 1 - Math.floor(Math.log10(size)));
+  return value.toFixed(Math.min(places, 6)).replace("-", "−");
+}
+
+/* Write a number beside its name; the whole of it stays in `data-value`. */
+function show(id, value, unit = "", digits = 4) {
+  const element = byId(id);
+  element.dataset.value = String(value);
+  element.textContent = shownNumber(value, digits) + (unit && Number.isFinite(value) ? " " + unit : "");
+}
+
+/* A drawing in words, for who cannot see it. */
+function told(id, words, values) {
+  byId(id).textContent = words.replace(/\{(\w+)\}/g, (_, name) => shownNumber(values[name], 3));
+}
+
+/* Call `draw` with the numbers of all inputs, now and whenever one is moved or a button with numbers is pressed. */
+function watch(names, draw) {
+  const inputs = names.map(byId);
+  const unitOf = (input) => (input.dataset.unit === "px" && WORDS.unit_px ? WORDS.unit_px : input.dataset.unit);
+  function update() {
+    const values = {};
+    for (const input of inputs) {
+      values[input.id] = Number(input.value);
+      const text = shownNumber(values[input.id], 3) + (input.dataset.unit ? " " + unitOf(input) : "");
+      byId(input.id + "-shown").textContent = text;
+      input.setAttribute("aria-valuetext", text);
+    }
+    draw(values);
+  }
+  function set(values) {
+    for (const [name, value] of Object.entries(values)) byId(name).value = String(value);
+    update();
+  }
+  for (const input of inputs) input.addEventListener("input", update);
+  for (const button of document.querySelectorAll("button[data-preset]"))
+    button.addEventListener("click", () => set(JSON.parse(button.dataset.preset)));
+  addEventListener("resize", update);
+  update();
+  return set;
+}
+
+/* Drawings: an element with attributes, added to another. */
+function add(parent, kind, attributes = {}, text = "") {
+  const element = document.createElementNS(SVG, kind);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  if (text) element.textContent = text;
+  parent.append(element);
+  return element;
+}
+
+function clear(id) {
+  const svg = byId(id);
+  svg.replaceChildren();
+  return svg;
+}
+
+/* An empty drawing as wide as it is shown, so that its words can be read on a phone: [drawing, width]. */
+function fitted(id, height) {
+  const svg = clear(id),
+    width = Math.max(340, Math.min(900, svg.clientWidth));
+  svg.setAttribute("viewBox", `0 0 ${width} ${typeof height === "function" ? height(width) : height}`);
+  return [svg, width];
+}
+
+/* Where a pointer is in a drawing's own units. */
+function place(svg, event) {
+  const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+  return [at.x, at.y];
+}
+
+/* Follow a pointer that is pressed on a drawing; `moved` gets its place in the drawing's units. */
+function drag(svg, moved, ended = () => {}) {
+  svg.classList.add("handle");
+  svg.addEventListener("pointerdown", (event) => {
+    svg.setPointerCapture(event.pointerId);
+    moved(...place(svg, event));
+  });
+  svg.addEventListener("pointermove", (event) => {
+    if (svg.hasPointerCapture(event.pointerId)) moved(...place(svg, event));
+  });
+  svg.addEventListener("lostpointercapture", ended);
+}
+
+/* Round numbers from 0 to a largest one, for the marks of an axis. */
+function marks(largest, wanted = 5) {
+  const rough = largest / wanted,
+    power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((k) => k * power).find((k) => k >= rough);
+  const out = [];
+  for (let k = 0; k * step <= largest * (1 + 1e-9); k++) out.push(k * step);
+  return out;
+}
+
+/* Axes from 0 to (x, y) in the box {left, top, right, bottom}; the answer maps values to places. */
+function chartAxes(svg, box, most, names) {
+  const toX = (x) => box.left + ((box.right - box.left) * x) / most[0];
+  const toY = (y) => box.bottom - ((box.bottom - box.top) * y) / most[1];
+  for (const x of marks(most[0], Math.min(8, (box.right - box.left) / 70))) {
+    add(svg, "line", { class: "grid", x1: toX(x), x2: toX(x), y1: box.top, y2: box.bottom });
+    add(svg, "text", { class: "tick", x: toX(x), y: box.bottom + 16, "text-anchor": "middle" }, String(+x.toPrecision(6)));
+  }
+  for (const y of marks(most[1], 4)) {
+    add(svg, "line", { class: "grid", x1: box.left, x2: box.right, y1: toY(y), y2: toY(y) });
+    add(svg, "text", { class: "tick", x: box.left - 7, y: toY(y) + 4, "text-anchor": "end" }, String(+y.toPrecision(6)));
+  }
+  add(svg, "path", { class: "axis", d: `M${box.left},${box.top} V${box.bottom} H${box.right}` });
+  add(svg, "text", { class: "label", x: box.right, y: box.bottom + 32, "text-anchor": "end" }, names[0]);
+  add(svg, "text", { class: "label", x: box.left - 7, y: box.top - 9, "text-anchor": "start" }, names[1]);
+  return { toX, toY };
+}

@@ -1,0 +1,29 @@
+"""`epipole lesson`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+def lesson(export: Path | None = None, port: int | None = None, host: str = "127.0.0.1") -> None:
+    """Show the lesson in the browser: pages on depth from pictures, with something to move on each; or write them as files.
+
+    Args:
+        export: Write the pages to this folder instead, in English and Chinese; they need no server.
+        port: The port to listen on; None: 8070, or the next free one if it is in use.
+        host: The address to listen on; 0.0.0.0 lets other machines in.
+    """
+    from epipole.lesson.run import export_lesson, open_lesson
+
+    if export is not None:
+        done = export_lesson(export)
+        print(
+            f"Written {len(done.pages)} pages ({done.num_bytes / 1e6:.1f} MB): {done.folder / 'index.html'}"
+        )
+        return
+    server = open_lesson(host, port)
+    print(f"Lesson at http://{host}:{server.server_address[1]} (Ctrl-C stops it)", flush=True)
+    try:
+        server.serve_forever()
+    finally:
+        server.server_close()

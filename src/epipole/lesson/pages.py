@@ -1,0 +1,117 @@
+"""The pages of the lesson: each is one file that loads nothing, made from a template, its texts and its script."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from importlib import resources
+from typing import Any, NamedTuple
+
+import yaml
+from markupsafe import Markup
+
+from epipole.lesson.scenes import scene_of
+from epipole.report.frame import asset, render
+
+PACKAGE = "epipole.lesson"
+LANGUAGES = {"en": "English", "zh": "中文"}
+
+
+class Page(NamedTuple):
+    """What one page is made of; its template and its texts are named after it."""
+
+    name: str
+    scripts: tuple[str, ...]
+    """Besides `widget.js`, in order."""
+
+
+PAGES = (
+    Page("disparity", ("disparity.js",)),
+    Page("epipolar", ("linear.js", "cameras.js", "epipolar.js")),
+    Page("candidates", ("linear.js", "cameras.js", "candidates.js")),
+)
+"""In the order of the lesson."""
+
+
+def lesson_pages() -> dict[str, str]:
+    """Every page in every language, by its file's name: `index.html`, `01_disparity.html`, `01_disparity.zh.html` and so on."""
+    made = {}
+    for language in LANGUAGES:
+        made[_file("index", language)] = _rendered(Page("index", ()), language, 0)
+        for number, page in enumerate(PAGES, 1):
+            made[_file(_numbered(page, number), language)] = _rendered(page, language, number)
+    return made
+
+
+def _rendered(page: Page, language: str, number: int) -> str:
+    words = _in(language, texts("lesson")) | _in(language, texts(page.name))
+    script = "".join(own_asset(name) for name in ("widget.js", *page.scripts)) if page.scripts else ""
+    all_pages = [
+        {
+            "number": k,
+            "file": _file(_numbered(other, k), language),
+            "title": _in(language, texts(other.name))["title"],
+            "about": _in(language, texts(other.name))["about"],
+        }
+        for k, other in enumerate(PAGES, 1)
+    ]
+    name = _numbered(page, number) if number else "index"
+    return render(
+        PACKAGE,
+        f"{page.name}.html.jinja",
+        title=words["title"],
+        t=_marked(words),
+        words=words.get("script", {}),
+        scene=scene_of(page.name),
+        language=language,
+        languages={code: (label, _file(name, code)) for code, label in LANGUAGES.items()},
+        number=number,
+        pages=all_pages,
+        index=_file("index", language),
+        style=Markup(asset("page.css") + own_asset("lesson.css")),
+        script=Markup(script),
+    )
+
+
+def _numbered(page: Page, number: int) -> str:
+    return f"{number:02d}_{page.name}"
+
+
+def _file(name: str, language: str) -> str:
+    return f"{name}.html" if language == "en" else f"{name}.{language}.html"
+
+
+def _in(language: str, value: Any) -> Any:
+    """The texts of one language: what is told as {en: ..., zh: ...} becomes its words, and everything else stays as it is."""
+    if isinstance(value, dict):
+        if set(value) == set(LANGUAGES):
+            return value[language]
+        return {key: _in(language, part) for key, part in value.items()}
+    return [_in(language, part) for part in value] if isinstance(value, list) else value
+
+
+def _marked(value: Any) -> Any:
+    """Texts as they stand in their files, which are our own: their tags are meant."""
+    if isinstance(value, dict):
+        return {key: _marked(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_marked(part) for part in value]
+    return Markup(value) if isinstance(value, str) else value
+
+
+@cache
+def texts(name: str) -> dict[str, Any]:
+    """The texts of a page, both languages beside each other."""
+    text = resources.files(PACKAGE).joinpath("texts", f"{name}.yaml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))
+
+
+@cache
+def own_asset(name: str) -> str:
+    """The text of a file of the lesson's `assets/`."""
+    return resources.files(PACKAGE).joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def recorded(name: str) -> Any:
+    """What a run of the library left for a page to replay: `assets/NAME.json`."""
+    return json.loads(own_asset(f"{name}.json"))

@@ -1,0 +1,45 @@
+"""What the cameras of the pages look at: fixed points, and the noise that their pixels can have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+HOUSE = np.array(
+    [
+        *([x, y, z] for z in (-0.8, 0.8) for x, y in ((-1.0, 0.9), (1.0, 0.9), (1.0, -0.3), (-1.0, -0.3))),
+        *([0.0, -1.1, z] for z in (-0.8, 0.8)),
+    ]
+)
+"""Corners of a house with its middle at the origin: the front's, the back's, the ends of its ridge; y is down."""
+EDGES = [
+    *([k, (k + 1) % 4] for k in range(4)),
+    *([4 + k, 4 + (k + 1) % 4] for k in range(4)),
+    *([k, k + 4] for k in range(4)),
+    *([2, 8], [3, 8], [6, 9], [7, 9], [8, 9]),
+]
+
+
+def house(distance: float) -> np.ndarray:
+    """(10, 3) its corners so far ahead, turned a little."""
+    cos, sin = np.cos(0.5), np.sin(0.5)
+    turned = HOUSE @ np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+    return np.asarray(turned) + np.array([0.0, 0.1, distance])
+
+
+def noise(count: int, seed: int = 0) -> np.ndarray:
+    """(count, 2) pixels of unit deviation, always the same."""
+    return np.random.default_rng(seed).normal(size=(count, 2))
+
+
+def scene_of(page: str) -> dict[str, Any]:
+    """Numbers that a page's script is given, by the page's name."""
+    if page in ("epipolar", "candidates"):
+        corners = house(5.0)
+        return {
+            "corners": corners.tolist(),
+            "edges": EDGES,
+            "noise": [noise(len(corners), seed).tolist() for seed in (0, 1)],
+        }
+    return {}

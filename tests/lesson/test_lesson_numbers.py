@@ -1,0 +1,148 @@
+"""What pages show against what the library says, over grids of inputs."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3, Rotation3
+from epipole.geometry.disparity import depth_error, depth_to_disparity, disparity_to_depth
+from epipole.geometry.epipolar import (
+    choose_by_cheirality,
+    decompose_essential_matrix,
+    epipolar_lines,
+    epipoles,
+    essential_from_cam2_from_cam1,
+    fundamental_from_essential,
+    sampson_error,
+)
+from epipole.geometry.homogeneous import point_line_distance
+from epipole.geometry.triangulation import triangulate_two_view
+from epipole.lesson.scenes import house, noise
+
+CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
+
+
+def close(found, wanted, size=1.0):
+    """To 1e-9 of itself, or of the size of what it is made from."""
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * size)
+
+
+def test_disparity(tab):
+    tab.open("01_disparity.html")
+    for Z, X, B, f, e in itertools.product(
+        (0.5, 2.4, 24.0, 40.0), (-0.4, 0.13), (0.02, 0.12, 0.5), (200.0, 800.0), (0.05, 1.0, 3.0)
+    ):
+        tab.set(Z=Z, X=X, B=B, f=f, e=e)
+        shown, d = tab.shown(), depth_to_disparity(Z, f, B).item()
+        left, right = (
+            Camera("PINHOLE", 10, 10, [f, f, 0.0, 0.0]).project([[x, 0.0, Z]])[0, 0] for x in (X, X - B)
+        )
+        close([shown["xl"], shown["xr"], shown["d"]], [left, right, d], f)
+        close(shown["back"], disparity_to_depth(d, f, B))
+        close(shown["dz"], depth_error(Z, f, B, e))
+        near, far = (disparity_to_depth(d + k * e, f, B).item() for k in (1, -1))
+        close([shown["nearest"], shown["farthest"]], [near, np.inf if np.isnan(far) else far])
+
+
+def test_the_worked_numbers(tab):
+    tab.open("01_disparity.html")
+    for button, depth, error in ((0, 2.4, 0.06), (1, 24.0, 6.0)):
+        tab.page.locator("button[data-preset]").nth(button).click()
+        shown = tab.shown()
+        close([shown["back"], shown["dz"]], [depth, error])
+
+
+def test_the_object_is_dragged(tab):
+    tab.open("01_disparity.html")
+    box = tab.page.locator("#above").bounding_box()
+    tab.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    tab.page.mouse.down()
+    tab.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.2 * box["height"])
+    held = tab.shown()["back"]
+    tab.page.mouse.up()
+    assert 2.5 < held < 5.0 and tab.shown()["back"] == held
+
+
+def test_epipolar_lines(tab):
+    tab.open("02_epipolar.html")
+    K = CAMERA.K
+    places = itertools.product((0.0, 400.0, 639.0), (300.0,), (0.8, 4.5), (-20.0, 0.0))
+    motions = (
+        (1.0, 0.0, 0.2, -10.0, 0.0, 0.0),
+        (-0.3, 0.7, 0.4, 15.0, -20.0, 5.0),
+        (0.0, 0.1, 1.0, 0.0, 3.0, -40.0),
+    )
+    for (u, v, Z, off), (tx, ty, tz, yaw, pitch, roll) in itertools.product(places, motions):
+        tab.set(u=u, v=v, Z=Z, off=off, tx=tx, ty=ty, tz=tz, yaw=yaw, pitch=pitch, roll=roll)
+        turned = Rotation3.exp(np.deg2rad([-pitch, yaw, roll])).matrix
+        motion = Rigid3(turned, np.array([tx, ty, tz])).inverse()
+        E = essential_from_cam2_from_cam1(motion)
+        F = fundamental_from_essential(E, K, K)
+        shown = tab.shown()
+        close(tab.matrix("E"), E)
+        close(tab.matrix("F"), F)
+        close(tab.matrix("K"), K)
+        pixel = np.array([[u, v]])
+        line = epipolar_lines(F, pixel)[0]
+        point = motion.apply(Z * np.linalg.inv(K) @ [u, v, 1.0])
+        if point[2] <= 0:
+            assert np.isnan(shown["x2"])
+            continue
+        match = CAMERA.project(point[None]) + off * line[:2]
+        size = np.abs(match).max()
+        close([shown["x2"], shown["y2"]], match[0], size)
+        close(shown["distance"], point_line_distance(match, line[None])[0], size)
+        close(shown["sampson"], sampson_error(F, pixel, match)[0], size)
+        close(shown["residual"], (np.append(match, 1.0) @ F @ [u, v, 1.0]), size * np.abs(F).max())
+        for name, end in zip(("e1", "e2"), epipoles(F)):
+            wanted = end[:2] / end[2]
+            close([shown[name + "u"], shown[name + "v"]], wanted, np.abs(wanted).max())
+
+
+def test_the_pointer_chooses_the_pixel(tab):
+    tab.open("02_epipolar.html")
+    box = tab.page.locator("#first rect").bounding_box()
+    tab.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.75 * box["height"])
+    u, v = (float(tab.page.locator(f"#{name}").input_value()) for name in "uv")
+    assert (u, v) == (pytest.approx(159.5, abs=1.0), pytest.approx(359.5, abs=1.0))
+
+
+def test_no_way_between_the_cameras_is_no_line(tab):
+    tab.open("02_epipolar.html")
+    tab.page.locator("button[data-preset]").last.click()
+    shown = tab.shown()
+    assert not np.any(tab.matrix("E")) and np.isnan(shown["distance"]) and np.isnan(shown["e2u"])
+    assert np.isfinite(shown["x2"])
+
+
+def test_four_candidates(tab):
+    tab.open("03_candidates.html")
+    for tx, tz, yaw, far, sigma in itertools.product(
+        (0.05, 1.0), (0.0, -0.6), (-12.0, 25.0), (3.0, 12.0), (0.0, 4.0)
+    ):
+        tab.set(tx=tx, tz=tz, yaw=yaw, far=far, noise=sigma)
+        shown = tab.shown()
+        motion = Rigid3(Rotation3.exp(np.deg2rad([0.0, yaw, 0.0])).matrix, np.array([tx, 0.0, tz])).inverse()
+        corners = house(far)
+        rays1, rays2 = (
+            CAMERA.unproject(CAMERA.project(where.apply(corners)) + sigma * noise(10, seed))
+            for seed, where in enumerate((Rigid3.identity(), motion))
+        )
+        candidates = decompose_essential_matrix(essential_from_cam2_from_cam1(motion))
+        wanted = []
+        for k in range(4):
+            _, one, other = triangulate_two_view(candidates[k], rays1, rays2)
+            angle = np.rad2deg(np.linalg.norm(Rotation3(candidates[k].rotation).log()))
+            wanted.append([angle, *candidates[k].translation, ((one > 0) & (other > 0)).sum()])
+        found = [
+            [shown[f"angle{k}"], *(shown[f"t{k}{a}"] for a in range(3)), shown[f"count{k}"]] for k in range(4)
+        ]
+        left = list(wanted)
+        for row in found:
+            nearest = min(left, key=lambda one: np.abs(np.subtract(one, row)).max())
+            close(row, nearest)
+            left.remove(nearest)
+        _, in_front, _ = choose_by_cheirality(candidates, rays1, rays2)
+        assert shown["count0"] == in_front.sum()

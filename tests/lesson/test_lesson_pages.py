@@ -1,0 +1,104 @@
+"""Every page of the lesson: whole, small, for everybody, in both languages."""
+
+import re
+import time
+
+import pytest
+
+from epipole.lesson.pages import LANGUAGES, PAGES, lesson_pages, texts
+
+FILES = tuple(lesson_pages())
+MOST_BYTES, MOST_SECONDS, PHONE = 1_500_000, 1.0, 390
+
+
+def leaves(value, path=""):
+    """(place, {language: text}) of all texts."""
+    if isinstance(value, dict) and set(value) == set(LANGUAGES):
+        yield path, value
+    elif isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for key, part in items:
+            yield from leaves(part, f"{path}.{key}")
+    else:
+        yield path, value
+
+
+@pytest.mark.parametrize("name", ["lesson", "index", *(page.name for page in PAGES)])
+def test_every_text_is_there_in_both_languages(name):
+    for place, told in leaves(texts(name)):
+        assert isinstance(told, dict), f"{place} has one language"
+        assert all(told.values()), place
+        en, zh = ({*re.findall(r"\{\w+\}|<[a-z/]+>", told[code])} for code in ("en", "zh"))
+        assert en == zh, f"{place}: {en ^ zh}"
+        assert re.search("[\u4e00-\u9fff]", told["zh"]) or told["zh"] == told["en"], place
+
+
+def test_pages_are_small_and_name_their_language():
+    pages = lesson_pages()
+    assert len(pages) == 2 * (1 + len(PAGES))
+    for name, html in pages.items():
+        assert len(html.encode()) < MOST_BYTES
+        assert f'<html lang="{"zh" if ".zh." in name else "en"}">' in html
+        assert re.findall(r"https?://[^\s\"'<]+", html.replace("http://www.w3.org/2000/svg", "")) == []
+        for linked in re.findall(r'href="([^"#]+)"', html):
+            assert linked in pages
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_page_opens_at_once_and_loads_nothing(tab, name):
+    begin = time.perf_counter()
+    tab.open(name)
+    assert time.perf_counter() - begin < MOST_SECONDS
+    assert tab.loaded == [(tab.folder / name).as_uri()]
+    if not name.startswith("index"):
+        assert tab.page.evaluate("document.documentElement.dataset.ready") == "yes"
+
+
+@pytest.mark.parametrize("tab", ["light", "dark"], indirect=True)
+@pytest.mark.parametrize("name", FILES)
+def test_nothing_stands_in_anybodys_way(tab, name):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    tab.open(name)
+    tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
+    found = axe.run(tab.page, options={"runOnly": {"type": "tag", "values": tags}}).response["violations"]
+    assert not [(v["id"], [node["html"][:120] for node in v["nodes"]]) for v in found]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_phone_shows_all_of_it(tab, name):
+    tab.page.set_viewport_size({"width": PHONE, "height": 844})
+    tab.open(name)
+    assert tab.page.evaluate("document.scrollingElement.scrollWidth") <= PHONE
+    cut = tab.page.evaluate(
+        """() => [...document.querySelectorAll("main *:not(svg *)")]
+            .filter(e => !e.closest(".scroll, pre, .told") && e.getBoundingClientRect().right > innerWidth + 0.5)
+            .map(e => e.outerHTML.slice(0, 100))"""
+    )
+    assert cut == []
+    small = tab.page.evaluate(
+        """() => [...document.querySelectorAll("input, button")].filter(e => e.getBoundingClientRect().height < 44).length"""
+    )
+    assert small == 0
+
+
+def test_the_first_page_by_keyboard_alone(tab):
+    tab.open(next(name for name in FILES if name.startswith("01")))
+    reached = []
+    for _ in range(30):
+        tab.page.keyboard.press("Tab")
+        reached.append(
+            tab.page.evaluate("document.activeElement.id || document.activeElement.textContent.trim()")
+        )
+        if reached[-1] == "Z":
+            before = tab.shown()
+            tab.page.keyboard.press("ArrowRight")
+            after = tab.shown()
+            assert after["back"] > before["back"] and after["d"] < before["d"]
+        if reached[-1].startswith("d = 4 "):
+            tab.page.keyboard.press("Enter")
+            assert tab.shown()["back"] == pytest.approx(24.0)
+            break
+    for control in ("Z", "X", "B", "f", "e"):
+        assert control in reached
+    ring = "getComputedStyle(document.activeElement).outlineStyle"
+    assert tab.page.evaluate(ring) == "solid"  # where one is can be seen
