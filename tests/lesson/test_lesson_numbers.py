@@ -18,8 +18,9 @@ from epipole.geometry.epipolar import (
     sampson_error,
 )
 from epipole.geometry.homogeneous import point_line_distance
-from epipole.geometry.triangulation import triangulate_two_view
-from epipole.lesson.scenes import house, noise
+from epipole.geometry.triangulation import ray_angles_rad, triangulate_linear, triangulate_two_view
+from epipole.lesson.scenes import cases, house, noise
+from epipole.robust import point_covariances, triangulate_points
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -146,3 +147,47 @@ def test_four_candidates(tab):
             left.remove(nearest)
         _, in_front, _ = choose_by_cheirality(candidates, rays1, rays2)
         assert shown["count0"] == in_front.sum()
+
+
+def test_the_pictures_know_no_size(tab):
+    tab.open("04_scale.html")
+    turned = Rotation3.exp(np.deg2rad([0.0, -10.0, 0.0])).matrix
+    for k, B, W, anchor in itertools.product(
+        (0.3, 1.0, 3.0), (0.2, 1.7), (0.5, 11.0), ("none", "baseline", "width")
+    ):
+        tab.page.locator(f"input[value={anchor}]").check()
+        tab.set(k=k, B=B, W=W)
+        shown, corners = tab.shown(), house(5.0)
+        motion = Rigid3(turned, np.array([1.0, 0.0, 0.0])).inverse()
+        for name, where in (("u1", Rigid3.identity()), ("u2", motion)):
+            close(shown[name], CAMERA.project(where.apply(corners[1:2]))[0, 0])
+        sizes = k * np.array([1.0, 2.0, np.linalg.norm(corners.mean(axis=0))])
+        metres = {"none": np.nan, "baseline": B / sizes[0], "width": W / sizes[1]}[anchor]
+        close(
+            [shown[name] for name in ("baseline", "width", "distance")],
+            sizes * np.nan_to_num(metres, nan=1.0),
+        )
+        close(shown["metres"], metres)
+        words = tab.page.locator("#metres").inner_text()
+        assert (words == "up to scale") == (anchor == "none")
+
+
+def test_points_and_their_ellipse(tab):
+    tab.open("05_triangulation.html")
+    for B, A, Z, X, s, n in itertools.product(
+        (0.3, 4.0), (0.0, 3.5), (5.0, 12.0), (-1.0, 2.0), (0.1, 4.0), (0, 39)
+    ):
+        tab.set(B=B, A=A, Z=Z, X=X, s=s, n=n)
+        shown, truth = tab.shown(), np.array([X, 0.2, Z])
+        cams = Rigid3(np.stack([np.eye(3)] * 2), np.array([[0.0, 0.0, 0.0], [-B, 0.0, -A]]))
+        exact = np.stack([CAMERA.project(cams[k].apply(truth[None]))[0] for k in range(2)])
+        pixels = exact + s * cases()[n].reshape(2, 2)
+        first = triangulate_linear(cams, CAMERA.unproject(pixels))
+        best = triangulate_points(cams, CAMERA, pixels[:, None]).points_in_world[0]
+        spread = point_covariances(cams, CAMERA, truth[None], np.ones((2, 1), bool), s)[0]
+        close(shown["angle"], np.rad2deg(ray_angles_rad(truth, np.zeros(3), np.array([B, 0.0, A]))))
+        close([shown["sx"], shown["sz"]], np.sqrt(spread[[0, 2], [0, 2]]))
+        for name, point in (("linear", first), ("best", best)):
+            off = [CAMERA.project(cams[k].apply(point[None]))[0] - pixels[k] for k in range(2)]
+            close(shown[name], np.linalg.norm(point - truth), Z)
+            close(shown[name + "_px"], np.sqrt(np.mean(np.square(off))), 640)

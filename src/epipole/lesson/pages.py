@@ -25,10 +25,13 @@ class Page(NamedTuple):
     """Besides `widget.js`, in order."""
 
 
+HOUSE = ("linear.js", "cameras.js", "house.js")
 PAGES = (
     Page("disparity", ("disparity.js",)),
-    Page("epipolar", ("linear.js", "cameras.js", "epipolar.js")),
-    Page("candidates", ("linear.js", "cameras.js", "candidates.js")),
+    Page("epipolar", (*HOUSE, "epipolar.js")),
+    Page("candidates", (*HOUSE, "candidates.js")),
+    Page("scale", (*HOUSE, "scale.js")),
+    Page("triangulation", (*HOUSE, "eigen.js", "triangulation.js")),
 )
 """In the order of the lesson."""
 

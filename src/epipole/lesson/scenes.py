@@ -33,13 +33,20 @@ def noise(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=(count, 2))
 
 
+def cases(count: int = 40) -> np.ndarray:
+    """(count, 4) noise of two pixels of unit deviation, always the same."""
+    return np.random.default_rng(2).normal(size=(count, 4))
+
+
 def scene_of(page: str) -> dict[str, Any]:
     """Numbers that a page's script is given, by the page's name."""
-    if page in ("epipolar", "candidates"):
+    if page in ("epipolar", "candidates", "scale"):
         corners = house(5.0)
         return {
             "corners": corners.tolist(),
             "edges": EDGES,
             "noise": [noise(len(corners), seed).tolist() for seed in (0, 1)],
         }
+    if page == "triangulation":
+        return {"corners": [], "edges": [], "noise": cases().tolist()}
     return {}

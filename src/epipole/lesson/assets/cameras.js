@@ -1,5 +1,5 @@
 /* The camera of the pages, and pictures of it: 640 x 480 pixels, the centre of the first at (0, 0). */
-/* exported K, K_INVERSE, pixelOf, project, rayOf, picture, matrixTable, degrees */
+/* exported K, K_INVERSE, pixelOf, project, rayOf, picture, twoPictures, matrixTable, degrees */
 const K = [
   [520, 0, 319.5],
   [0, 520, 239.5],
@@ -18,6 +18,15 @@ function picture(svg, x, y, width, name) {
   const inside = add(svg, "svg", { x, y, width, height, viewBox: "-0.5 -0.5 640 480", class: "picture" });
   add(inside, "rect", { class: "frame", x: -0.5, y: -0.5, width: 640, height: 480 });
   return inside;
+}
+
+/* Two pictures beside each other, or one below the other where that is narrow: [first, second]. */
+function twoPictures(id, names) {
+  const below = (width) => width < 600,
+    side = (width) => (below(width) ? width - 24 : (width - 44) / 2);
+  const [svg, width] = fitted(id, (all) => 0.75 * side(all) * (1 + below(all)) + (below(all) ? 88 : 44));
+  const next = below(width) ? [12, 0.75 * side(width) + 74] : [side(width) + 32, 30];
+  return [picture(svg, 12, 30, side(width), names[0]), picture(svg, ...next, side(width), names[1])];
 }
 
 /* A matrix as a table. */

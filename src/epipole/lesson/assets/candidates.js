@@ -1,6 +1,4 @@
 /* The four motions that an essential matrix leaves, and how many points lie before both cameras in each. */
-const SCENE = JSON.parse(byId("scene").textContent);
-
 /* Both turns and the direction of E, without a decomposition into singular values (Horn, Recovering baseline and orientation
    from essential matrix, 1990): with |t| = 1 the cofactors of E less or more [t]x E are turns. */
 function candidatesOf(E) {
@@ -33,26 +31,17 @@ const angleOf = (R) => {
 };
 
 function candidateNumbers({ tx, tz, yaw, far, noise }) {
-  const R = transposed(rotationOf([0, degrees(yaw), 0])),
-    truth = { R, t: scaled(applied(R, [tx, 0, tz]), -1) };
+  const truth = motionOf({ tx, tz, yaw });
   const corners = SCENE.corners.map(([x, y, z]) => [x, y, z - 5 + far]);
   const seen = (motion, k) =>
     corners.map((corner, j) => rayOf(plus(project(moved(motion, corner)), scaled(SCENE.noise[k][j], noise))));
-  const rays1 = seen({ R: rotationOf([0, 0, 0]), t: [0, 0, 0] }, 0),
+  const rays1 = seen(HERE, 0),
     rays2 = seen(truth, 1);
   const found = candidatesOf(times(skew(truth.t), truth.R)).map((motion) => {
     const points = rays1.map((ray, j) => triangulated(motion, ray, rays2[j]));
     return { motion, points, count: points.filter((p) => p.along1 > 0 && p.along2 > 0).length };
   });
   return found.sort((one, other) => other.count - one.count);
-}
-
-/* A camera from above: where it is, and which way it looks. */
-function drawCamera(svg, toPlace, { R, t }, kind) {
-  const back = inverseMotion({ R, t }),
-    at = toPlace(back.t);
-  const ends = [-0.45, 0.45].map((x) => toPlace(moved(back, [x, 0, 0.8])));
-  add(svg, "path", { class: "camera " + kind, d: `M${at} L${ends[0]} L${ends[1]} Z` });
 }
 
 function drawFour(found) {
@@ -73,7 +62,7 @@ function drawFour(found) {
       const [x, y] = toPlace(point);
       if (Number.isFinite(x)) add(inside, "circle", { class: along1 > 0 && along2 > 0 ? "object" : "behind", cx: x, cy: y, r: 5 });
     }
-    drawCamera(inside, toPlace, { R: rotationOf([0, 0, 0]), t: [0, 0, 0] }, "one");
+    drawCamera(inside, toPlace, HERE, "one");
     drawCamera(inside, toPlace, motion, "other");
   });
 }

@@ -1,6 +1,4 @@
 /* A pixel of the first picture, its line in the second, and what a match beside it leaves over. */
-const SCENE = JSON.parse(byId("scene").textContent);
-
 /* As `epipole.geometry.epipolar`. */
 const essentialOf = ({ R, t }) => times(skew(t), R);
 const fundamentalOf = (E) => times(times(transposed(K_INVERSE), E), K_INVERSE);
@@ -12,12 +10,6 @@ function sampsonOf(F, [u, v], [u2, v2]) {
   const second = applied(F, [u, v, 1]),
     first = applied(transposed(F), [u2, v2, 1]);
   return Math.abs(dot(second, [u2, v2, 1])) / Math.hypot(second[0], second[1], first[0], first[1]);
-}
-
-/* The second camera is moved by (tx, ty, tz) and turned: cam2_from_cam1 = (R, -R c). */
-function motionOf({ tx, ty, tz, yaw, pitch, roll }) {
-  const R = transposed(rotationOf([degrees(-pitch), degrees(yaw), degrees(roll)]));
-  return { R, t: scaled(applied(R, [tx, ty, tz]), -1) };
 }
 
 function epipolarNumbers(values) {
@@ -53,40 +45,16 @@ function drawLine(inside, [a, b, c], kind) {
   add(inside, "line", { class: kind, x1: x - 4000 * b, y1: y + 4000 * a, x2: x + 4000 * b, y2: y - 4000 * a });
 }
 
-function drawHouse(inside, motion) {
-  const corners = SCENE.corners.map((corner) => moved(motion, corner));
-  for (const [a, b] of SCENE.edges) {
-    if (corners[a][2] < 0.1 || corners[b][2] < 0.1) continue;
-    const [one, other] = [project(corners[a]), project(corners[b])];
-    add(inside, "line", { class: "house", x1: one[0], y1: one[1], x2: other[0], y2: other[1] });
-  }
-}
-
 function drawCross(inside, [x, y], kind) {
   if (!Number.isFinite(x) || Math.hypot(x, y) > 1e5) return;
   add(inside, "path", { class: "cross " + kind, d: `M${x - 11},${y} h22 M${x},${y - 11} v22` });
 }
 
-const HERE = {
-  R: [
-    [1, 0, 0],
-    [0, 1, 0],
-    [0, 0, 1],
-  ],
-  t: [0, 0, 0],
-};
-
 function drawPictures({ u, v }, found) {
-  const below = (width) => width < 600,
-    side = (width) => (below(width) ? width - 24 : (width - 44) / 2);
-  const [svg, width] = fitted("pictures", (all) => 0.75 * side(all) * (1 + below(all)) + (below(all) ? 88 : 44));
-  const wide = side(width),
-    next = below(width) ? [12, 0.75 * wide + 74] : [wide + 32, 30];
-  const first = picture(svg, 12, 30, wide, WORDS.first),
-    second = picture(svg, ...next, wide, WORDS.second);
+  const [first, second] = twoPictures("pictures", [WORDS.first, WORDS.second]);
   first.id = "first";
-  drawHouse(first, HERE);
-  drawHouse(second, found.motion);
+  drawHouse(first, SCENE.corners, HERE);
+  drawHouse(second, SCENE.corners, found.motion);
   for (const other of [80, 240, 400].flatMap((y) => [[120, y], [520, y]])) {
     const line = lineOf(found.F, other);
     drawLine(second, line, "thin");

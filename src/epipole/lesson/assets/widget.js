@@ -1,5 +1,5 @@
 /* What every page of the lesson does: sliders and their numbers, drawings in SVG, charts. No library. */
-/* exported byId, show, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
+/* exported byId, show, chosen, told, watch, clear, fitted, add, place, drag, marks, chartAxes, shownNumber */
 "use strict";
 const byId = (id) => document.getElementById(id);
 const WORDS = JSON.parse(byId("words").textContent);
@@ -22,6 +22,9 @@ function show(id, value, unit = "", digits = 4) {
   element.dataset.value = String(value);
   element.textContent = shownNumber(value, digits) + (unit && Number.isFinite(value) ? " " + unit : "");
 }
+
+/* Which of some radio buttons is set. */
+const chosen = (name) => document.querySelector(`input[name=${name}]:checked`).value;
 
 /* A drawing in words, for who cannot see it. */
 function told(id, words, values) {
@@ -49,6 +52,7 @@ function watch(names, draw) {
   for (const input of inputs) input.addEventListener("input", update);
   for (const button of document.querySelectorAll("button[data-preset]"))
     button.addEventListener("click", () => set(JSON.parse(button.dataset.preset)));
+  for (const choice of document.querySelectorAll("input[type=radio]")) choice.addEventListener("change", update);
   addEventListener("resize", update);
   update();
   return set;

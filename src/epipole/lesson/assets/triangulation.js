@@ -1,0 +1,142 @@
+/* Two rays with noise: the point of linear equations, the point that explains the pixels best, and its covariance. */
+
+/* As `epipole.geometry.triangulate_linear`: (I - d d^T) [R t] X = 0, by the smallest eigenvalue of its normal equations. */
+function linearPoint(motions, rays) {
+  const size = Math.max(...motions.flatMap(({ t }) => t.map(Math.abs))) || 1;
+  const rows = motions.flatMap(({ R, t }, k) => {
+    const d = unit(rays[k]),
+      M = R.map((row, i) => [...row, t[i] / size]);
+    const along = transposed(M).map((column) => dot(d, column));
+    return M.map((row, i) => row.map((v, j) => v - d[i] * along[j]));
+  });
+  const columns = transposed(rows);
+  const [x, y, z, w] = eigenOf(columns.map((a) => columns.map((b) => dot(a, b)))).vectors[0];
+  return scaled([x, y, z], size / w);
+}
+
+/* Derivative of a pixel by the point in the world: K's upper rows times (I - ..) / z, times R. */
+function pixelDerivative({ R }, [x, y, z]) {
+  const f = K[0][0] / z;
+  return [
+    [f, 0, (-f * x) / z],
+    [0, f, (-f * y) / z],
+  ].map((row) => applied(transposed(R), row));
+}
+
+/* Gauss-Newton on the sum of squared distances in the pictures. */
+function refinedPoint(motions, pixels, start) {
+  let point = start;
+  for (let round = 0; round < 12; round++) {
+    const rows = [],
+      left = [];
+    motions.forEach((motion, k) => {
+      const there = moved(motion, point);
+      rows.push(...pixelDerivative(motion, there));
+      left.push(...minus(pixels[k], project(there)));
+    });
+    const columns = transposed(rows);
+    const step = solved(columns.map((a) => columns.map((b) => dot(a, b))), columns.map((a) => dot(a, left)));
+    point = plus(point, step);
+    if (norm(step) < 1e-14 * norm(point)) break;
+  }
+  return point;
+}
+
+/* sigma^2 (sum of J^T J)^-1, as `epipole.robust.point_covariances`. */
+function covarianceOf(motions, point, sigma) {
+  const columns = transposed(motions.flatMap((motion) => pixelDerivative(motion, moved(motion, point))));
+  return inverted(columns.map((a) => columns.map((b) => dot(a, b)))).map((row) => scaled(row, sigma * sigma));
+}
+
+function errorPx(motions, pixels, point) {
+  const off = motions.map((motion, k) => minus(pixels[k], project(moved(motion, point)))).flat();
+  return Math.sqrt(dot(off, off) / off.length);
+}
+
+function pointNumbers({ B, A, Z, X, s, n }) {
+  const motions = [HERE, motionOf({ tx: B, tz: A })],
+    truth = [X, 0.2, Z];
+  const found = SCENE.noise.map((noise) => {
+    const pixels = motions.map((motion, k) => plus(project(moved(motion, truth)), scaled(noise.slice(2 * k, 2 * k + 2), s)));
+    const linear = linearPoint(motions, pixels.map(rayOf));
+    return { pixels, linear, best: refinedPoint(motions, pixels, linear) };
+  });
+  const { pixels, linear, best } = found[n];
+  const covariance = covarianceOf(motions, truth, s);
+  const [one, other] = [truth, minus(truth, [B, 0, A])];
+  return {
+    motions,
+    truth,
+    linear,
+    best,
+    covariance,
+    others: found.map((case_) => case_.best),
+    numbers: {
+      angle: (Math.atan2(norm(cross(one, other)), dot(one, other)) * 180) / Math.PI,
+      sx: Math.sqrt(covariance[0][0]),
+      sz: Math.sqrt(covariance[2][2]),
+      linear: norm(minus(linear, truth)),
+      linear_px: errorPx(motions, pixels, linear),
+      best: norm(minus(best, truth)),
+      best_px: errorPx(motions, pixels, best),
+    },
+  };
+}
+
+function drawAbove({ truth, linear, best, covariance, others, numbers }, centres) {
+  const [svg, width] = fitted("above", 440),
+    reach = 3.4 * Math.max(numbers.sz, numbers.sx),
+    size = 200 / reach;
+  const toPlace = ([x, , z]) => [width / 2 + size * (x - truth[0]), 220 - size * (z - truth[2])];
+  centres.forEach(([x, z], k) => {
+    // The ray to the truth, as far as the drawing goes.
+    const way = unit(minus(truth, [x, truth[1], z]));
+    const ends = [-3, 3].map((along) => plus(truth, scaled(way, along * reach)));
+    const [a, b] = ends.map(toPlace);
+    add(svg, "line", { class: "ray " + ["one", "other"][k], x1: a[0], y1: a[1], x2: b[0], y2: b[1] });
+  });
+  const flat = [
+    [covariance[0][0], covariance[0][2]],
+    [covariance[2][0], covariance[2][2]],
+  ];
+  const { values, vectors } = eigenOf(flat);
+  const turned = (-Math.atan2(vectors[1][1], vectors[1][0]) * 180) / Math.PI;
+  const [cx, cy] = toPlace(truth);
+  add(svg, "ellipse", {
+    class: "spread",
+    cx,
+    cy,
+    rx: 2 * size * Math.sqrt(values[1]),
+    ry: 2 * size * Math.sqrt(values[0]),
+    transform: `rotate(${turned} ${cx} ${cy})`,
+  });
+  for (const point of others) {
+    const [x, y] = toPlace(point);
+    add(svg, "circle", { class: "case", cx: x, cy: y, r: 2.2 });
+  }
+  [
+    [truth, "object", WORDS.truth],
+    [linear, "other", WORDS.dlt],
+    [best, "one", WORDS.refined],
+  ].forEach(([point, kind, name], k) => {
+    const [x, y] = toPlace(point);
+    add(svg, "circle", { class: kind, cx: x, cy: y, r: 6 });
+    add(svg, "circle", { class: kind, cx: 22, cy: 24 + 22 * k, r: 6 });
+    add(svg, "text", { class: "label", x: 36, y: 28 + 22 * k }, name);
+  });
+  const step = marks(reach, 3)[1];
+  add(svg, "path", { class: "measure", d: `M${width - 16},420 h${-size * step} m0,-5 v10 M${width - 16},415 v10` });
+  add(svg, "text", { class: "tick", x: width - 16, y: 408, "text-anchor": "end" }, `${+step.toPrecision(3)} m`);
+}
+
+watch(["B", "A", "Z", "X", "s", "n"], (values) => {
+  const found = pointNumbers(values);
+  for (const [name, value] of Object.entries(found.numbers))
+    show(name, value, name === "angle" ? "°" : name.endsWith("_px") ? WORDS.unit_px : "m");
+  drawAbove(found, [
+    [0, 0],
+    [values.B, values.A],
+  ]);
+  told("above-told", WORDS.above_told, found.numbers);
+});
+document.documentElement.dataset.ready = "yes";
