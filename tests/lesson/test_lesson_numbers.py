@@ -19,7 +19,8 @@ from epipole.geometry.epipolar import (
 )
 from epipole.geometry.homogeneous import point_line_distance
 from epipole.geometry.triangulation import ray_angles_rad, triangulate_linear, triangulate_two_view
-from epipole.lesson.scenes import cases, house, noise
+from epipole.lesson.scenes import PATH, cases, corridor, house, noise
+from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
 from epipole.robust import point_covariances, triangulate_points
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
@@ -191,3 +192,80 @@ def test_points_and_their_ellipse(tab):
             off = [CAMERA.project(cams[k].apply(point[None]))[0] - pixels[k] for k in range(2)]
             close(shown[name], np.linalg.norm(point - truth), Z)
             close(shown[name + "_px"], np.sqrt(np.mean(np.square(off))), 640)
+
+
+def adjusted(cams_from_world, points, pixels, *, camera_is_free):
+    """Cameras that all see all points (or the points alone) moved to where they explain the pixels best, to the last digit."""
+    v, n = len(cams_from_world), len(points)
+    problem = BundleProblem(
+        rig_from_world=cams_from_world,
+        cam_from_rig=Rigid3.identity(1),
+        camera_model=np.array([int(CAMERA.model)], np.int32),
+        camera_params=CAMERA.padded_params()[None],
+        points_in_world=np.asarray(points),
+        offsets=v * np.arange(n + 1, dtype=np.int64),
+        frame=np.tile(np.arange(v, dtype=np.int32), n),
+        sensor=np.zeros(v * n, np.int32),
+        camera=np.zeros(v * n, np.int32),
+        pixels=np.asarray(pixels).reshape(-1, 2),
+        frame_free=np.full((v, 6), float(camera_is_free)),
+        params_free=np.zeros((1, 12)),
+        point_free=np.full(n, float(not camera_is_free)),
+    )
+    return adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
+
+
+def way(step, s, most):
+    """Cameras that are placed, known points, and how many pixels the last step used."""
+    landmarks, noise_px = corridor()
+    truth = [
+        Rigid3(Rotation3.exp(np.deg2rad([0.0, yaw, 0.0])).matrix, np.array(center)).inverse()
+        for *center, yaw in PATH
+    ]
+    pixels = []
+    for motion, off in zip(truth, noise_px):
+        there = motion.apply(landmarks)
+        seen = CAMERA.project(there) + s * off
+        inside = ((seen >= 0) & (seen <= [639, 479])).all(axis=1) & (there[:, 2] >= 0.5)
+        pixels.append(np.where(inside[:, None], seen, np.nan))
+    cameras, known, used = truth[:2], {}, 0
+    for k in range(step + 1):
+        last = pixels[len(cameras)] if k % 2 else pixels[len(cameras) - 1]
+        if k % 2:
+            rows = [j for j in known if not np.isnan(last[j, 0])][:most]
+            start, places = cameras[-1][None], [known[j] for j in rows]
+            cameras.append(adjusted(start, places, last[rows], camera_is_free=True).rig_from_world[0])
+            used = len(rows)
+            continue
+        seen = ~np.isnan(np.array(pixels[: len(cameras)])[..., 0])
+        new = [j for j in np.flatnonzero(seen[-1] & seen[:-1].any(axis=0)) if j not in known]
+        first, used, fresh = seen[:-1].argmax(axis=0), 0, {}
+        for c in {int(first[j]) for j in new}:
+            rows = [j for j in new if first[j] == c]
+            two = cameras[c], cameras[-1]
+            pair = Rigid3(np.stack([one.rotation for one in two]), np.stack([one.translation for one in two]))
+            both = np.stack([pixels[c][rows], last[rows]])
+            found = triangulate_points(pair, CAMERA, both, min_angle_rad=np.deg2rad(1.5))
+            good = found.success_mask
+            best = adjusted(
+                pair, found.points_in_world[good], both[:, good].swapaxes(0, 1), camera_is_free=False
+            )
+            fresh |= dict(zip(np.array(rows)[good].tolist(), best.points_in_world))
+            used += 2 * int(good.sum())
+        known |= dict(sorted(fresh.items()))
+    return truth, cameras, known, used
+
+
+def test_a_camera_on_its_way(tab):
+    tab.open("06_pnp.html")
+    landmarks, _ = corridor()
+    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (13, 2.5, 8)):
+        tab.set(step=step, s=s, most=most)
+        shown, (truth, cameras, known, used) = tab.shown(), way(step, s, most)
+        last, right = cameras[-1], truth[len(cameras) - 1]
+        assert [shown[name] for name in ("seen", "cameras", "points")] == [used, len(cameras), len(known)]
+        apart = np.linalg.norm(last.inverse().translation - right.inverse().translation)
+        turned = np.rad2deg(np.linalg.norm(Rotation3(last.rotation @ right.rotation.T).log()))
+        off = np.median([np.linalg.norm(point - landmarks[j]) for j, point in known.items()])
+        for name, wanted in (("camera_off", apart), ("turn_off", turned), ("points_off", off)):
+            close(shown[name], wanted, 10.0)  # metres of the way

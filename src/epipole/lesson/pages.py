@@ -26,12 +26,14 @@ class Page(NamedTuple):
 
 
 HOUSE = ("linear.js", "cameras.js", "house.js")
+SQUARES = ("eigen.js", "least_squares.js")
 PAGES = (
     Page("disparity", ("disparity.js",)),
     Page("epipolar", (*HOUSE, "epipolar.js")),
-    Page("candidates", (*HOUSE, "candidates.js")),
+    Page("candidates", (*HOUSE, "rays.js", "candidates.js")),
     Page("scale", (*HOUSE, "scale.js")),
-    Page("triangulation", (*HOUSE, "eigen.js", "triangulation.js")),
+    Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
+    Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
 )
 """In the order of the lesson."""
 

@@ -38,6 +38,17 @@ def cases(count: int = 40) -> np.ndarray:
     return np.random.default_rng(2).normal(size=(count, 4))
 
 
+PATH = np.array([[0.55 * k, 0.0, 0.9 * k, 4.0 * k] for k in range(9)])
+"""Of the camera that learns its way: where it is, and how far it has turned to the right, in degrees."""
+
+
+def corridor(count: int = 90) -> tuple[np.ndarray, np.ndarray]:
+    """(count, 3) landmarks along that way, and (cameras, count, 2) noise of their pixels, of unit deviation."""
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-3.0, -1.2, 3.0], [9.0, 1.2, 15.0], (count, 3))
+    return places, rng.normal(size=(len(PATH), count, 2))
+
+
 def scene_of(page: str) -> dict[str, Any]:
     """Numbers that a page's script is given, by the page's name."""
     if page in ("epipolar", "candidates", "scale"):
@@ -49,4 +60,7 @@ def scene_of(page: str) -> dict[str, Any]:
         }
     if page == "triangulation":
         return {"corners": [], "edges": [], "noise": cases().tolist()}
+    if page == "pnp":
+        landmarks, noise_px = corridor()
+        return {"corners": landmarks.tolist(), "edges": [], "noise": noise_px.tolist(), "path": PATH.tolist()}
     return {}

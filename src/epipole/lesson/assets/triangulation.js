@@ -14,34 +14,6 @@ function linearPoint(motions, rays) {
   return scaled([x, y, z], size / w);
 }
 
-/* Derivative of a pixel by the point in the world: K's upper rows times (I - ..) / z, times R. */
-function pixelDerivative({ R }, [x, y, z]) {
-  const f = K[0][0] / z;
-  return [
-    [f, 0, (-f * x) / z],
-    [0, f, (-f * y) / z],
-  ].map((row) => applied(transposed(R), row));
-}
-
-/* Gauss-Newton on the sum of squared distances in the pictures. */
-function refinedPoint(motions, pixels, start) {
-  let point = start;
-  for (let round = 0; round < 12; round++) {
-    const rows = [],
-      left = [];
-    motions.forEach((motion, k) => {
-      const there = moved(motion, point);
-      rows.push(...pixelDerivative(motion, there));
-      left.push(...minus(pixels[k], project(there)));
-    });
-    const columns = transposed(rows);
-    const step = solved(columns.map((a) => columns.map((b) => dot(a, b))), columns.map((a) => dot(a, left)));
-    point = plus(point, step);
-    if (norm(step) < 1e-14 * norm(point)) break;
-  }
-  return point;
-}
-
 /* sigma^2 (sum of J^T J)^-1, as `epipole.robust.point_covariances`. */
 function covarianceOf(motions, point, sigma) {
   const columns = transposed(motions.flatMap((motion) => pixelDerivative(motion, moved(motion, point))));

@@ -39,7 +39,8 @@ function watch(names, draw) {
     const values = {};
     for (const input of inputs) {
       values[input.id] = Number(input.value);
-      const text = shownNumber(values[input.id], 3) + (input.dataset.unit ? " " + unitOf(input) : "");
+      const whole = input.step === "1" ? input.value : shownNumber(values[input.id], 3);
+      const text = whole + (input.dataset.unit ? " " + unitOf(input) : "");
       byId(input.id + "-shown").textContent = text;
       input.setAttribute("aria-valuetext", text);
     }
