@@ -259,7 +259,7 @@ def way(step, s, most):
 def test_a_camera_on_its_way(tab):
     tab.open("06_pnp.html")
     landmarks, _ = corridor()
-    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (13, 2.5, 8)):
+    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (7, 1.5, 12)):
         tab.set(step=step, s=s, most=most)
         shown, (truth, cameras, known, used) = tab.shown(), way(step, s, most)
         last, right = cameras[-1], truth[len(cameras) - 1]
