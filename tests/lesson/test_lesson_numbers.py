@@ -267,5 +267,10 @@ def test_a_camera_on_its_way(tab):
         apart = np.linalg.norm(last.inverse().translation - right.inverse().translation)
         turned = np.rad2deg(np.linalg.norm(Rotation3(last.rotation @ right.rotation.T).log()))
         off = np.median([np.linalg.norm(point - landmarks[j]) for j, point in known.items()])
-        for name, wanted in (("camera_off", apart), ("turn_off", turned), ("points_off", off)):
-            close(shown[name], wanted, 10.0)  # metres of the way
+        # An adjustment ends where the last digit of its cost does: 1e-9 of the way in metres, and of a radian.
+        for name, wanted, size in (
+            ("camera_off", apart, 10.0),
+            ("turn_off", turned, 57.3),
+            ("points_off", off, 10.0),
+        ):
+            close(shown[name], wanted, size)
