@@ -46,11 +46,11 @@ function addPoints(state, pixels) {
       both = [pixels[first][j], pixels[last][j]];
     const between = { R: times(motions[1].R, transposed(motions[0].R)), t: [0, 0, 0] };
     between.t = minus(motions[1].t, applied(between.R, motions[0].t));
-    const { point, along1, along2 } = triangulated(between, rayOf(both[0]), rayOf(both[1]));
-    if (!(along1 > 0 && along2 > 0)) return;
+    const { point } = triangulated(between, rayOf(both[0]), rayOf(both[1]));
     const found = refinedPoint(motions, both, moved(inverseMotion(motions[0]), point)),
       [a, b] = motions.map((motion) => minus(found, centerOf(motion)));
-    if (Math.atan2(norm(cross(a, b)), dot(a, b)) < LEAST_ANGLE) return;
+    const isAhead = motions.every((motion) => moved(motion, found)[2] > 0);
+    if (!isAhead || Math.atan2(norm(cross(a, b)), dot(a, b)) < LEAST_ANGLE) return;
     state.points.set(j, found);
     state.added.add(j);
     used += 2;
