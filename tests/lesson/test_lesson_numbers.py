@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
@@ -19,9 +20,11 @@ from epipole.geometry.epipolar import (
 )
 from epipole.geometry.homogeneous import point_line_distance
 from epipole.geometry.triangulation import ray_angles_rad, triangulate_linear, triangulate_two_view
-from epipole.lesson.scenes import PATH, cases, corridor, house, noise
+from epipole.lesson.scenes import PATH, cases, corridor, house, noise, wall
 from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
-from epipole.robust import point_covariances, triangulate_points
+from epipole.robust import PairKind, point_covariances, triangulate_points, verify_pair
+from epipole.robust._model_selection_kernels import _gric
+from epipole.solvers import solve_fundamental_eight_point, solve_homography_dlt
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
 
@@ -274,3 +277,74 @@ def test_a_camera_on_its_way(tab):
             ("points_off", off, 10.0),
         ):
             close(shown[name], wanted, size)
+
+
+def signed_sampson(F, one, two):
+    products = np.einsum("ni,ij,nj->n", np.c_[two, np.ones(len(two))], F, np.c_[one, np.ones(len(one))])
+    return np.sign(products) * sampson_error(F, one, two)
+
+
+def best_essential(one, two, start):
+    """Residuals of the essential matrix with the smallest sum of squares."""
+    inverse = np.linalg.inv(CAMERA.K)
+    t = start.translation if np.linalg.norm(start.translation) > 1e-9 else np.array([1.0, 0.0, 0.0])
+
+    def residuals(x):
+        motion = Rigid3(Rotation3.exp(x[:3]).matrix @ start.rotation, t / np.linalg.norm(t) + x[3:])
+        F = inverse.T @ essential_from_cam2_from_cam1(motion) @ inverse
+        return signed_sampson(F, one, two)
+
+    return least_squares(residuals, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=0.1).fun
+
+
+def test_which_model(tab):
+    tab.open("07_models.html")
+    places, noise_px = wall()
+    chosen = {"H": PairKind.PLANAR, "R": PairKind.ROTATION, "E": PairKind.GENERAL, "S": PairKind.NO_MOTION}
+    for relief, tx, yaw, s in itertools.product((0.0, 0.4, 3.0), (0.0, 1.5), (0.0, -8.0), (0.25, 2.0)):
+        at = {"relief": relief, "tx": tx, "yaw": yaw, "s": s}
+        tab.set(**at)
+        shown = tab.shown()
+        x, y, deep = places.T
+        points = np.column_stack([x, y, 6 + 0.3 * x - 0.2 * y + relief * deep])
+        motion = Rigid3(Rotation3.exp(np.deg2rad([0.0, yaw, 0.0])).matrix, np.array([tx, 0.0, 0.0])).inverse()
+        one, two = (
+            CAMERA.project(where.apply(points)) + s * off
+            for where, off in zip((Rigid3.identity(), motion), noise_px)
+        )
+        rays1, rays2 = (CAMERA.unproject(pixels) for pixels in (one, two))
+        rays1, rays2 = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (rays1, rays2))
+        u, _, vt = np.linalg.svd(rays2.T @ rays1)
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        off = {"F": sampson_error(solve_fundamental_eight_point(one, two), one, two)}
+        off["E"] = best_essential(one, two, motion)
+        homographies = {
+            "H": solve_homography_dlt(one, two),
+            "R": CAMERA.K @ R @ np.linalg.inv(CAMERA.K),
+            "S": np.eye(3),
+        }
+        for name, H in homographies.items():
+            seen = np.c_[one, np.ones(len(one))] @ H.T
+            off[name] = np.linalg.norm(seen[:, :2] / seen[:, 2:] - two, axis=1) / np.sqrt(2.0)
+        criteria = {}
+        for name, d, k in (
+            ("F", 3.0, 7.0),
+            ("E", 3.0, 5.0),
+            ("H", 2.0, 8.0),
+            ("R", 2.0, 3.0),
+            ("S", 2.0, 0.0),
+        ):
+            rest = np.minimum(off[name] ** 2 / s**2, 2 * (4 - d)).sum()
+            criteria[name] = float(_gric.py_func(rest, len(one), d, k))
+            close(shown[f"rms-{name}"], np.sqrt(np.mean(np.square(off[name]))))
+            if name != "E":
+                close(shown[f"gric-{name}"], criteria[name])
+        # The sum of squares is flat where it is least, and tells E to half of its digits; the criterion's
+        # cut sum is not flat there. So it is compared for the page's own E.
+        F = np.array(tab.page.evaluate("values => modelNumbers(values).found.E.model", at))
+        rest = np.minimum(sampson_error(F, one, two) ** 2 / s**2, 2.0).sum()
+        close(shown["gric-E"], float(_gric.py_func(rest, len(one), 3.0, 5.0)))
+        best = min(criteria, key=criteria.get)
+        assert tab.page.locator(f"#verdict-{best}").inner_text() == "chosen"
+        if (relief, tx, yaw) in ((0.0, 1.5, -8.0), (3.0, 0.0, -8.0), (3.0, 1.5, -8.0), (3.0, 0.0, 0.0)):
+            assert verify_pair(one, two, CAMERA, CAMERA, is_calibrated=True).kind is chosen[best]

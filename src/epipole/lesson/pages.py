@@ -34,6 +34,7 @@ PAGES = (
     Page("scale", (*HOUSE, "scale.js")),
     Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
     Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
+    Page("models", (*HOUSE, "eigen.js", "two_views.js", "models.js")),
 )
 """In the order of the lesson."""
 

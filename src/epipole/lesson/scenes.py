@@ -49,6 +49,12 @@ def corridor(count: int = 90) -> tuple[np.ndarray, np.ndarray]:
     return places, rng.normal(size=(len(PATH), count, 2))
 
 
+def wall(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """(count, 3) places across, down and (from -1 to 1) before a wall, and (2, count, 2) noise of their pixels."""
+    rng = np.random.default_rng(4)
+    return rng.uniform([-2.4, -1.8, -1.0], [2.6, 1.8, 1.0], (count, 3)), rng.normal(size=(2, count, 2))
+
+
 def scene_of(page: str) -> dict[str, Any]:
     """Numbers that a page's script is given, by the page's name."""
     if page in ("epipolar", "candidates", "scale"):
@@ -63,4 +69,7 @@ def scene_of(page: str) -> dict[str, Any]:
     if page == "pnp":
         landmarks, noise_px = corridor()
         return {"corners": landmarks.tolist(), "edges": [], "noise": noise_px.tolist(), "path": PATH.tolist()}
+    if page == "models":
+        places, noise_px = wall()
+        return {"corners": places.tolist(), "edges": [], "noise": noise_px.tolist()}
     return {}

@@ -1,5 +1,5 @@
 /* Symmetric matrices. */
-/* exported eigenOf, solved */
+/* exported eigenOf, singularOf, solved */
 
 /* Values in rising order and their vectors (Jacobi 1846: turns in two coordinates until nothing beside the diagonal is left). */
 function eigenOf(symmetric) {
@@ -45,4 +45,39 @@ function solved(A, b) {
     rows[k][n] /= rows[k][k];
   }
   return rows.map((row) => row[n]);
+}
+
+/* Singular values in falling order, with the vectors of both sides: columns are turned until each two are at right angles
+   (Hestenes 1958). */
+function singularOf(matrix) {
+  const columns = transposed(matrix),
+    n = columns.length,
+    V = columns.map((_, i) => columns.map((_, j) => +(i === j)));
+  const turn = (rows, p, q, c, s) => {
+    [rows[p], rows[q]] = [minus(scaled(rows[p], c), scaled(rows[q], s)), plus(scaled(rows[p], s), scaled(rows[q], c))];
+  };
+  for (let round = 0, worst = 1; round < 60 && worst > 1e-15; round++) {
+    worst = 0;
+    for (let p = 0; p < n; p++) {
+      for (let q = p + 1; q < n; q++) {
+        const a = dot(columns[p], columns[p]),
+          b = dot(columns[q], columns[q]),
+          g = dot(columns[p], columns[q]);
+        if (g === 0) continue;
+        worst = Math.max(worst, Math.abs(g) / Math.sqrt(a * b));
+        const zeta = (b - a) / (2 * g),
+          t = (zeta >= 0 ? 1 : -1) / (Math.abs(zeta) + Math.hypot(1, zeta)),
+          c = 1 / Math.hypot(1, t);
+        turn(columns, p, q, c, c * t);
+        turn(V, p, q, c, c * t);
+      }
+    }
+  }
+  const sizes = columns.map(norm),
+    order = sizes.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]);
+  return {
+    values: order.map((k) => sizes[k]),
+    left: order.map((k) => scaled(columns[k], 1 / sizes[k])),
+    right: order.map((k) => V[k]),
+  };
 }
