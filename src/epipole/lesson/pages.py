@@ -35,6 +35,7 @@ PAGES = (
     Page("triangulation", (*HOUSE, *SQUARES, "triangulation.js")),
     Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
     Page("models", (*HOUSE, "eigen.js", "two_views.js", "models.js")),
+    Page("bundle", (*HOUSE, *SQUARES, "two_views.js", "bundle_adjustment.js", "bundle.js")),
 )
 """In the order of the lesson."""
 

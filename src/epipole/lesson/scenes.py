@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from epipole.geometry import Rigid3, Rotation3
 
 HOUSE = np.array(
     [
@@ -55,6 +57,41 @@ def wall(count: int = 60) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform([-2.4, -1.8, -1.0], [2.6, 1.8, 1.0], (count, 3)), rng.normal(size=(2, count, 2))
 
 
+class Ring(NamedTuple):
+    """Cameras in a circle around a round tower, and what disturbs them."""
+
+    cams_from_world: Rigid3
+    """(c,)"""
+    points_in_world: np.ndarray
+    """(p, 3)"""
+    normals: np.ndarray
+    """(p, 3) directions from which the points are seen best."""
+    pixel_noise: np.ndarray
+    """(c, p, 2) of unit deviation."""
+    camera_shifts: np.ndarray
+    """(c, 6) shifts, and turns in radians, of a start that is one metre off."""
+    point_shifts: np.ndarray
+    """(p, 3)"""
+
+
+def ring(num_cameras: int = 10, num_points: int = 60) -> Ring:
+    """A tower of radius 1.2 m seen from 4 m."""
+    rng = np.random.default_rng(5)
+    turns = 2 * np.pi * np.arange(num_cameras) / num_cameras
+    facing = Rotation3.exp(np.column_stack([0 * turns, turns, 0 * turns]))
+    world_from_cams = Rigid3(facing.matrix, facing.apply(np.array([0.0, 0.0, -4.0])))
+    around, down = rng.uniform([0.0, -0.9], [2 * np.pi, 0.9], (num_points, 2)).T
+    normals = np.column_stack([np.sin(around), 0 * around, np.cos(around)])
+    return Ring(
+        world_from_cams.inverse(),
+        1.2 * normals + np.column_stack([0 * down, down, 0 * down]),
+        normals,
+        rng.normal(size=(num_cameras, num_points, 2)),
+        rng.normal(size=(num_cameras, 6)) * [1.0, 1.0, 1.0, 0.15, 0.15, 0.15],
+        rng.normal(size=(num_points, 3)),
+    )
+
+
 def scene_of(page: str) -> dict[str, Any]:
     """Numbers that a page's script is given, by the page's name."""
     if page in ("epipolar", "candidates", "scale"):
@@ -72,4 +109,21 @@ def scene_of(page: str) -> dict[str, Any]:
     if page == "models":
         places, noise_px = wall()
         return {"corners": places.tolist(), "edges": [], "noise": noise_px.tolist()}
+    if page == "bundle":
+        return _told(ring())
     return {}
+
+
+def _told(scene: Ring) -> dict[str, Any]:
+    cameras = zip(scene.cams_from_world.rotation.tolist(), scene.cams_from_world.translation.tolist())
+    return {
+        "corners": scene.points_in_world.tolist(),
+        "edges": [],
+        "normals": scene.normals.tolist(),
+        "cameras": [{"R": R, "t": t} for R, t in cameras],
+        "noise": {
+            "pixels": scene.pixel_noise.tolist(),
+            "cameras": scene.camera_shifts.tolist(),
+            "points": scene.point_shifts.tolist(),
+        },
+    }

@@ -1,5 +1,5 @@
 /* Gauss-Newton on distances in pictures: a point between known cameras, a camera before known points. */
-/* exported pixelDerivative, refinedPoint, refinedCamera */
+/* exported inCamera, pixelDerivative, refinedPoint, refinedCamera */
 
 /* Derivative of a pixel by the point before the camera, by rows. */
 function inCamera([x, y, z]) {

@@ -90,7 +90,9 @@ function essentialFrom(pixels1, pixels2, { R, t }) {
       return scaled(minus(...ends), 5e4);
     });
     const A = columns.map((a, i) => columns.map((b, j) => dot(a, b) * (i === j ? 1 + damping : 1)));
-    const step = solved(A, columns.map((a) => -dot(a, left)));
+    const downhill = columns.map((a) => -dot(a, left)),
+      step = solved(A, downhill);
+    if (dot(step, downhill) < 1e-18 * sizeOf(left)) break;
     const [nextR, nextT] = stepped(step),
       next = residuals(nextR, nextT);
     if (sizeOf(next) < sizeOf(left)) {

@@ -1,0 +1,156 @@
+"""The page on bundle adjustment: every step against the same with the whole matrix, the end against the library's."""
+
+import itertools
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3, Rotation3, align_points
+from epipole.lesson.scenes import ring
+from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
+
+CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])
+
+
+def observed(scene, visible, s):
+    """(points, cameras) which is seen, and all pixels (points, cameras, 2)."""
+    sight = scene.cams_from_world.centers()[None] - scene.points_in_world[:, None]
+    cosines = np.einsum("pcx,px->pc", sight / np.linalg.norm(sight, axis=2, keepdims=True), scene.normals)
+    pixels = [
+        CAMERA.project(camera.apply(scene.points_in_world)) + s * off
+        for camera, off in zip(scene.cams_from_world, scene.pixel_noise)
+    ]
+    return cosines >= np.cos(np.deg2rad(visible)), np.swapaxes(pixels, 0, 1)
+
+
+def moved_cameras(cams, steps):
+    turn = Rigid3(Rotation3.exp(steps[:, 3:]).matrix, steps[:, :3])
+    return turn @ cams
+
+
+def disturbed(scene, off):
+    shifts = off * scene.camera_shifts
+    shifts[0] = 0.0
+    return moved_cameras(scene.cams_from_world, shifts), scene.points_in_world + off * scene.point_shifts
+
+
+def linearized(cams, points, seen, pixels, *, hold_first=True):
+    """Residuals and the whole Jacobian, by cameras (turned from the left) and points."""
+    point, camera = np.nonzero(seen)
+    there = cams[camera].apply(points[point])
+    left = pixels[seen] - CAMERA.project(there)
+    x, y, z = there.T
+    rows = np.zeros((len(there), 2, 3))
+    rows[:, 0, 0] = rows[:, 1, 1] = 520.0 / z
+    rows[:, 0, 2], rows[:, 1, 2] = -520.0 * x / z**2, -520.0 * y / z**2
+    J = np.zeros((len(there), 2, 6 * len(cams) + 3 * len(points)))
+    for k, (j, c) in enumerate(zip(point, camera)):
+        J[k, :, 6 * c : 6 * c + 6] = np.hstack([rows[k], np.cross(there[k], rows[k])])
+        J[k, :, 6 * len(cams) + 3 * j :][:, :3] = rows[k] @ cams.rotation[c]
+    if hold_first:
+        J[:, :, :6] = 0.0
+    return left.ravel(), J.reshape(-1, J.shape[2])
+
+
+def whole_adjustment(cams, points, seen, pixels, count):
+    """Levenberg-Marquardt with the whole matrix: costs and dampings of every step, and where it ends."""
+    damping, growth = 1e-4, 2.0
+    left, J = linearized(cams, points, seen, pixels)
+    told = [(0.5 * left @ left, damping)]
+    for _ in range(count):
+        H, g = J.T @ J, J.T @ left
+        D = np.diag(H).copy()
+        x = np.zeros(len(g))
+        x[6:] = np.linalg.solve((H + damping * np.diag(D))[6:, 6:], g[6:])
+        tried = (
+            moved_cameras(cams, x[: 6 * len(cams)].reshape(-1, 6)),
+            points + x[6 * len(cams) :].reshape(-1, 3),
+        )
+        candidate, J_there = linearized(*tried, seen, pixels)
+        before, after, used = 0.5 * left @ left, 0.5 * candidate @ candidate, damping
+        gain = (before - after) / (0.5 * x @ (damping * D * x + g))
+        if after <= before and gain > 0:
+            (cams, points), left, J = tried, candidate, J_there
+            damping, growth = max(1e-9, damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)), 2.0
+        else:
+            damping, growth = damping * growth, 2 * growth
+        told.append((0.5 * left @ left, used))
+    return told
+
+
+def adjusted(cams, points, seen, pixels):
+    """By the library."""
+    frame_free = np.ones((len(cams), 6))
+    frame_free[0] = 0.0
+    count = int(seen.sum())
+    problem = BundleProblem(
+        rig_from_world=cams,
+        cam_from_rig=Rigid3.identity(1),
+        camera_model=np.array([int(CAMERA.model)], np.int32),
+        camera_params=CAMERA.padded_params()[None],
+        points_in_world=points,
+        offsets=np.concatenate([[0], np.cumsum(seen.sum(axis=1))]),
+        frame=np.nonzero(seen)[1].astype(np.int32),
+        sensor=np.zeros(count, np.int32),
+        camera=np.zeros(count, np.int32),
+        pixels=pixels[seen],
+        frame_free=frame_free,
+        params_free=np.zeros((1, 12)),
+        point_free=np.ones(len(points)),
+    )
+    return adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
+
+
+def camera_error(cams, scene):
+    found, truth = cams.centers(), scene.cams_from_world.centers()
+    off = align_points(found, truth).apply(found) - truth
+    return np.sqrt((off**2).sum(axis=1).mean())
+
+
+def close(found, wanted, size=1.0):
+    """To 1e-9 of itself, or of the size of what it is made from."""
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * size)
+
+
+def test_every_step_is_that_of_the_whole_matrix(tab):
+    tab.open("08_bundle.html")
+    scene = ring()
+    for visible, s, off in itertools.product((55.0, 80.0), (0.25, 2.0), (0.1, 0.5)):
+        seen, pixels = observed(scene, visible, s)
+        begin = disturbed(scene, off)
+        steps = whole_adjustment(*begin, seen, pixels, 12)
+        tab.set(visible=visible, s=s, off=off)
+        for step in (0, 1, 2, 4, 12):
+            tab.set(step=step)
+            shown, (cost, damping) = tab.shown(), steps[step]
+            close(shown["cost"], cost)
+            if step < 12:  # at the end rounding says whether a step lowers the cost
+                close(shown["damping"], damping)
+            close(shown["rms"], np.sqrt(cost / seen.sum()))
+            assert [shown["residuals"], shown["unknowns"]] == [2 * seen.sum(), 234]
+
+
+def test_it_ends_where_the_library_ends(tab):
+    tab.open("08_bundle.html")
+    scene = ring()
+    # Twelve steps bring a start to its end to nine digits where the noise is not large.
+    for visible, s, off in itertools.product((65.0, 80.0), (0.25, 1.0), (0.1, 0.3)):
+        seen, pixels = observed(scene, visible, s)
+        tab.set(step=12, visible=visible, s=s, off=off)
+        shown, found = tab.shown(), adjusted(*disturbed(scene, off), seen, pixels)
+        close(shown["cost"], found.final_cost)
+        close(shown["cameras_off"], camera_error(found.rig_from_world, scene))
+
+
+def test_what_is_not_zero(tab):
+    tab.open("08_bundle.html")
+    scene = ring()
+    for visible in (55.0, 70.0, 88.0):
+        seen, pixels = observed(scene, visible, 0.5)
+        tab.set(step=3, visible=visible, s=0.5, off=0.3)
+        shown = tab.shown()
+        _, J = linearized(*disturbed(scene, 0.3), seen, pixels, hold_first=False)
+        together = seen.T.astype(int) @ seen > 0
+        used = np.add.reduceat(np.abs(J), [*range(0, 60, 6), *range(60, 240, 3)], axis=1) > 0
+        filled = (used * ([6] * 10 + [3] * 60)).sum() / J.size
+        close([shown["filled"], shown["filled_s"]], [100 * filled, 100 * together.mean()])
