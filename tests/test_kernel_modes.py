@@ -27,7 +27,7 @@ def answers(how: KernelMode) -> dict:
     """What the jobs give in a process of this mode."""
     env = {key: value for key, value in os.environ.items() if key not in (VARIABLE, "NUMBA_DISABLE_JIT")}
     env |= {"NUMBA_DISABLE_JIT": "1"} if how is KernelMode.PYTHON else {VARIABLE: str(how)}
-    jobs = ("cameras", "relative_pose", "adjustment", "stereo")
+    jobs = ("cameras", "homography", "adjustment", "stereo")
     run = subprocess.run(
         [sys.executable, str(SCRIPT), *jobs], env=env, capture_output=True, text=True, check=False
     )
@@ -51,8 +51,8 @@ def test_modes_agree_to_the_bit(how: KernelMode, job: str) -> None:
 @pytest.mark.parametrize(
     ("how", "job"),
     [
-        (KernelMode.PLAIN, "relative_pose"),
-        (KernelMode.PYTHON, "relative_pose"),
+        (KernelMode.PLAIN, "homography"),
+        (KernelMode.PYTHON, "homography"),
         (KernelMode.PYTHON, "adjustment"),
     ],
 )

@@ -78,12 +78,12 @@ def whole_adjustment(cams, points, seen, pixels, count):
     return told
 
 
-def adjusted(cams, points, seen, pixels):
-    """By the library."""
+def problem_of(cams, points, seen, pixels):
+    """For the library."""
     frame_free = np.ones((len(cams), 6))
     frame_free[0] = 0.0
     count = int(seen.sum())
-    problem = BundleProblem(
+    return BundleProblem(
         rig_from_world=cams,
         cam_from_rig=Rigid3.identity(1),
         camera_model=np.array([int(CAMERA.model)], np.int32),
@@ -98,7 +98,6 @@ def adjusted(cams, points, seen, pixels):
         params_free=np.zeros((1, 12)),
         point_free=np.ones(len(points)),
     )
-    return adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
 
 
 def camera_error(cams, scene):
@@ -137,7 +136,8 @@ def test_it_ends_where_the_library_ends(tab):
     for visible, s, off in itertools.product((65.0, 80.0), (0.25, 1.0), (0.1, 0.3)):
         seen, pixels = observed(scene, visible, s)
         tab.set(step=12, visible=visible, s=s, off=off)
-        shown, found = tab.shown(), adjusted(*disturbed(scene, off), seen, pixels)
+        problem = problem_of(*disturbed(scene, off), seen, pixels)
+        shown, found = tab.shown(), adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
         close(shown["cost"], found.final_cost)
         close(shown["cameras_off"], camera_error(found.rig_from_world, scene))
 

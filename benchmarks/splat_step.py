@@ -1,0 +1,130 @@
+"""Where the time of a training step goes, its operations and its floor. `python -m benchmarks.splat_step`.
+
+The late steps of a training of fountain-P11, cameras found first: every Gaussian is there, and pictures have their full size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import epipole
+from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.rasterizer import FLOPS
+from epipole.fields import splat_trainer
+from epipole.fields.config import SplatConfig
+from epipole.fields.gaussian_adam import GaussianAdam
+from epipole.fields.splat_trainer import SplatTrainer
+from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.first_gaussians import first_gaussians
+from epipole.pipelines.fields.pictures import gather_field_pictures
+
+RESULTS = REPOSITORY / "benchmarks" / "results" / "splat_step.json"
+SIZES = {384: 12_288, 768: 48_400}
+"""Gaussians in the end, for a width in pixels."""
+PEAK = 157e9
+"""Operations a second that two cores at 2.45 GHz can do in single precision."""
+PHASES = {
+    "tiles_of": "project, sort, give to tiles",
+    "blend": "blend",
+    "likeness": "compare (L1, SSIM)",
+    "depth_loss": "known depths",
+    "sums_of_pairs": "blend, back",
+    "move": "project, back, and Adam",
+}
+
+
+def timed(function: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
+    """The function, and its seconds added under a name."""
+
+    def called(*given: Any, **options: Any) -> Any:
+        begin = perf_counter()
+        answer = function(*given, **options)
+        spent[name] += perf_counter() - begin
+        if name == "blend":
+            spent["pairs"] += answer.tiles.num_evaluated
+        return answer
+
+    return called
+
+
+def trained(model: Path, photographs: Path, width: int, steps: int) -> SplatTrainer:
+    """A trainer near its end."""
+    pictures = gather_field_pictures(model, FieldOptions(max_side_px=width, test="0005.jpg"), photographs)
+    config = SplatConfig(max_gaussians=SIZES[width])
+    start = first_gaussians(pictures, config, SIZES[width], lambda *_: None)
+    trainer = SplatTrainer(pictures.train, start.cloud, config, np.zeros(3, np.float32))
+    for step in range(steps):
+        trainer.step(0.9 * step / steps)
+    return trainer
+
+
+def measured(trainer: SplatTrainer, rounds: int) -> dict[str, Any]:
+    """Medians of a step's phases in milliseconds, and its pairs."""
+    spent: dict[str, float] = defaultdict(float)
+    kept = {name: getattr(splat_trainer, name) for name in PHASES if name != "move"}
+    move, rows = GaussianAdam.move, []
+    try:
+        for name, function in kept.items():
+            setattr(splat_trainer, name, timed(function, name, spent))
+        GaussianAdam.move = timed(move, "move", spent)  # type: ignore[method-assign]
+        for _ in range(rounds):
+            spent.clear()
+            begin = perf_counter()
+            trainer.step(0.95)
+            rows.append({"step": perf_counter() - begin, **spent})
+    finally:
+        GaussianAdam.move = move  # type: ignore[method-assign]
+        for name, function in kept.items():
+            setattr(splat_trainer, name, function)
+    middle = {name: median(row[name] for row in rows) for name in ("step", "pairs", *PHASES)}
+    pairs = middle.pop("pairs")
+    return {
+        "gaussians": len(trainer),
+        "pairs": pairs,
+        "ms": {name: 1e3 * seconds for name, seconds in middle.items()},
+        "gflop_of_pairs": sum(FLOPS) * pairs / 1e9,
+        "floor_ms": 1e3 * sum(FLOPS) * pairs / PEAK,
+    }
+
+
+def main() -> None:
+    """Train, measure, print the table and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    photographs = data / "sfm" / "fountain-P11" / "images"
+    with tempfile.TemporaryDirectory(prefix="epipole-step-") as folder:
+        epipole.reconstruct(photographs, folder)
+        rows = {
+            str(width): measured(trained(Path(folder), photographs, width, arguments.steps), arguments.rounds)
+            for width in SIZES
+        }
+    RESULTS.write_text(json.dumps({"machine": describe_machine(2), "rows": rows}, indent=1) + "\n")
+    table = Table("milliseconds of a step", *(f"fountain-P11, {width} wide" for width in SIZES))
+    for name, words in {"step": "all", **PHASES}.items():
+        table.add_row(words, *(f"{row['ms'][name]:.2f}" for row in rows.values()))
+    table.add_row("Gaussians", *(f"{row['gaussians']:,}" for row in rows.values()))
+    table.add_row("million pairs", *(f"{row['pairs'] / 1e6:.2f}" for row in rows.values()))
+    table.add_row("GFLOP of the pairs", *(f"{row['gflop_of_pairs']:.3f}" for row in rows.values()))
+    table.add_row("floor, ms at 157 GFLOP/s", *(f"{row['floor_ms']:.2f}" for row in rows.values()))
+    Console(width=140).print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""The calls of the library that pages show: all of them run."""
+
+import html
+import inspect
+import re
+import types
+
+import numpy as np
+import pytest
+from tests.lesson.test_lesson_bundle import CAMERA, disturbed, observed, problem_of
+
+import epipole
+from epipole.geometry import Rigid3, Rotation3, epipolar
+from epipole.lesson.pages import PAGES, lesson_pages
+from epipole.lesson.scenes import ring
+
+JOBS = ("reconstruct", "slam", "splat", "nerf", "compare_fields")
+
+
+def only_bound(job):
+    """A job that is not run, but refuses arguments that it does not have."""
+    return lambda *given, **named: inspect.signature(job).bind(*given, **named)
+
+
+def given() -> dict:
+    """What the calls are about."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-2, -1.5, 4], [2, 1.5, 7], (60, 3))
+    cam2_from_cam1 = Rigid3(Rotation3.exp(np.array([0.02, 0.1, 0.0])).matrix, np.array([-0.8, 0.0, 0.1]))
+    cams = Rigid3.identity(1)
+    cams_from_world = Rigid3(
+        np.concatenate([cams.rotation, cam2_from_cam1.rotation[None]]),
+        np.concatenate([cams.translation, cam2_from_cam1.translation[None]]),
+    )
+    pixels1, pixels2 = (
+        CAMERA.project(pose.apply(points)) + rng.normal(size=(60, 2)) for pose in cams_from_world
+    )
+    rays1, rays2 = CAMERA.unproject(pixels1), CAMERA.unproject(pixels2)
+    scene = ring()
+    jobs = {name: only_bound(getattr(epipole, name)) for name in JOBS}
+    parts = {name: getattr(epipole, name) for name in ("AnchorOptions", "geometry", "robust", "optim")}
+    return {
+        "epipole": types.SimpleNamespace(**parts, **jobs),
+        "K": CAMERA.K,
+        "E": epipolar.essential_from_cam2_from_cam1(cam2_from_cam1),
+        "cam2_from_cam1": cam2_from_cam1,
+        "camera": CAMERA,
+        "cams_from_world": cams_from_world,
+        "points_in_world": points,
+        "pixels": np.stack([pixels1, pixels2]),
+        "pixels1": pixels1,
+        "pixels2": pixels2,
+        "rays_of_point": np.stack([rays1[0], rays2[0]]),
+        "rays1": rays1,
+        "rays2": rays2,
+        "problem": problem_of(*disturbed(scene, 0.1), *observed(scene, 70.0, 0.5)),
+    }
+
+
+@pytest.mark.parametrize("number", range(1, len(PAGES) + 1))
+def test_calls_that_a_page_shows_run(number):
+    names = [name for name in lesson_pages() if name.startswith(f"{number:02d}_")]
+    blocks = [re.findall(r"<pre[^>]*><code>(.*?)</code></pre>", lesson_pages()[name], re.S) for name in names]
+    assert blocks[0] and blocks[0] == blocks[1]
+    for block in blocks[0]:
+        exec(compile(html.unescape(block), names[0], "exec"), given())
