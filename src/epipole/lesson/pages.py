@@ -23,6 +23,8 @@ class Page(NamedTuple):
     name: str
     scripts: tuple[str, ...]
     """Besides `widget.js`, in order."""
+    is_recorded: bool = False
+    """Its data are those of runs of the library, `assets/NAME.json`."""
 
 
 HOUSE = ("linear.js", "cameras.js", "house.js")
@@ -36,6 +38,9 @@ PAGES = (
     Page("pnp", (*HOUSE, *SQUARES, "rays.js", "pnp.js")),
     Page("models", (*HOUSE, "eigen.js", "two_views.js", "models.js")),
     Page("bundle", (*HOUSE, *SQUARES, "two_views.js", "bundle_adjustment.js", "bundle.js")),
+    Page("failures", ("linear.js", "failures.js"), is_recorded=True),
+    Page("fields", ("linear.js", "fields.js"), is_recorded=True),
+    Page("questions", ()),
 )
 """In the order of the lesson."""
 
@@ -56,6 +61,7 @@ def _rendered(page: Page, language: str, number: int) -> str:
     all_pages = [
         {
             "number": k,
+            "name": other.name,
             "file": _file(_numbered(other, k), language),
             "title": _in(language, texts(other.name))["title"],
             "about": _in(language, texts(other.name))["about"],
@@ -69,7 +75,7 @@ def _rendered(page: Page, language: str, number: int) -> str:
         title=words["title"],
         t=_marked(words),
         words=words.get("script", {}),
-        scene=scene_of(page.name),
+        scene=recorded(page.name) if page.is_recorded else scene_of(page.name),
         language=language,
         languages={code: (label, _file(name, code)) for code, label in LANGUAGES.items()},
         number=number,

@@ -11,14 +11,14 @@ import tyro
 def convert(
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")],
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")],
-    format: Literal["txt", "bin", "ply", "transforms", "bundler", "splat"],
+    format: Literal["txt", "bin", "ply", "transforms", "bundler", "splat"] | None = None,
 ) -> None:
     """Write a model in another format.
 
     Args:
         source: Output folder of a reconstruction, a COLMAP model, or a transforms.json; for splat a file of Gaussians.
         target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler get their pictures, too.
-        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat.
+        format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; needed where the target's name does not tell it.
     """
     from rich.console import Console
 

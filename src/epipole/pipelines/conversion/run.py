@@ -35,7 +35,17 @@ class Conversion:
     """Images of the model whose pictures were not found."""
 
 
-def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
+def format_told_by(source: Path, target: Path) -> str | None:
+    """The format that a target's name tells, or None: several formats are folders."""
+    name = target.name.lower()
+    if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
+        return "splat"
+    if name.endswith(".ply"):
+        return "splat" if source.is_file() or (source / "splat.ply").is_file() else "ply"
+    return None
+
+
+def convert(source: str | Path, target: str | Path, format: str | None = None) -> Conversion:
     """Write a model in another format.
 
     Args:
@@ -44,14 +54,17 @@ def convert(source: str | Path, target: str | Path, format: str) -> Conversion:
         target: for `ply` a file; for `splat` a .ply, .compressed.ply, .spz, .sog or .splat; for the other formats, which are of several files, a new folder, or that of an earlier
             conversion of the same model, whose other formats stay. `transforms` and `bundler` get their pictures, too, in `images/` (as hard links
             where the disk is the same): the paths in these files are then right.
-        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat.
+        format: txt or bin (COLMAP's), transforms (nerfstudio's), bundler, ply or splat; None where the target's name tells it.
 
     Raises:
-        ConfigError: unknown format, or one that cannot hold the cameras.
+        ConfigError: unknown format, or one that cannot hold the cameras; none is given, and the name tells none.
         FileFormatError: there is no readable model.
         WorkspaceError: the target cannot be written, or holds something else.
     """
     source, target = as_path(source), as_path(target)
+    format = format_told_by(source, target) if format is None else format
+    if format is None:
+        raise ConfigError(f"{target} tells no format: format is one of {', '.join(get_args(ModelFormat))}")
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
     if not source.exists():

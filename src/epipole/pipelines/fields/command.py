@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -181,7 +182,8 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
     )
     if summary["psnr"] is not None:
-        held = f"{summary['num_test']} pictures that were held out"
+        test = summary["num_test"]
+        held = f"{test} picture{'s that were' if test > 1 else ' that was'} held out"
         table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
@@ -189,7 +191,8 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     print_warnings(console, list(warnings[:10]))
     console.print(f"written   {model}", highlight=False, markup=False)
     console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
-    console.print(f"look      epipole view {model.parent}", highlight=False, markup=False)
-    console.print(f"video     epipole render {model.parent} round.mp4", highlight=False, markup=False)
+    folder = quote(str(model.parent))
+    console.print(f"look      epipole view {folder}", highlight=False, markup=False)
+    console.print(f"video     epipole render {folder} round.mp4", highlight=False, markup=False)
     if summary["interrupted"]:
         sys.exit(INTERRUPTED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -77,4 +78,4 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         highlight=False,
         markup=False,
     )
-    console.print(f"look    epipole view {result.out}", highlight=False, markup=False)
+    console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
@@ -97,7 +98,7 @@ def show_slam(result: SlamResult) -> None:
     print_warnings(console, result.warnings[:10])
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
-    console.print(f"look    epipole view {result.out}", highlight=False, markup=False)
+    console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)
 
 
 def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from shlex import quote
+
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -34,7 +36,7 @@ def show_stereo(result: StereoResult) -> None:
     console.print(table)
     print_warnings(console, result.warnings)
     if result.out is not None:
-        look = "" if result.depths is None else f"\nlook     epipole view {result.out}"
+        look = "" if result.depths is None else f"\nlook     epipole view {quote(str(result.out))}"
         words = f"results  {result.out}\nreport   {result.out / 'report.html'}{look}"
         console.print(words, highlight=False, markup=False)
 

@@ -1,0 +1,209 @@
+"""Record the replays of the lesson's page on failures: the library's own SLAM on drawn rides. `python -m benchmarks.lesson_replays`.
+
+Pictures are drawn, so that none of anybody else's is in the package; of the kitchen of 7-Scenes only figures are kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import json
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from rich.console import Console
+
+import epipole
+from benchmarks.measure import REPOSITORY
+from epipole.geometry import Rigid3, align_points
+from epipole.io.trajectories import read_pose_matrix
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackedFrame
+from epipole.pipelines.slam.slam import Slam
+from epipole.synthetic import rides
+from epipole.synthetic.ride import Ride, Shutter
+
+RECORD = REPOSITORY / "src" / "epipole" / "lesson" / "assets" / "failures.json"
+SIZE, SHOWN_SIZE, SHOWN, QUALITY = (320, 240), (176, 132), 26, 40
+"""Of the pictures that are followed, and that are shown; how many of these, at most; and how well."""
+
+
+class Sight(NamedTuple):
+    """A ride as one sensor sees it."""
+
+    ride: Ride
+    every: int
+    sensor: str
+    readout_s: float = 0.0
+    """That the SLAM is told of."""
+
+
+def blurred(exposure_s: float) -> Ride:
+    """A hand's shake with so long an exposure."""
+    shutter = Shutter(exposure_s=exposure_s, num_exposures=16)
+    return replace(rides.shuttered(240, SIZE, 0.0), shutter=shutter)
+
+
+def failures() -> dict[str, dict[str, Sight]]:
+    """What is recorded: for each failure one run or two, by name."""
+    bent = rides.shuttered(240, SIZE)
+    turning, walking = rides.turn_on_the_spot(200, SIZE), rides.walking_box(240, SIZE)
+    return {
+        "wall": {"rgbd": Sight(rides.corridor(620, SIZE), 4, "rgbd")},
+        "tiles": {"rgbd": Sight(rides.tiled_room(400, SIZE), 4, "rgbd")},
+        "moving": {"rgbd": Sight(walking, 4, "rgbd"), "mono": Sight(walking, 4, "mono")},
+        "blur": {"long": Sight(blurred(0.12), 3, "mono"), "short": Sight(blurred(0.01), 3, "mono")},
+        "shutter": {"untold": Sight(bent, 3, "mono"), "told": Sight(bent, 3, "mono", 0.03)},
+        "rotation": {"mono": Sight(turning, 4, "mono"), "rgbd": Sight(turning, 4, "rgbd")},
+    }
+
+
+def frames_of(sight: Sight) -> Iterable[tuple[int, Frame]]:
+    """As the sensor gives them, at the ride's own times."""
+    for number in range(0, len(sight.ride), sight.every):
+        left = sight.ride.left(number)
+        depth = left.depth if sight.sensor == "rgbd" else None
+        yield number, Frame(float(sight.ride.timestamp_s[number]), left.grey, None, depth)
+
+
+def camera_of(sight: Sight) -> SlamCamera:
+    """Told its readout where the run is."""
+    lens = sight.ride.camera
+    depth = DepthCamera(lens, Rigid3.identity()) if sight.sensor == "rgbd" else None
+    return SlamCamera(lens, None, depth, readout_s=sight.readout_s)
+
+
+def recorded(sight: Sight) -> dict[str, Any]:
+    """Every frame of a run: what it said as the frame came, and where that is against the truth."""
+    slam, answers, pictures, numbers = Slam(camera_of(sight)), list[TrackedFrame](), list[np.ndarray](), []
+    for number, frame in frames_of(sight):
+        answers.append(slam.track(frame))
+        pictures.append(frame.grey)
+        numbers.append(number)
+    slam.finish()
+    truth = sight.ride.world_from_camera[np.array(numbers)]
+    final = slam.trajectory()
+    rows = np.searchsorted([a.timestamp_s for a in answers], final.timestamp_s - 1e-6)
+    known = [k for k, a in enumerate(answers) if a.world_from_body is not None]
+    causal = np.array([answers[k].world_from_body.translation for k in known]).reshape(-1, 3)
+    shown = np.unique(np.linspace(0, len(answers) - 1, SHOWN).astype(int))
+    moving = [[*a.moving.low_px, *a.moving.high_px] if a.moving else None for a in answers]
+    return {
+        "state": [a.state.value for a in answers],
+        "reason": [a.reason for a in answers],
+        "points": [a.num_points for a in answers],
+        "moving": [box and [round(v / SIZE[0], 4) for v in box] for box in moving],
+        "truth": rounded(truth.translation),
+        "place": scattered(
+            known, onto(causal, truth.translation[known], sight.sensor, truth[0]), len(answers)
+        ),
+        "final": scattered(
+            rows,
+            onto(final.world_from_body.translation, truth.translation[rows], sight.sensor, truth[0]),
+            len(answers),
+        ),
+        "loops": [[loop.frame, loop.verdict] for loop in slam.loops],
+        "shown": shown.tolist(),
+        "pictures": [small(pictures[k]) for k in shown],
+    }
+
+
+def onto(places: np.ndarray, truth: np.ndarray, sensor: str, first: Rigid3) -> np.ndarray:
+    """Places in the true world: from the first frame on, or by the best similarity where the scale is not known."""
+    if sensor == "rgbd":
+        return np.asarray(first.apply(places))
+    if len(places) < 3 or np.ptp(truth, axis=0).max() < 1e-6 or np.ptp(places, axis=0).max() < 1e-6:
+        return np.asarray(places + truth[:1])
+    return np.asarray(align_points(places, truth).apply(places))
+
+
+def scattered(rows: Any, places: np.ndarray, count: int) -> list[list[float] | None]:
+    """A place for each frame; None where there is none."""
+    out: list[list[float] | None] = [None] * count
+    for row, place in zip(rows, rounded(places)):
+        out[int(row)] = place
+    return out
+
+
+def rounded(places: np.ndarray) -> Any:
+    """To a millimetre."""
+    return np.round(places, 3).tolist()
+
+
+def small(grey: np.ndarray) -> str:
+    """A picture as the page shows it."""
+    shrunk = cv2.resize(grey, SHOWN_SIZE, interpolation=cv2.INTER_AREA)
+    _, encoded = cv2.imencode(".webp", shrunk, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    return base64.b64encode(encoded.tobytes()).decode("ascii")
+
+
+def without_repeats(runs: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Pictures that the first run has, too, are kept there alone."""
+    first, *others = runs.values()
+    for run in others:
+        if run["pictures"] == first["pictures"]:
+            run["pictures"] = []
+    return runs
+
+
+def kitchen(folder: Path) -> dict[str, Any]:
+    """How far a run of ours is from each of the two truths of 7-Scenes' kitchen, picture by picture."""
+    with tempfile.TemporaryDirectory(prefix="epipole-kitchen-") as out:
+        path = epipole.slam(folder, out, sensor="rgbd").trajectory
+    numbers = np.rint(30 * path.timestamp_s).astype(int)
+    by_number = {int(row[0]): row[1:4] for row in np.loadtxt(folder / "poses_sfm.txt")}
+    sfm = np.array([by_number[n] for n in numbers])
+    fusion = np.array([read_pose_matrix(folder / f"frame-{n:06d}.pose.txt").translation for n in numbers])
+    ours = path.world_from_body.translation
+    apart = {
+        "ours_sfm": (ours, sfm),
+        "ours_fusion": (ours, fusion),
+        "sfm_fusion": (sfm, fusion),
+    }
+    return {"number": numbers.tolist()} | {
+        name: rounded(np.linalg.norm(align_points(a, b, with_scale=False).apply(a) - b, axis=1))
+        for name, (a, b) in apart.items()
+    }
+
+
+def main() -> None:
+    """Run, say how each went, and write the record."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", nargs="+", help="failures to record anew, or kitchen; else all")
+    parser.add_argument("--data", type=Path, help="data folder (else $EPIPOLE_DATA, else ../shared/data)")
+    arguments = parser.parse_args()
+    data = arguments.data or Path(os.environ.get("EPIPOLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    record = json.loads(RECORD.read_text()) if RECORD.is_file() else {}
+    console = Console(width=140)
+    for name, runs in failures().items():
+        if arguments.only and name not in arguments.only:
+            continue
+        record[name] = without_repeats({run: recorded(sight) for run, sight in runs.items()})
+        for run, told in record[name].items():
+            states = {state: told["state"].count(state) for state in dict.fromkeys(told["state"])}
+            final = [(p, t) for p, t in zip(told["final"], told["truth"]) if p]
+            off = [np.linalg.norm(np.subtract(p, t)) for p, t in final] or [np.nan]
+            loops = dict(Counter(verdict for _, verdict in told["loops"]))
+            console.print(
+                f"{name}, {run}: {states}, loops {loops}, {100 * np.sqrt(np.mean(np.square(off))):.2f} cm"
+            )
+    if not arguments.only or "kitchen" in arguments.only:
+        record["kitchen"] = kitchen(data / "slam" / "7scenes")
+        console.print(
+            {
+                k: f"{100 * np.sqrt(np.mean(np.square(v))):.2f} cm"
+                for k, v in record["kitchen"].items()
+                if k != "number"
+            }
+        )
+    RECORD.write_text(json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The replays of the page on failures: what it shows is what was recorded, and what is recorded is what the library does."""
+
+import itertools
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+from benchmarks.lesson_replays import failures, recorded
+
+RECORD = json.loads(resources.files("epipole.lesson").joinpath("assets", "failures.json").read_text())
+
+
+def rms_cm(places, truth):
+    off = [np.subtract(place, true) for place, true in zip(places, truth) if place]
+    return 100 * np.sqrt(np.mean(np.sum(np.square(off), axis=1))) if off else np.nan
+
+
+@pytest.mark.parametrize("failure", sorted(RECORD.keys() - {"kitchen"}))
+def test_a_replay_shows_what_was_recorded(tab, failure):
+    tab.open("09_failures.html")
+    tab.page.check(f"input[name=failure][value={failure}]")
+    for number, (name, run) in enumerate(RECORD[failure].items()):
+        if len(RECORD[failure]) > 1:
+            tab.page.check(f"input[name=run][value='{number}']")
+        count = len(run["state"])
+        assert tab.page.locator("#frame").get_attribute("max") == str(count - 1)
+        for k in (0, count // 3, count - 1):
+            tab.set(frame=k)
+            shown, place = tab.shown(), run["place"][k]
+            off = 100 * np.linalg.norm(np.subtract(place, run["truth"][k])) if place else np.nan
+            wanted = {
+                "points": run["points"][k],
+                "off_now": off,
+                "final_off": rms_cm(run["final"], run["truth"]),
+                "placed": 100 * sum(p is not None for p in run["place"]) / count,
+            }
+            for what, value in wanted.items():
+                np.testing.assert_allclose(shown[what], value, rtol=1e-9, atol=1e-9, err_msg=f"{name} {what}")
+            for id, verdict in (("refused", "rejected"), ("accepted", "accepted")):
+                assert shown[id] == sum(loop == verdict for seen, loop in run["loops"] if seen <= k)
+            assert tab.page.locator("#state").get_attribute("data-state") == run["state"][k]
+            assert tab.page.locator("#reason").inner_text() == (run["reason"][k] or "–")
+
+
+def test_it_plays_and_stops(tab):
+    tab.open("09_failures.html")
+    tab.page.check("input[name=failure][value=rotation]")
+    tab.page.click("#play")
+    slider, last = tab.page.locator("#frame"), 0.0
+    while last < 2:  # a page's policy forbids Playwright's own way of waiting
+        tab.page.wait_for_timeout(50)
+        assert float(slider.input_value()) >= last
+        last = float(slider.input_value())
+    tab.page.click("#play")
+    stopped = slider.input_value()
+    tab.page.wait_for_timeout(300)
+    assert slider.input_value() == stopped
+    assert tab.page.locator("#play").inner_text() == "play"
+
+
+def test_the_two_truths_of_the_kitchen(tab):
+    tab.open("09_failures.html")
+    shown = tab.shown()
+    for name in ("sfm_fusion", "ours_fusion", "ours_sfm"):
+        np.testing.assert_allclose(
+            shown[f"rms-{name}"], 100 * np.sqrt(np.mean(np.square(RECORD["kitchen"][name]))), rtol=1e-9
+        )
+    assert shown["rms-ours_sfm"] < shown["rms-sfm_fusion"] < shown["rms-ours_fusion"]
+
+
+def test_every_run_is_there_and_says_what_its_text_tells():
+    assert {name: set(runs) for name, runs in failures().items()} == {
+        name: set(runs) for name, runs in RECORD.items() if name != "kitchen"
+    }
+    states = {(name, run): set(told["state"]) for name in failures() for run, told in RECORD[name].items()}
+    assert "lost" in states["wall", "rgbd"] and "submap" in states["wall", "rgbd"]
+    assert states["rotation", "mono"] == {"turning"}
+    off = {
+        (name, run): rms_cm(told["final"], told["truth"])
+        for name, runs in RECORD.items()
+        if name != "kitchen"
+        for run, told in runs.items()
+    }
+    assert off["blur", "long"] > 3 * off["blur", "short"]
+    assert off["shutter", "untold"] > 2 * off["shutter", "told"]
+    tiles = RECORD["tiles"]["rgbd"]
+    assert len(tiles["loops"]) > 100 and all(verdict != "accepted" for _, verdict in tiles["loops"])
+    assert any(itertools.chain(RECORD["moving"]["rgbd"]["moving"]))
+
+
+def test_the_record_is_what_the_library_does():
+    found, told = recorded(failures()["rotation"]["mono"]), RECORD["rotation"]["mono"]
+    assert found["state"] == told["state"] and found["loops"] == told["loops"]
+    assert len(found["reason"]) == len(told["reason"])
+    np.testing.assert_allclose(found["truth"], told["truth"], atol=2e-3)

@@ -1,0 +1,123 @@
+"""The page on fields: it sums what was recorded by the written-out rule, and what is recorded is what the library draws."""
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+from benchmarks.lesson_fields import marched, operations_of_query, splatted
+
+from epipole.cameras import Camera
+from epipole.fields.hash_field import HashField, Room, draw_hash, new_weights
+from epipole.fields.rasterizer import render
+from epipole.geometry import Rigid3
+from epipole.scene.gaussian_cloud import GaussianCloud
+
+RECORD = json.loads(resources.files("epipole.lesson").joinpath("assets", "fields.json").read_text())
+CAMERA, WHITE = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5]), np.ones(3, np.float32)
+
+
+def summed(way, pixel, upto=np.inf, record=RECORD):
+    """Sum of T_i alpha_i c_i with T_i the product of (1 - alpha_j) before it; its weights, what is left, distances."""
+    part = pixel[way]
+    if way == "nerf":
+        alpha = -np.expm1(-np.array(part["thickness"]))
+    else:
+        alpha = np.minimum(
+            np.array(part["opacity"]) * np.exp(np.array(part["power"])), record["largest_alpha"]
+        )
+        alpha[alpha < record["least_alpha"]] = 0.0
+    distance, over = np.array(part["distance"]), record["over_nerf" if way == "nerf" else "over"]
+    alpha[distance > upto] = 0.0
+    before = np.concatenate([[1.0], np.cumprod(1.0 - alpha)])[: len(alpha)]
+    alpha[before <= over] = 0.0
+    weights, through = before * alpha, np.prod(1.0 - alpha)
+    colour = weights @ np.array(part["colour"]).reshape(-1, 3) + through
+    return {"used": np.count_nonzero(alpha), "weights": weights.sum(), "through": through} | {
+        "depth": weights @ distance / weights.sum() if weights.any() else np.nan,
+        "red": colour[0],
+        "green": colour[1],
+        "blue": colour[2],
+    }
+
+
+@pytest.mark.parametrize("number", range(len(RECORD["pixels"])))
+def test_a_pixel_is_summed_as_it_is_written(tab, number):
+    tab.open("10_fields.html")
+    tab.page.check(f"input[name=pixel][value='{number}']")
+    for upto in (*np.linspace(RECORD["near"], RECORD["far"], 7), RECORD["far"]):
+        tab.set(upto=upto)
+        shown = tab.shown()
+        for way in ("nerf", "splat"):
+            for name, value in summed(way, RECORD["pixels"][number], upto).items():
+                np.testing.assert_allclose(
+                    shown[f"{name}-{way}"], value, rtol=1e-9, atol=1e-12, err_msg=f"{name} {way} {upto}"
+                )
+            np.testing.assert_allclose(shown[f"weights-{way}"] + shown[f"through-{way}"], 1.0, atol=1e-12)
+
+
+def test_what_is_summed_is_what_was_drawn():
+    for pixel in RECORD["pixels"]:
+        for way in ("nerf", "splat"):
+            found = summed(way, pixel)
+            np.testing.assert_allclose(
+                [found[c] for c in ("red", "green", "blue")], pixel["drawn"][way], atol=2e-3
+            )
+
+
+def test_a_click_chooses_the_nearest_pixel(tab):
+    tab.open("10_fields.html")
+    column, row = RECORD["pixels"][2]["at"]
+    box = tab.page.locator("#pictures").bounding_box()
+    size = box["width"] / (3 * RECORD["side"] + 20)
+    left = RECORD["side"] + 10 + column  # in the second picture
+    tab.page.mouse.click(box["x"] + size * (left + 3), box["y"] + size * (row + 22))
+    assert tab.page.locator("input[name=pixel]:checked").get_attribute("value") == "2"
+
+
+def test_figures_are_those_of_the_comparison(tab):
+    tab.open("10_fields.html")
+    shown, rows, each = tab.shown(), RECORD["rows"], RECORD["operations"]
+    assert shown["operations-nerf"] == rows["nerf"]["queries"] * each["query"]
+    assert shown["operations-splat"] == rows["splat"]["evaluated"] * each["pair"]
+    assert shown["faster"] == rows["splat"]["frames_s"] / rows["nerf"]["frames_s"]
+    for way, row in rows.items():
+        assert shown[f"psnr-{way}"] == row["psnr"] and shown[f"frames_s-{way}"] == row["frames_s"]
+
+
+def test_what_is_recorded_of_gaussians_is_what_is_drawn():
+    rng = np.random.default_rng(0)
+    n = 200
+    cloud = GaussianCloud(
+        means_in_world=np.column_stack([rng.uniform(-1, 1, (n, 2)), rng.uniform(2, 4, n)]).astype(np.float32),
+        log_scales=np.full((n, 3), -2.0, np.float32),
+        quats_wxyz=rng.normal(size=(n, 4)).astype(np.float32),
+        opacity_logits=rng.normal(size=n).astype(np.float32),
+        sh=rng.normal(size=(n, 1, 3)).astype(np.float32),
+    )
+    drawn = render(cloud, CAMERA, Rigid3.identity())
+    picture = drawn.over(WHITE)
+    for at in ((31, 23), (5, 40), (60, 2)):
+        found = summed("splat", {"splat": splatted(drawn, CAMERA, at)})
+        np.testing.assert_allclose(
+            [found[c] for c in ("red", "green", "blue")], picture[at[1], at[0]], atol=2e-3
+        )
+
+
+def test_what_is_recorded_of_a_neural_field_is_what_is_drawn():
+    rng = np.random.default_rng(0)
+    room = Room(np.ones((16, 16, 16), np.uint8), np.ones((2, 2, 2), np.uint8), np.array([-1.0, -1.0, 2.0]), 2 / 16)
+    tables = rng.normal(size=(8, 2**12, 4)).astype(np.float32)
+    weights = list(new_weights(rng, 8, 64))
+    weights[1][:, 0] += np.float32(0.15)  # dense enough to be seen
+    field = HashField(room, np.array([4, 5, 6, 8, 10, 12, 14, 16]), tables, tuple(weights))
+    picture, _, _ = draw_hash(field, CAMERA, Rigid3.identity(), WHITE)
+    seen = []
+    for at in ((31, 23), (20, 30), (1, 1)):
+        found = summed("nerf", {"nerf": marched(field, CAMERA, Rigid3.identity(), at)})
+        np.testing.assert_allclose(
+            [found[c] for c in ("red", "green", "blue")], picture[at[1], at[0]], atol=2e-3
+        )
+        seen.append(found["weights"])
+    assert max(seen) > 0.3
+    assert 15_000 < operations_of_query(field) < 25_000
