@@ -106,7 +106,9 @@ def test_what_is_recorded_of_gaussians_is_what_is_drawn():
 
 def test_what_is_recorded_of_a_neural_field_is_what_is_drawn():
     rng = np.random.default_rng(0)
-    room = Room(np.ones((16, 16, 16), np.uint8), np.ones((2, 2, 2), np.uint8), np.array([-1.0, -1.0, 2.0]), 2 / 16)
+    room = Room(
+        np.ones((16, 16, 16), np.uint8), np.ones((2, 2, 2), np.uint8), np.array([-1.0, -1.0, 2.0]), 2 / 16
+    )
     tables = rng.normal(size=(8, 2**12, 4)).astype(np.float32)
     weights = list(new_weights(rng, 8, 64))
     weights[1][:, 0] += np.float32(0.15)  # dense enough to be seen
