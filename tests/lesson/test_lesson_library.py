@@ -22,7 +22,7 @@ def only_bound(job):
 
     def called(*given, **named):
         inspect.signature(job).bind(*given, **named)
-        return types.SimpleNamespace(warnings=())
+        return types.SimpleNamespace(warnings=(), rows={})
 
     return called
 

@@ -9,6 +9,8 @@ from epipole.lesson.pages import LANGUAGES, PAGES, lesson_pages, texts
 
 FILES = tuple(lesson_pages())
 MOST_BYTES, MOST_SECONDS, PHONE = 1_500_000, 1.0, 390
+NAMES = ("page", "function")
+"""Of a question: not words, but what it leads to."""
 
 
 def leaves(value, path=""):
@@ -18,6 +20,8 @@ def leaves(value, path=""):
     elif isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else enumerate(value)
         for key, part in items:
+            if key in NAMES:
+                continue
             yield from leaves(part, f"{path}.{key}")
     else:
         yield path, value
