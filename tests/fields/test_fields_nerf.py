@@ -1,6 +1,7 @@
 """`epipole.nerf`: from cameras and pictures to a field of either kind, held-out pictures and figures; its file; and drawing it."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from epipole.io.hash_files import HashContents, write_hash
 from epipole.io.photographs import read_rgb
 from epipole.io.voxel_files import GridContents, read_grid, write_grid
 from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_voxels
-from epipole.pipelines.fields.scene import is_mine, splat_view
+from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 
 STEPS = 120
 LEAST_PSNR = {"grid": 20, "hash": 18}
@@ -99,7 +100,7 @@ def test_the_command_draws_it(result, source, tmp_path):
 def test_its_gaussians_look_like_it(result):
     kind = kind_of(result)
     assert is_mine(result.out) and is_mine(result.out / kind.file) and not is_mine(result.out / "test")
-    cloud, place = splat_view(result.out).cloud, views()[3].cam_from_world
+    cloud, place = seen_gaussians(result.out)[0], views()[3].cam_from_world
     assert cloud.sh_degree == 1
     one = draw(cloud, CAMERA, place).over(np.ones(3, np.float32))
     other = np.clip(kind.draw(result.field, CAMERA, place, np.ones(3))[0], 0, 1)
@@ -119,10 +120,12 @@ def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
 )  # a neural field is first made a grid, which takes long
 def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
     done = share(result.out, tmp_path / "page.html")
-    count = f"{len(splat_view(result.out).cloud):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-    assert done.shown == f"{count} Gaussians"
+    count = f"{len(seen_gaussians(result.out)[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    assert done.shown.startswith(f"{count} Gaussians;")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "as trained" in page and page.count('"ahead":') == len(views()) - 2 and "next-camera" in page
+    assert "as trained" in page and "next-camera" in page
+    told = json.loads(re.search(r'id="space-data">(.*?)</script>', page)[1])
+    assert len(told["cameras"]["names"]) == len(views()) - 2
 
 
 def test_another_kind_takes_the_place_of_the_first(source, tmp_path):

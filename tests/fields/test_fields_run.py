@@ -21,7 +21,7 @@ from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields import checkpoints, training
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import gather_field_pictures
-from epipole.pipelines.fields.scene import is_mine, splat_view
+from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
 
@@ -103,13 +103,13 @@ def test_names_are_text_in_the_report(tmp_path):
 
 def test_results_are_shown_from_where_a_picture_was_taken(result, tmp_path):
     assert is_mine(result.out) and is_mine(result.out / "splat.ply") and not is_mine(tmp_path)
-    shown = splat_view(result.out)
+    cloud, shown = seen_gaussians(result.out)
     np.testing.assert_allclose(shown.position, views()[1].cam_from_world.inverse().translation, atol=1e-9)
     assert np.linalg.norm(shown.look_at) < 0.5 and shown.up[2] > 0.9
     (tmp_path / "alone.ply").write_bytes((result.out / "splat.ply").read_bytes())
     (tmp_path / "summary.json").write_text('{"first_view": {"position": [1, 2]}}')
-    alone = splat_view(tmp_path / "alone.ply")
-    assert len(alone.cloud) == len(shown.cloud) and np.isfinite(alone.position).all()
+    same, alone = seen_gaussians(tmp_path / "alone.ply")
+    assert len(same) == len(cloud) and np.isfinite(alone.position).all()
     handle = view(result.out, block=False)
     handle.stop()
 

@@ -80,14 +80,15 @@ class Blocks(HTMLParser):
 def test_a_page_holds_the_cloud_and_nothing_from_elsewhere(result: Path, tmp_path: Path) -> None:
     done = share(result, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert done.num_bytes == len(text.encode()) and done.shown == "80 Gaussians"
+    assert done.num_bytes == len(text.encode()) and done.shown.startswith("80 Gaussians; colours")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "result"]
     blocks = Blocks(text)
-    rows = np.frombuffer(base64.b64decode(blocks.scripts["gaussians"]), ROW)
+    rows = np.frombuffer(base64.b64decode(blocks.scripts["space-gaussians"]), ROW)
     assert np.array_equal(rows["mean"], read_gaussian_ply(result / "splat.ply").means_in_world)
-    assert len(base64.b64decode(blocks.scripts["harmonics"])) == 12 * 80
-    told = json.loads(blocks.scripts["scene"])
-    assert told["count"] == 80 and told["background"] == 1.0 and len(told["cameras"]) == 2
+    assert len(base64.b64decode(blocks.scripts["space-harmonics"])) == 12 * 80
+    told = json.loads(blocks.scripts["space-data"])
+    assert told["gaussians"]["count"] == 80 and told["background"] == 1.0
+    assert len(told["cameras"]["names"]) == 2 and not told["cameras"]["shown"]
     policy = next(v for tag, name, v in blocks.attributes if name == "content" and "default-src" in v)
     code = content_hash(blocks.scripts["code"])
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
@@ -102,14 +103,14 @@ def test_names_are_text(tmp_path: Path) -> None:
     write_gaussians(tmp_path / HOSTILE, scene())
     share(tmp_path / HOSTILE, tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "<img" not in text and text.count("&lt;img src=x onerror=alert(1)&gt;.ply") == 2
+    assert "<img src" not in text and text.count("&lt;img src=x onerror=alert(1)&gt;.ply") == 3
 
 
 def test_the_most_visible_are_kept(result: Path, tmp_path: Path) -> None:
     done = share(result, tmp_path / "page.html", share_max=30)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert done.shown == "The most visible 30 of 80 Gaussians" and done.shown in text
-    assert len(base64.b64decode(Blocks(text).scripts["gaussians"])) == 30 * 32
+    assert done.shown.endswith("; here the most visible 30 of 80 Gaussians") and done.shown in text
+    assert len(base64.b64decode(Blocks(text).scripts["space-gaussians"])) == 30 * 32
 
 
 @pytest.mark.parametrize(
@@ -123,7 +124,7 @@ def test_the_page_says_what_its_colours_are(num_sh: int, said: str, tmp_path: Pa
 
 def test_what_cannot_be_shared(result: Path, tmp_path: Path) -> None:
     (tmp_path / "old.html").write_text("old")
-    with pytest.raises(ConfigError, match="Gaussians so far"):
+    with pytest.raises(FileFormatError):
         share(tmp_path, tmp_path / "old.html")
     with pytest.raises(FileFormatError, match="no such file"):
         share(tmp_path / "none", tmp_path / "old.html")
@@ -163,8 +164,8 @@ def drawn_by(tab: Tab) -> np.ndarray:
     """(h, w, 3) what is on the canvas."""
     tab.wait_until(SETTLED)
     address = tab.value(
-        "(() => { const { view, drawing } = gaussians; drawing.draw(view.basis(), view.focal(), 0.01);"
-        " return drawing.gl.canvas.toDataURL('image/png'); })()"
+        "space.then(s => new Promise(done => { s.look.near = 0.01; s.snapshot(blob => { const reader = new FileReader();"
+        " reader.onload = () => done(reader.result); reader.readAsDataURL(blob); }); }))"
     )
     data = np.frombuffer(base64.b64decode(address.partition(",")[2]), np.uint8)
     return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1] / 255.0
@@ -218,7 +219,7 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
     assert likeness > LEAST_DB
 
     def eye() -> dict[str, float]:
-        return tab.value("gaussians.view.eye()")
+        return tab.value("space.then(s => s.view.eye())")
 
     def drag(**more: int) -> None:
         tab.mouse("mousePressed", 300, 300, button="left", buttons=1, clickCount=1, **more)
@@ -232,20 +233,20 @@ def test_hands_and_keys_and_cameras(result: Path, tmp_path: Path, tab: Tab) -> N
     drag(modifiers=8)  # shift
     assert eye()["yaw"] == turned["yaw"] and eye()["focus"] != start["focus"]
     tab.mouse("mouseWheel", 300, 300, deltaX=0, deltaY=-200)
-    tab.wait_until(f"gaussians.view.eye().dist < {start['dist'] - 1e-9}")
+    tab.wait_until(f"space.then(s => s.view.eye().dist < {start['dist'] - 1e-9})")
     assert np.abs(drawn_by(tab) - first).mean() > 0.01
     tab.value("document.getElementById('reset-view').click()")
-    tab.wait_until(f"gaussians.view.eye().yaw === {start['yaw']!r}")
+    tab.wait_until(f"space.then(s => s.view.eye().yaw === {start['yaw']!r})")
     assert np.abs(drawn_by(tab) - first).max() < 0.02
     for key in ("ArrowLeft", "ArrowUp", "+", "r"):
         tab.call("Input.dispatchKeyEvent", type="keyDown", key=key)
-    tab.wait_until(f"gaussians.view.eye().yaw === {start['yaw']!r}")
+    tab.wait_until(f"space.then(s => s.view.eye().yaw === {start['yaw']!r})")
     for number in (1, 2):
         tab.value("document.getElementById('next-camera').click()")
         assert tab.value("document.getElementById('camera-name').textContent").startswith(f"{number} of 2: 0")
-    tab.wait_until("Math.abs(gaussians.view.eye().roll) > 0.1")
+    tab.wait_until("space.then(s => Math.abs(s.view.eye().roll) > 0.1)")
     place = look_at((0.0, -3.0, 0.5), (0, 0, 0), (0.3, 0.1, 1.0))
-    basis = tab.value("gaussians.view.basis()")
+    basis = tab.value("space.then(s => s.view.basis())")
     rows = [basis["r"], basis["d"], basis["f"]]
     assert np.allclose(rows, place.rotation, atol=1e-5) and np.allclose(
         basis["o"], place.centers(), atol=1e-5
@@ -259,12 +260,12 @@ def test_a_double_click_looks_at_a_place(result: Path, tmp_path: Path, tab: Tab)
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
     tab.open((tmp_path / "page.html").as_uri())
     tab.wait_until(SETTLED)
-    before = tab.value("gaussians.view.eye()")
+    before = tab.value("space.then(s => s.view.eye())")
     for clicks in (1, 2):
         for kind in ("mousePressed", "mouseReleased"):
             tab.mouse(kind, 420, 340, button="left", clickCount=clicks)
-    tab.wait_until(f"gaussians.view.eye().focus[0] !== {before['focus'][0]!r}")
-    focus = np.array(tab.value("gaussians.view.eye()")["focus"])
+    tab.wait_until(f"space.then(s => s.view.eye().focus[0] !== {before['focus'][0]!r})")
+    focus = np.array(tab.value("space.then(s => s.view.eye())")["focus"])
     assert np.linalg.norm(focus) < 1.2  # on the ball of Gaussians
 
 
@@ -285,5 +286,5 @@ def test_the_page_fits_a_phone(result: Path, tmp_path: Path, tab: Tab) -> None:
     width, height = tab.value("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
     assert width <= 390 and height <= 844
     boxes = tab.value("[...document.querySelectorAll('button')].map(b => b.getBoundingClientRect().right)")
-    assert len(boxes) == 4 and max(boxes) <= 390
+    assert len(boxes) == 8 and max(boxes) <= 390
     assert tab.value("document.getElementById('space').clientHeight") > 400

@@ -1,6 +1,5 @@
 """The lesson's pages in a headless browser, through Playwright."""
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,8 +7,6 @@ from typing import Any
 import pytest
 
 from epipole.lesson.run import export_lesson
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 class Tab:
@@ -55,18 +52,6 @@ class Tab:
 def lesson(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pages as files."""
     return export_lesson(tmp_path_factory.mktemp("lesson")).folder
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Ends with the file: while it runs, no other asyncio loop can begin in this thread."""
-    if BROWSER is None:
-        pytest.skip("no Chromium on this machine")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as started:
-        opened = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield opened
-        opened.close()
 
 
 @pytest.fixture(params=["light"])

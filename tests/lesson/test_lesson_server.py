@@ -1,7 +1,6 @@
 """The lesson as files and from a server."""
 
 import socket
-import threading
 import urllib.error
 import urllib.request
 
@@ -15,13 +14,9 @@ from epipole.lesson.run import open_lesson
 
 @pytest.fixture
 def address():
-    server = open_lesson()
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    server.server_close()
-    thread.join()
+    handle = open_lesson()
+    yield handle.url
+    handle.stop()
 
 
 def text_of(address, **headers):
@@ -54,7 +49,7 @@ def test_files_are_written_whole(tmp_path):
 def test_wrong_ports_are_told():
     with pytest.raises(ConfigError, match="between 1 and 65535"):
         open_lesson(port=0)
-    with pytest.raises(ConfigError, match=r"cannot listen on 192\.0\.2\.1"):
+    with pytest.raises(ConfigError, match="no address of this machine"):
         open_lesson("192.0.2.1", 8099)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -1,6 +1,5 @@
 """The 3D payload, the view from above and the table of pictures, read back."""
 
-import base64
 import re
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -14,13 +13,20 @@ from epipole.pipelines.sfm.page import render_report
 from epipole.pipelines.sfm.page_content import ReportContent
 from epipole.report.pictures import MAX_FEATURES
 from epipole.report.plan import draw_plan
-from epipole.report.space import space_payload, stage_of
+from epipole.report.space import SpaceData, space_data
+from epipole.report.space_model import scene_of_model, stage_of
+from epipole.robust import point_covariances
 from epipole.scene import Reconstruction
+from epipole.scene.point_accuracy import covariances_of_points, pixel_noise
 
 
-def decoded(payload: dict) -> np.ndarray:
-    steps = np.frombuffer(base64.b64decode(payload["xyz"]), "<u2").reshape(-1, 3)
-    return np.array(payload["low"]) + steps / 65535 * np.array(payload["span"])
+def data_of(model: Reconstruction, most: int | None = None) -> SpaceData:
+    return space_data(scene_of_model(model, title="ring", unit=""), most)
+
+
+def decoded(data: SpaceData) -> np.ndarray:
+    rows = np.frombuffer(data.blocks["points-0"], "<f4").reshape(-1, 4)
+    return rows[:, :3] + np.array(data.numbers["origin"])
 
 
 def table_of(content: ReportContent) -> str:
@@ -29,31 +35,70 @@ def table_of(content: ReportContent) -> str:
     ).group()
 
 
-def test_points_come_back_within_one_step(model: Reconstruction) -> None:
-    payload = space_payload(model)
-    assert payload["count"] == len(model.points)
-    step = max(payload["span"]) / 65535
-    np.testing.assert_allclose(decoded(payload), model.points.xyz_in_world, atol=0.51 * step)
-    rgb = np.frombuffer(base64.b64decode(payload["rgb"]), np.uint8).reshape(-1, 3)
-    np.testing.assert_array_equal(rgb, model.points.rgb)
+def by_place(xyz: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
+    order = np.lexsort(xyz.T)
+    return [column[order] for column in (xyz, *columns)]
 
 
-def test_many_points_are_sampled_and_far_ones_left_out(model: Reconstruction) -> None:
+def test_points_come_back_in_an_order_drawn_at_random(model: Reconstruction) -> None:
+    data = data_of(model)
+    assert data.numbers["points"][0]["count"] == len(model.points)
+    rgb = np.frombuffer(data.blocks["points-0"], np.uint8).reshape(-1, 16)[:, 12:15]
+    found, colours = by_place(decoded(data), rgb)
+    wanted, wanted_rgb = by_place(model.points.xyz_in_world, model.points.rgb)
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+    np.testing.assert_array_equal(colours, wanted_rgb)
+    assert (decoded(data) != model.points.xyz_in_world).any()
+    assert data.blocks == data_of(model).blocks
+
+
+def test_a_map_of_a_country_keeps_its_millimetres(model: Reconstruction) -> None:
+    far = model.transformed(Similarity3(np.float64(1.0), np.eye(3), np.array([4e5, 5e6, 100.0])))
+    found, wanted = (by_place(xyz)[0] for xyz in (decoded(data_of(far)), far.points.xyz_in_world))
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
+
+
+def test_many_points_are_sampled_and_those_without_a_place_left_out(model: Reconstruction) -> None:
     xyz = model.points.xyz_in_world.copy()
-    xyz[0], xyz[1] = (1e6, 0, 0), np.nan
-    far = replace(model, points=replace(model.points, xyz_in_world=xyz))
-    assert space_payload(far)["count"] == len(xyz) - 2
-    few = space_payload(far, max_points=50)
-    assert few["count"] == len(decoded(few)) == 50
-    assert few["xyz"] == space_payload(far, max_points=50)["xyz"]
+    xyz[1] = np.nan
+    some = replace(model, points=replace(model.points, xyz_in_world=xyz))
+    assert data_of(some).numbers["points"][0]["count"] == len(xyz) - 1
+    few = data_of(some, 50)
+    assert few.numbers["points"][0]["count"] == len(decoded(few)) == 50
+    assert len(few.blocks["covariances-0"]) == 50 * 24 and len(few.blocks["values-0"]) == 50 * 4
+
+
+def test_measures_come_in_steps_of_their_range(model: Reconstruction) -> None:
+    data = data_of(model)
+    steps = np.frombuffer(data.blocks["values-0"], "<u2").reshape(-1, 2)
+    error, seen = data.numbers["points"][0]["measures"]
+    assert error["unit"] == "px" and seen["isAtLeast"]
+    tracks = np.diff(model.tracks.offsets)
+    found = seen["low"] + (seen["high"] - seen["low"]) * steps[:, 1] / 65534
+    assert np.array_equal(np.sort(np.rint(found)), np.sort(tracks))
+
+
+def test_covariances_are_those_of_the_triangulation(model: Reconstruction) -> None:
+    noise = pixel_noise(model)
+    found = covariances_of_points(model, noise)
+    placed = np.flatnonzero(model.is_registered())
+    seen = np.zeros((len(placed), len(model.points)), bool)
+    point = np.repeat(np.arange(len(model.points)), np.diff(model.tracks.offsets))
+    for row, image in enumerate(placed):
+        seen[row, point[model.tracks.image == image]] = True
+    cameras = [model.cameras[int(c)] for c in model.camera_of_image[placed]]
+    poses = model.cams_from_world()[placed]
+    wanted = point_covariances(poses, cameras, model.points.xyz_in_world, seen, noise)
+    np.testing.assert_allclose(found, wanted, rtol=1e-8)
 
 
 def test_frustum_corners_project_to_the_pictures_corners(model: Reconstruction) -> None:
-    payload, placed = space_payload(model), np.flatnonzero(model.is_registered())
-    assert payload["image"] == placed.tolist()
+    data, placed = data_of(model), np.flatnonzero(model.is_registered())
+    assert data.numbers["cameras"]["names"] == [model.images.name[image] for image in placed]
+    corners = np.frombuffer(data.blocks["camera-corners"], "<f4").reshape(-1, 4, 3)
+    centers = np.frombuffer(data.blocks["camera-places"], "<f4").reshape(-1, 3) + data.numbers["origin"]
     for row, image in enumerate(placed):
-        center, corners = np.array(payload["centers"][row]), np.array(payload["corners"][row]).reshape(4, 3)
-        in_cam = model.cams_from_world()[image].apply(center + 0.7 * corners)
+        in_cam = model.cams_from_world()[image].apply(centers[row] + 0.7 * corners[row])
         pixels = in_cam[:, :2] / in_cam[:, 2:] * FOCAL_PX + (319.5, 239.5)
         expected = [[-0.5, -0.5], [WIDTH - 0.5, -0.5], [WIDTH - 0.5, HEIGHT - 0.5], [-0.5, HEIGHT - 0.5]]
         np.testing.assert_allclose(pixels, expected, atol=0.2)
@@ -69,8 +114,8 @@ def test_stage_scales_with_the_world(model: Reconstruction) -> None:
 def test_stage_of_nothing_and_of_one_camera() -> None:
     assert stage_of(empty_model(0)).radius == 1.0
     lonely = ring_model(1, num_points=0, num_absent=0)
-    assert space_payload(lonely)["count"] == 0
-    assert space_payload(lonely)["size"] == pytest.approx(0.15)
+    assert data_of(lonely).numbers["points"][0]["count"] == 0
+    assert data_of(lonely).numbers["cameras"]["size"] == pytest.approx(0.12)
 
 
 def test_view_from_above_keeps_shape(model: Reconstruction) -> None:

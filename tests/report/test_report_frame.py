@@ -95,7 +95,9 @@ def test_templates_and_assets_are_files_of_the_package() -> None:
     files = resources.files("epipole.report")
     assert {p.name for p in files.joinpath("assets").iterdir()} == {
         *("page.js", "match_matrix.js", "orbit.js", "space.js", "end.js", "page.css", "figures.css"),
-        *("gaussian_drawing.js", "gaussians.js", "gaussians.css"),
+        *("webgl.js", "gaussian_drawing.js", "space_drawing.js", "space_picking.js", "space_tools.js"),
+        "space_layers.js",
+        "whole_space.css",
     }
     names = {p.name for p in files.joinpath("templates").iterdir()}
     assert "base.html.jinja" in names and all(name.endswith(".html.jinja") for name in names)
@@ -145,7 +147,7 @@ def test_the_frame_knows_no_pipeline() -> None:
             elif isinstance(node, ast.Import):
                 known |= {alias.name for alias in node.names}
     rooms = {name.split(".")[1] for name in known if name.startswith("epipole.")}
-    assert rooms <= {"report", "scene", "robust", "image", "geometry", "_version"}
+    assert rooms <= {"report", "scene", "robust", "image", "geometry", "errors", "_version"}
     for template in (FOLDER / "templates").iterdir():
         assert "extends" not in template.read_text(encoding="utf-8"), template.name
 

@@ -14,25 +14,40 @@ from contextlib import contextmanager
 import pytest
 import viser
 import websockets.asyncio.server
-from test_viewer_viewer import OPEN, free_port, three_cameras
+from viewer_scenes import OPEN, free_port, three_cameras
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from epipole.errors import ConfigError, MissingDependencyError
 from epipole.io import write_colmap_model
-from epipole.viewer import ViewerHandle, server, view
-from epipole.viewer.origin_check import is_allowed
+from epipole.report.space_model import scene_of_model
+from epipole.viewer import ViewerHandle, ports, server, view_scene
+from epipole.viewer.allowed import is_allowed
 
 PROTOCOL = [f"viser-v{viser.__version__}"]
 
 
+def view(**options: object) -> ViewerHandle:
+    return view_scene(scene_of_model(three_cameras(), title="three", unit=""), block=False, **options)
+
+
 @contextmanager
 def shown(**options: object) -> Iterator[ViewerHandle]:
-    handle = view(three_cameras(), lambda _: None, block=False, **options)
+    handle = view(**options)
     try:
         yield handle
     finally:
         handle.stop()
+
+
+@contextmanager
+def live(host: str = "127.0.0.1") -> Iterator[int]:
+    """viser's server, of a job that runs."""
+    opened = server.open_server(host, free_port())
+    try:
+        yield opened.get_port()
+    finally:
+        server.close_server(opened)
 
 
 @contextmanager
@@ -43,9 +58,9 @@ def taken(port: int = 0) -> Iterator[int]:
         yield int(other.getsockname()[1])
 
 
-def status_of_page(port: int, host: str) -> int:
+def status_of_page(port: int, host: str, address: str = "/", **headers: str) -> int:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.request("GET", "/", headers={"Host": host})
+    connection.request("GET", address, headers={"Host": host, **headers})
     with connection.getresponse() as answer:
         return answer.status
 
@@ -58,6 +73,12 @@ def refusal(port: int, **options: object) -> int:
 
 @pytest.fixture(scope="module")
 def open_port() -> Iterator[int]:
+    with live() as port:
+        yield port
+
+
+@pytest.fixture(scope="module")
+def page_port() -> Iterator[int]:
     with shown(port=free_port()) as handle:
         yield int(handle.url.rsplit(":", 1)[1])
 
@@ -79,15 +100,27 @@ def test_the_viewers_own_page_and_programs_that_are_no_browser_get_the_scene(ope
     with connect(
         f"ws://127.0.0.1:{open_port}", subprotocols=PROTOCOL, origin=origin, proxy=None, max_size=None
     ) as socket_:
-        assert len(socket_.recv(timeout=10)) > 16
+        assert len(socket_.recv(timeout=10)) > 0
 
 
-def test_a_name_that_was_made_to_point_here_is_refused(open_port):
-    assert status_of_page(open_port, f"rebound.example:{open_port}") == 403
-    assert status_of_page(open_port, "localhost:9000") == 200  # through a tunnel
-    assert status_of_page(open_port, f"[::1]:{open_port}") == 200
-    name = f"rebound.example:{open_port}"
+@pytest.mark.parametrize("kind", ["open_port", "page_port"])
+def test_a_name_that_was_made_to_point_here_is_refused(kind, request):
+    port = request.getfixturevalue(kind)
+    assert status_of_page(port, f"rebound.example:{port}") == 403
+    assert status_of_page(port, "localhost:9000") == 200  # through a tunnel
+    assert status_of_page(port, f"[::1]:{port}") == 200
+    name = f"rebound.example:{port}"
     assert not is_allowed([name], [f"http://{name}"], is_local=True)
+
+
+def test_a_page_answers_its_own_addresses_and_its_own_scripts_alone(page_port):
+    own = f"127.0.0.1:{page_port}"
+    assert status_of_page(page_port, own, "/data/points-0") == 200
+    assert status_of_page(page_port, own, "/data/points-0", Origin=f"http://{own}") == 200
+    for origin in ("http://evil.example", "null", f"http://127.0.0.1:{page_port + 1}"):
+        assert status_of_page(page_port, own, "/data/points-0", Origin=origin) == 403
+    for address in ("/data/../../etc/passwd", "/etc/passwd", "/picture/0", "/data/none", "/%2e%2e/a", "//a"):
+        assert status_of_page(page_port, own, address) == 404
 
 
 def test_headers_that_come_twice_or_not_at_all():
@@ -98,11 +131,14 @@ def test_headers_that_come_twice_or_not_at_all():
 
 
 def test_other_machines_may_be_let_in_by_any_name_but_not_other_pages():
+    with live("0.0.0.0") as port:
+        assert status_of_page(port, f"workstation.lab:{port}") == 200
+        assert refusal(port, origin="http://evil.example") == 403
     with shown(port=free_port(), host="0.0.0.0") as handle:
         port = int(handle.url.rsplit(":", 1)[1])
         assert handle.url.startswith("http://127.0.0.1:")
         assert status_of_page(port, f"workstation.lab:{port}") == 200
-        assert refusal(port, origin="http://evil.example") == 403
+        assert status_of_page(port, f"workstation.lab:{port}", Origin="http://evil.example") == 403
 
 
 def test_a_viser_that_opens_its_server_otherwise_is_not_used(monkeypatch):
@@ -135,13 +171,13 @@ def test_servers_that_are_not_ours_stay_as_they_are(open_port):
 
 def test_a_port_that_was_asked_for_is_the_port_or_an_error():
     with taken() as port, pytest.raises(ConfigError, match=f"^port {port} is in use$"):
-        view(three_cameras(), lambda _: None, port=port, block=False)
+        view(port=port)
 
 
 @pytest.mark.parametrize("port", [80000, 0, -1])
 def test_a_port_that_cannot_be(port):
     with pytest.raises(ConfigError, match=f"between 1 and 65535, got {port}"):
-        view(three_cameras(), lambda _: None, port=port, block=False)
+        view(port=port)
 
 
 @pytest.mark.parametrize(
@@ -149,12 +185,12 @@ def test_a_port_that_cannot_be(port):
 )
 def test_a_host_that_cannot_be(host, words):
     with pytest.raises(ConfigError, match=words):
-        view(three_cameras(), lambda _: None, host=host, block=False)
+        view(host=host)
 
 
 def test_the_usual_port_may_be_stepped_over_and_that_is_said(monkeypatch):
     with taken() as port:
-        monkeypatch.setattr(server, "DEFAULT_PORT", port)
+        monkeypatch.setattr(ports, "DEFAULT_PORT", port)
         with shown() as handle:
             assert handle.url != f"http://127.0.0.1:{port}"
             with OPEN(handle.url, timeout=10) as answer:

@@ -28,7 +28,7 @@ _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar
 # Vertex 0 is the centre, 1 to 4 the corners of the picture in turn.
 _FRUSTUM_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 
-_TYPES = {
+PLY_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
@@ -135,13 +135,24 @@ def _write(path: Path, vertices: np.ndarray, edges: np.ndarray) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Header:
+class PlyHeader:
+    """What a file's header promises."""
+
     byte_order: str
     """Empty for a text file."""
     num_vertices: int
     names: tuple[str, ...]
     types: tuple[str, ...]
+    num_faces: int
+    """0 unless faces follow the vertices at once."""
+    face_types: tuple[tuple[str, ...], ...]
+    """Of each property of a face: one type, or of a list those of the count and of its items."""
     size: int
+
+    @property
+    def vertex_bytes(self) -> int:
+        """Of a vertex in a binary file."""
+        return sum(np.dtype(kind).itemsize for kind in self.types)
 
 
 def read_points_ply(path: str | Path) -> PlyPoints:
@@ -151,7 +162,17 @@ def read_points_ply(path: str | Path) -> PlyPoints:
         FileFormatError: it is no PLY file, has no x, y, z, or is cut short.
     """
     path = Path(path)
-    columns = ply_columns(path)
+    data = file_bytes(path)
+    return points_of_ply(path, data, ply_header(path, data))
+
+
+def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
+    """The vertices of a file's bytes.
+
+    Raises:
+        FileFormatError: they have no x, y, z, or are cut short.
+    """
+    columns = _columns(path, data, header)
     missing = [name for name in "xyz" if name not in columns]
     if missing:
         raise FileFormatError(path, f"the vertices have no {', '.join(missing)}")
@@ -166,7 +187,10 @@ def ply_columns(path: Path) -> dict[str, np.ndarray]:
         FileFormatError: it is no PLY file, or is cut short.
     """
     data = file_bytes(path)
-    header = _read_header(path, data)
+    return _columns(path, data, ply_header(path, data))
+
+
+def _columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray]:
     return _binary_columns(path, data, header) if header.byte_order else _text_columns(path, data, header)
 
 
@@ -180,36 +204,48 @@ def _colours(columns: dict[str, np.ndarray]) -> np.ndarray | None:
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
 
 
-def _read_header(path: Path, data: bytes) -> _Header:
+def ply_header(path: Path, data: bytes) -> PlyHeader:
+    """What a file promises.
+
+    Raises:
+        FileFormatError: it is no PLY file, or its vertices do not come first.
+    """
     end = data.find(b"end_header", 0, _MAX_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise FileFormatError(path, "not a PLY file (no header from 'ply' to 'end_header')")
-    byte_order, num_vertices = None, -1
+    byte_order, num_vertices, num_faces = None, -1, 0
     names: list[str] = []
     types: list[str] = []
-    element = ""
+    face_types: list[tuple[str, ...]] = []
+    element, before = "", ""
     for number, line in enumerate(data[:end].decode("ascii", "replace").splitlines(), 1):
         words = line.split()
         try:
             if words[:1] == ["format"]:
                 byte_order = "" if words[1] == "ascii" else _BYTE_ORDERS[words[1]]
             elif words[:1] == ["element"]:
-                element, count = words[1], int(words[2])
+                before, element, count = element, words[1], int(words[2])
                 if count < 0 or (num_vertices < 0 and element != "vertex" and count > 0):
-                    raise ValueError("the vertices must come first")
+                    raise FileFormatError(path, f"line {number}: the vertices must come first: {line[:60]!r}")
                 num_vertices = count if element == "vertex" else num_vertices
+                num_faces = count if (before, element) == ("vertex", "face") else num_faces
             elif words[:1] == ["property"] and element == "vertex":
-                types.append(_TYPES[words[1]])
+                types.append(PLY_TYPES[words[1]])
                 names.append(words[2])
+            elif words[:1] == ["property"] and (before, element) == ("vertex", "face"):
+                kinds = words[2:4] if words[1] == "list" else words[1:2]
+                face_types.append(tuple(PLY_TYPES[kind] for kind in kinds))
         except (KeyError, IndexError, ValueError) as error:
             raise FileFormatError(path, f"line {number}: cannot be understood: {line[:60]!r}") from error
     if byte_order is None or num_vertices < 0 or not names or len(set(names)) < len(names):
         raise FileFormatError(path, "the header does not describe vertices")
-    return _Header(byte_order, num_vertices, tuple(names), tuple(types), newline + 1)
+    return PlyHeader(
+        byte_order, num_vertices, tuple(names), tuple(types), num_faces, tuple(face_types), newline + 1
+    )
 
 
-def _binary_columns(path: Path, data: bytes, header: _Header) -> dict[str, np.ndarray]:
+def _binary_columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray]:
     dtype = np.dtype([(name, header.byte_order + kind) for name, kind in zip(header.names, header.types)])
     reader = ByteReader(path, data)
     reader.position = header.size
@@ -218,7 +254,7 @@ def _binary_columns(path: Path, data: bytes, header: _Header) -> dict[str, np.nd
     return {name: vertices[name] for name in header.names}
 
 
-def _text_columns(path: Path, data: bytes, header: _Header) -> dict[str, np.ndarray]:
+def _text_columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray]:
     width = len(header.names)
     needed = header.num_vertices * width
     words = data[header.size :].split(maxsplit=needed)[:needed] if needed <= len(data) else []

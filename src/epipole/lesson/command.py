@@ -10,9 +10,11 @@ def lesson(export: Path | None = None, port: int | None = None, host: str = "127
 
     Args:
         export: Write the pages to this folder instead, in English and Chinese; they need no server.
-        port: The port to listen on; None: 8070, or the next free one if it is in use.
+        port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
     """
+    import threading
+
     from epipole.lesson.run import export_lesson, open_lesson
 
     if export is not None:
@@ -21,9 +23,10 @@ def lesson(export: Path | None = None, port: int | None = None, host: str = "127
             f"Written {len(done.pages)} pages ({done.num_bytes / 1e6:.1f} MB): {done.folder / 'index.html'}"
         )
         return
-    server = open_lesson(host, port)
-    print(f"Lesson at http://{host}:{server.server_address[1]} (Ctrl-C stops it)", flush=True)
+    handle = open_lesson(host, port)
+    noted = f"; {handle.note}" if handle.note else ""
+    print(f"Lesson at {handle.url} (Ctrl-C stops it{noted})", flush=True)
     try:
-        server.serve_forever()
+        threading.Event().wait()
     finally:
-        server.server_close()
+        handle.stop()

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 from dataclasses import dataclass
-from functools import partial
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 from epipole._checks import as_path
 from epipole._declared import checked
-from epipole.errors import ConfigError
 from epipole.io.atomic import atomic_write
 from epipole.lesson.pages import lesson_pages
-
-USUAL_PORT, PORTS_TRIED = 8070, 20
+from epipole.viewer.handle import ViewerHandle, serve
+from epipole.viewer.page_server import HTML, PageServer, Served, fixed
+from epipole.viewer.ports import note_on_port, port_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,50 +43,23 @@ def export_lesson(folder: str | Path) -> ExportedLesson:
     return ExportedLesson(place, tuple(pages), num_bytes)
 
 
-def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ThreadingHTTPServer:
-    """A server of the pages, which holds them in memory and reads no file; `serve_forever` runs it.
+def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ViewerHandle:
+    """A server of the pages, which holds them in memory, until it is stopped.
 
     Args:
         host: the address to listen on.
-        port: None: 8070, or the next free one.
+        port: None: 8080, or the next free one.
 
     Raises:
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
-    if port is not None and not 0 < port < 65536:
-        raise ConfigError(f"port must be between 1 and 65535, got {port}")
-    pages = {name: html.encode("utf-8") for name, html in lesson_pages().items()}
-    for tried in range(USUAL_PORT, USUAL_PORT + PORTS_TRIED) if port is None else [port]:
-        try:
-            return ThreadingHTTPServer((host, tried), partial(_Pages, pages))
-        except OSError as error:
-            if error.errno != errno.EADDRINUSE:
-                raise ConfigError(f"cannot listen on {host}: {error.strerror or error}") from error
-    raise ConfigError(f"port {port or USUAL_PORT} is in use; give another one")
+    chosen = port_for(host, port)
+    made = {name: html.encode("utf-8") for name, html in lesson_pages().items()}
+    pages = {name: fixed(HTML, data) for name, data in made.items()}
+    pages[""] = Served(HTML, lambda headers: made[_index_for(str(headers.get("Accept-Language", "")))])
+    server = PageServer(pages, host, chosen)
+    return serve(server, server.port, host, note_on_port(port, server.port), block=False)
 
 
-class _Pages(BaseHTTPRequestHandler):
-    """Answers with a page by its name, and with nothing else."""
-
-    def __init__(self, pages: dict[str, bytes], *args: object) -> None:
-        self.pages = pages
-        super().__init__(*args)  # type: ignore[arg-type]
-
-    def do_GET(self) -> None:
-        """A page; `/` is the index in the browser's language."""
-        name = self.path.partition("?")[0].removeprefix("/")
-        if not name:
-            chinese = self.headers.get("Accept-Language", "").lower().startswith("zh")
-            name = "index.zh.html" if chinese else "index.html"
-        page = self.pages.get(name)
-        if page is None:
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(page)))
-        self.end_headers()
-        self.wfile.write(page)
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing of what is asked for."""
+def _index_for(languages: str) -> str:
+    return "index.zh.html" if languages.lower().startswith("zh") else "index.html"

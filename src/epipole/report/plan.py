@@ -13,7 +13,7 @@ from PIL import Image
 from epipole.report.charts import nice_ticks, tick_text
 from epipole.report.frame import render_piece
 from epipole.report.markup import data_uri
-from epipole.report.space import stage_of
+from epipole.report.space_model import stage_of
 from epipole.scene import Reconstruction
 
 WIDTH, HEIGHT = 620, 520

@@ -1,77 +1,258 @@
-"""The model as compact data for the 3D view: quantised points and camera frusta."""
+"""A 3D scene as what the page's script draws: numbers by name, and blocks of bytes.
+
+Everything is told relative to an origin near the scene, in single precision: places of a map in the millions of metres
+keep their millimetres.
+"""
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Sequence
+import io
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64
+from PIL import Image
 
-from epipole.scene import Curve, Extent, Reconstruction, extent_of, frustum_corners_in_cam, frustum_size
+from epipole.image import color_map, downscaled
+from epipole.report.gaussians import most_visible, packed
+from epipole.report.markup import count, data_uri
+from epipole.report.space_scene import (
+    CameraLayer,
+    FirstView,
+    LoadPicture,
+    MeshLayer,
+    PointLayer,
+    PointMeasure,
+    SpaceScene,
+)
+from epipole.scene import Curve, Extent, extent_of, frustum_corners_in_cam, frustum_size
 
-MAX_POINTS = 60_000
-_RADIUS_PERCENT = 95.0
-_FRUSTUM_SIZES = (0.02, 0.15)  # of the radius
+RADIUS_PERCENT = 95.0
+FRUSTUM_SIZES = (0.01, 0.12)
+"""Of the radius."""
+FROM_A_CORNER = np.array([-1.68, -2.06, 1.6])
+"""Where the first view stands from the focus, in radii."""
+RAMP_STOPS = 16
+UNKNOWN = 65535
+"""The step of a measure that is not known."""
+PICTURE_SIDE_PX, MOST_PICTURES = 320, 150
+"""Longer side of a camera's picture in a page; so many are in one file, spread over all."""
 
 
-def stage_of(reconstruction: Reconstruction) -> Extent:
-    """What the first view shows: the bulk of the points and the bulk of the cameras."""
-    points, centers = reconstruction.points.xyz_in_world, reconstruction.camera_centers_in_world()
-    return extent_of(points, centers, _RADIUS_PERCENT)
+@dataclass(frozen=True, slots=True, eq=False)
+class SpaceData:
+    """What the script gets."""
+
+    numbers: dict[str, Any]
+    blocks: dict[str, bytes] = field(default_factory=dict)
+    """By the names that the numbers call them."""
+
+    def put(self, name: str, array: np.ndarray) -> str:
+        """Keep an array's bytes; gives their name."""
+        self.blocks[name] = np.ascontiguousarray(array).tobytes()
+        return name
 
 
-def sample_points(reconstruction: Reconstruction, stage: Extent, max_points: int) -> Int64[np.ndarray, " n"]:
-    """Rows of points on the stage, at most max_points, drawn evenly at random (always the same ones)."""
-    rows = np.flatnonzero(stage.contains(reconstruction.points.xyz_in_world))
-    if len(rows) <= max_points:
-        return rows
-    return np.sort(np.random.default_rng(0).choice(rows, max_points, replace=False))
+def space_data(
+    scene: SpaceScene, most_points: int | None = None, most_gaussians: int | None = None
+) -> SpaceData:
+    """A scene for the script, with at most so many points a layer, drawn evenly at random, and the most visible Gaussians."""
+    extent = _extent(scene)
+    # Gaussians are told as their file has them.
+    origin = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
+    view = scene.view or FirstView(
+        extent.focus + extent.radius * FROM_A_CORNER, extent.focus, np.array([0.0, 0.0, 1.0])
+    )
+    numbers: dict[str, Any] = {
+        "title": scene.title,
+        "unit": scene.unit,
+        "scaleWords": "" if scene.unit else ", up to scale: no unit is known",
+        "origin": origin.tolist(),
+        "position": rounded(view.position - origin),
+        "lookAt": rounded(view.look_at - origin),
+        "up": rounded(view.up),
+        "low": rounded(extent.low - origin),
+        "high": rounded(extent.high - origin),
+        "radius": float(np.linalg.norm(view.position - view.look_at) / np.linalg.norm(FROM_A_CORNER)),
+        "background": scene.background,
+        "ramp": (color_map(np.linspace(0.0, 1.0, RAMP_STOPS), (0.0, 1.0)) / 255.0).ravel().tolist(),
+    }
+    data = SpaceData(numbers)
+    numbers["points"] = [_points(data, k, layer, origin, most_points) for k, layer in enumerate(scene.points)]
+    numbers["curves"] = [_curve(data, k, curve, origin) for k, curve in enumerate(scene.curves)]
+    numbers["cameras"] = _cameras(data, scene.cameras, origin, extent) if scene.cameras is not None else None
+    numbers["mesh"] = _mesh(data, scene.mesh, origin) if scene.mesh is not None else None
+    numbers["gaussians"] = _gaussians(data, scene, most_gaussians)
+    return data
 
 
-def space_payload(
-    reconstruction: Reconstruction, max_points: int = MAX_POINTS, curves: Sequence[Curve] = ()
+def _extent(scene: SpaceScene) -> Extent:
+    """Of the points, else of what else there is."""
+    places = [
+        np.asarray(layer.xyz_in_world[:: max(1, len(layer.xyz_in_world) // 200_000)], float)
+        for layer in scene.points
+    ]
+    if scene.mesh is not None:
+        places.append(np.asarray(scene.mesh.vertices_in_world, float))
+    if scene.gaussians is not None:
+        places.append(scene.gaussians.means_in_world.astype(float))
+    centers = scene.cameras.cams_from_world.centers() if scene.cameras is not None else np.zeros((0, 3))
+    if not any(map(len, places)) or (scene.curves and not len(centers)):
+        places += [curve.segments_in_world.reshape(-1, 3) for curve in scene.curves]
+    return extent_of(np.concatenate([np.zeros((0, 3)), *places]), centers, RADIUS_PERCENT)
+
+
+def _points(
+    data: SpaceData, k: int, layer: PointLayer, origin: np.ndarray, most: int | None
 ) -> dict[str, Any]:
-    """Points as 16-bit steps inside the stage and bytes of colour; frusta as corners around centres; lines as they are."""
-    stage = stage_of(reconstruction)
-    rows = sample_points(reconstruction, stage, max_points)
-    span = stage.high - stage.low
-    steps = np.rint((reconstruction.points.xyz_in_world[rows] - stage.low) / span * 65535.0)
-    images = np.flatnonzero(reconstruction.is_registered())
-    cams_from_world = reconstruction.cams_from_world()[images]
-    centers, camera_of_image = cams_from_world.centers(), reconstruction.camera_of_image[images]
-    cameras = [reconstruction.cameras[c] for c in range(len(reconstruction.cameras))]
-    in_cam = [frustum_corners_in_cam(camera.K, camera.width, camera.height) for camera in cameras]
-    # Directions from centre to corner in the world: R^T corner.
-    corners = [in_cam[c] @ rotation for c, rotation in zip(camera_of_image, cams_from_world.rotation)]
-    return {
-        "low": _rounded(stage.low),
-        "span": _rounded(span),
-        "focus": _rounded(stage.focus),
-        "radius": stage.radius,
-        "size": frustum_size(centers, *(share * stage.radius for share in _FRUSTUM_SIZES)),
+    """In an order drawn at random, so that the first ones are a fair sample of all."""
+    rows = shuffled(np.flatnonzero(np.isfinite(layer.xyz_in_world).all(axis=1)), most)
+    # Place and colour together, in 16 bytes: read once, in an order that no cache foresees.
+    together = np.zeros((len(layer.xyz_in_world), 4), "<u4")
+    together[:, :3].view("<f4")[:] = _near(layer.xyz_in_world, origin)
+    together.view(np.uint8)[:, 12:15] = layer.rgb
+    told = {
+        "name": layer.name,
         "count": len(rows),
-        "xyz": _base64(steps.astype("<u2")),
-        "rgb": _base64(reconstruction.points.rgb[rows].astype(np.uint8)),
-        "image": images.tolist(),
-        "centers": [_rounded(c) for c in centers],
-        "corners": [[round(float(v), 4) for v in c.ravel()] for c in corners],
-        "curves": [
-            {
-                "name": curve.name,
-                "rgb": f"rgb({','.join(map(str, curve.rgb))})",
-                "shown": curve.is_shown,
-                "xyz": _rounded(curve.segments_in_world.ravel()),
-            }
-            for curve in curves
-        ],
+        "whole": len(layer.xyz_in_world),
+        "rows": data.put(f"points-{k}", np.take(together, rows, axis=0)),
+        "errorWords": layer.error_words,
+        "covariances": None,
+        "measures": [],
+        "values": None,
+    }
+    if layer.covariances is not None:
+        upper = layer.covariances[rows][:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        told["covariances"] = data.put(f"covariances-{k}", np.clip(upper, -3e38, 3e38).astype("<f4"))
+    if layer.measures:
+        found = [_measure(measure, rows) for measure in layer.measures]
+        steps = np.full((len(rows), 2), UNKNOWN, "<u2")
+        for column, (_, own) in enumerate(found):
+            steps[:, column] = own
+        told["measures"] = [description for description, _ in found]
+        told["values"] = data.put(f"values-{k}", steps)
+    return told
+
+
+def shuffled(rows: Int64[np.ndarray, " n"], most: int | None = None) -> Int64[np.ndarray, " m"]:
+    """Rows in an order drawn at random, always the same one; at most so many."""
+    return np.random.default_rng(0).permutation(rows)[: len(rows) if most is None else most]
+
+
+def _near(places: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    if places.dtype == np.float32 and not origin.any():
+        return places
+    return (places.astype(np.float64) - origin).astype("<f4")
+
+
+def _measure(measure: PointMeasure, rows: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+    """What it is called and between what it lies, and its values in 65534 steps between."""
+    values = measure.values[rows]
+    known = np.isfinite(values)
+    low, high = (float(v) for v in np.percentile(values[known], (0, 99.5))) if known.any() else (0.0, 1.0)
+    if measure.is_at_least and known.any():
+        high = float(values[known].max())
+    span = max(high - low, 1e-12)
+    steps = np.full(len(rows), UNKNOWN, np.int64)
+    steps[known] = np.clip(np.rint((values[known] - low) / span * (UNKNOWN - 1)), 0, UNKNOWN - 1)
+    described = {"name": measure.name, "unit": measure.unit, "low": low, "high": low + span}
+    return described | {"isAtLeast": measure.is_at_least}, steps
+
+
+def _curve(data: SpaceData, k: int, curve: Curve, origin: np.ndarray) -> dict[str, Any]:
+    pieces = _near(curve.segments_in_world.reshape(-1, 3), origin)
+    return {
+        "name": curve.name,
+        "rgb": list(curve.rgb),
+        "shown": curve.is_shown,
+        "count": len(curve.segments_in_world),
+        "pieces": data.put(f"curve-{k}", pieces),
     }
 
 
-def _rounded(values: Float64[np.ndarray, " n"]) -> list[float]:
+def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Extent) -> dict[str, Any]:
+    """Centres, axes (right and ahead) and corners of the pictures around the centres."""
+    centers, rotations = layer.cams_from_world.centers(), layer.cams_from_world.rotation
+    in_cam = np.array(
+        [frustum_corners_in_cam(K, int(w), int(h)) for K, (w, h) in zip(layer.K, layer.sizes)]
+    ).reshape(-1, 4, 3)
+    # From the centre to a corner in the world: R^T corner.
+    corners = in_cam @ rotations
+    return {
+        "name": layer.name,
+        "shown": layer.is_shown,
+        "names": list(layer.names),
+        "size": frustum_size(centers, *(share * extent.radius for share in FRUSTUM_SIZES)),
+        "focals": rounded(layer.K[:, 0, 0]),
+        "sizes": layer.sizes.tolist(),
+        "places": data.put("camera-places", (centers - origin).astype("<f4")),
+        "axes": data.put("camera-axes", rotations[:, [0, 2]].astype("<f4")),
+        "corners": data.put("camera-corners", corners.astype("<f4")),
+        "pictures": None,
+    }
+
+
+def _mesh(data: SpaceData, mesh: MeshLayer, origin: np.ndarray) -> dict[str, Any]:
+    rgba = np.full((len(mesh.rgb), 4), 255, np.uint8)
+    rgba[:, :3] = mesh.rgb
+    return {
+        "name": mesh.name,
+        "count": len(mesh.faces),
+        "vertices": data.put("mesh-vertices", _near(mesh.vertices_in_world, origin)),
+        "rgba": data.put("mesh-rgba", rgba),
+        "faces": data.put("mesh-faces", mesh.faces.astype("<u4")),
+    }
+
+
+def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str, Any] | None:
+    if scene.gaussians is None:
+        return None
+    cloud = scene.gaussians
+    if most is not None and len(cloud) > most:
+        cloud = cloud.rows(most_visible(cloud, most))
+    found = packed(cloud)
+    data.blocks["gaussians"] = found.rows
+    if found.harmonics is not None:
+        data.blocks["harmonics"] = found.harmonics
+    return {
+        "name": "Gaussians",
+        "count": len(cloud),
+        "whole": len(scene.gaussians),
+        "rows": "gaussians",
+        "harmonics": "harmonics" if found.harmonics is not None else None,
+        "scaleRange": found.scale_range,
+        "colourRange": found.colour_range,
+        "harmonicRange": found.harmonic_range,
+    }
+
+
+def pictures_inside(layer: CameraLayer, most: int = MOST_PICTURES) -> list[str | None]:
+    """Small pictures of the cameras as URIs that need no file; None where there is none, or beyond so many."""
+    out: list[str | None] = [None] * len(layer.names)
+    if layer.load_picture is None or not layer.names:
+        return out
+    for row in np.unique(np.linspace(0, len(out) - 1, min(most, len(out))).astype(int)).tolist():
+        jpeg = small_jpeg(layer.load_picture, layer.names[row])
+        out[row] = data_uri(jpeg, "image/jpeg") if jpeg is not None else None
+    return out
+
+
+def small_jpeg(load_picture: LoadPicture, name: str) -> bytes | None:
+    """A camera's picture in the size of a page; None where there is none."""
+    rgb = load_picture(name)
+    if rgb is None:
+        return None
+    stream = io.BytesIO()
+    Image.fromarray(downscaled(rgb, PICTURE_SIDE_PX)).save(stream, "JPEG", quality=80)
+    return stream.getvalue()
+
+
+def rounded(values: Float64[np.ndarray, " n"]) -> list[float]:
+    """Numbers in seven digits."""
     return [float(f"{v:.7g}") for v in values]
 
 
-def _base64(array: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+def of_all(shown: int, whole: int) -> str:
+    """How many of how many."""
+    return count(shown) if shown == whole else f"{count(shown)} of {count(whole)}"

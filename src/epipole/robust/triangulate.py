@@ -141,9 +141,15 @@ def point_covariances(
         _, jacobian, _ = camera.project_with_jacobian(cams_from_world[view].apply(points))
         in_world = np.where(seen_mask[view][:, None, None], jacobian @ cams_from_world[view].rotation, 0.0)
         information += np.swapaxes(in_world, 1, 2) @ in_world
+    return covariances_of_information(information, noise_px)
+
+
+def covariances_of_information(
+    information: Float64[np.ndarray, "n 3 3"], noise_px: float
+) -> Float64[np.ndarray, "n 3 3"]:
+    """sigma^2 (sum of J^T J)^-1 of each point; infinite where the sum leaves a direction undetermined."""
     out = np.full(information.shape, np.inf)
-    finite = np.isfinite(information).all(axis=(1, 2))
-    usable = np.flatnonzero(finite)
+    usable = np.flatnonzero(np.isfinite(information).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(information[usable])
     usable = usable[values[:, 0] > 1e-14 * values[:, 2]]
     out[usable] = noise_px**2 * np.linalg.inv(information[usable])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from rich.console import Console
 
 from epipole.viewer.handle import Stoppable, serve
+from epipole.viewer.ports import note_on_port
 
 if TYPE_CHECKING:
     import viser
@@ -24,7 +25,7 @@ def opened_live(viewer_on: Callable[[viser.ViserServer], V], host: str, port: in
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     # viser is slow to import, and few jobs are watched.
-    from epipole.viewer.server import note_on_port, open_server
+    from epipole.viewer.server import open_server
 
     server = open_server(host, port)
     shown = server.get_port()

@@ -27,7 +27,7 @@ from epipole.pipelines.fields.scene import (
     BACKGROUNDS,
     SUMMARY,
     looked_at,
-    splat_view,
+    seen_gaussians,
     told_antialiased,
     told_background,
     told_first_view,
@@ -113,12 +113,12 @@ def _drawer(
             lambda shot: kind.draw(field, shot.camera, shot.cam_from_world, colour)[0],
             (position, look_at, up),
         )
-    view, asked = splat_view(source), wanted.antialiased
+    (cloud, view), asked = seen_gaussians(source), wanted.antialiased
     if asked is None:
         asked = told_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
     options = RenderOptions(antialiased=asked)
     return (
-        lambda shot: draw(view.cloud, shot.camera, shot.cam_from_world, options).over(colour),
+        lambda shot: draw(cloud, shot.camera, shot.cam_from_world, options).over(colour),
         (view.position, view.look_at, view.up),
     )
 

@@ -18,11 +18,11 @@ from epipole.io.transforms_json import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in
-from epipole.pipelines.fields.sharing import page_of
-from epipole.report.scene_page import ScenePage
+from epipole.report.gaussians import DEGREE_KEPT
+from epipole.report.markup import plural
+from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
 from epipole.scene import Points
 from epipole.scene.gaussian_cloud import GaussianCloud
-from epipole.viewer import SplatView, ViewerHandle, view_splats
 
 SPLAT, SUMMARY, CAMERAS = "splat.ply", "summary.json", "cameras.json"
 FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
@@ -30,7 +30,8 @@ FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
 MOST_SHOWN = 800_000
 """Gaussians of a grid."""
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
-LENGTHS = "Lengths are in the unit of the cameras, metres only where these are metric"
+UNIT = "units of the cameras"
+"""Metres only where these are metric."""
 
 
 def is_mine(path: Path) -> bool:
@@ -44,42 +45,64 @@ def is_mine(path: Path) -> bool:
     return (path / SPLAT).is_file() or kind_in(path) is not None
 
 
-def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
-    """The Gaussians, from where one of their pictures was taken.
+def scene(path: Path) -> SpaceScene:
+    """The Gaussians of an output folder or a file, or those of a grid, from where one of their pictures was taken.
 
-    Raises:
-        FileFormatError: the file is damaged.
-    """
-    return view_splats(splat_view(path), port=port, host=host, block=block)
-
-
-def share(path: Path, most: int) -> ScenePage:
-    """The Gaussians, at most so many, as one page; with the cameras of the training where they are known.
+    With the cameras of the training where they are known.
 
     Raises:
         FileFormatError: a file is damaged.
     """
-    view, folder = splat_view(path), path if path.is_dir() else path.parent
+    cloud, view = seen_gaussians(path)
+    folder = path if path.is_dir() else path.parent
     is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
-    cameras: list[Shot] = []
+    shots: list[Shot] = []
     if is_result and (folder / CAMERAS).is_file():
-        cameras = shots_of_model(folder / CAMERAS, RenderJob())
-    background = told_background(folder / SUMMARY) or 0.0
-    return page_of(view, path.resolve().name, cameras, background, most)
+        shots = shots_of_model(folder / CAMERAS, RenderJob())
+    return SpaceScene(
+        title=path.resolve().name,
+        words=f"{plural(len(cloud), 'Gaussian')}; {colours_in_words(cloud.sh_degree)}",
+        unit=UNIT,
+        cameras=_cameras(shots) if shots else None,
+        gaussians=cloud,
+        view=view,
+        background=told_background(folder / SUMMARY) or 0.0,
+    )
 
 
-def splat_view(path: Path) -> SplatView:
-    """Gaussians of an output folder or a file, or those of a grid, as the viewer takes them.
+def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
+    """Gaussians of an output folder or a file, or those of a grid, and from where they are seen first.
 
     Raises:
-        FileFormatError: the file is damaged.
+        FileFormatError: a file is damaged, or holds none.
     """
     cloud, file = _gaussians_in(path, MOST_SHOWN)
+    if not len(cloud):
+        raise FileFormatError(file, "holds no Gaussian")
     known = told_first_view(file.with_name(SUMMARY))
-    if known is None:
-        known = looked_at(cloud.means_in_world.astype(np.float64))
-    position, look_at, up = known
-    return SplatView(cloud, position, look_at, up, LENGTHS)
+    return cloud, FirstView(*(known or looked_at(cloud.means_in_world.astype(np.float64))))
+
+
+def colours_in_words(degree: int) -> str:
+    """What of the harmonics a browser's view keeps."""
+    if degree == 0:
+        return "colours are the same from all sides"
+    if degree <= DEGREE_KEPT:
+        return "colours change with the direction, as trained"
+    return f"colours change with the direction by harmonics of degree {DEGREE_KEPT}, of {degree} that were trained"
+
+
+def _cameras(shots: Sequence[Shot]) -> CameraLayer:
+    """Not shown at first: they stand before what they see."""
+    places = [shot.cam_from_world for shot in shots]
+    return CameraLayer(
+        "Cameras",
+        tuple(shot.name for shot in shots),
+        Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
+        np.array([shot.camera.K for shot in shots]),
+        np.array([[shot.camera.width, shot.camera.height] for shot in shots]),
+        is_shown=False,
+    )
 
 
 def gaussians_in(path: Path, most: int) -> GaussianCloud:
@@ -104,8 +127,8 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
 def looked_at(places: np.ndarray) -> list[np.ndarray]:
     """Position, middle and up of a view of places (n, 3) whose pictures are not known: as most such files are, the world of a camera, y down."""
     middle = np.median(places, axis=0)
-    size = float(np.median(np.linalg.norm(places - middle, axis=1)))
-    away = 3.0 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
+    size = float(np.percentile(np.linalg.norm(places - middle, axis=1), 90.0))
+    away = 2.5 * max(size, 1e-6) * np.array([0.0, -0.3, -1.0])
     return [middle + away, middle, np.array([0.0, -1.0, 0.0])]
 
 

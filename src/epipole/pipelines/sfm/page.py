@@ -16,7 +16,9 @@ from epipole.report.frame import render
 from epipole.report.markup import count, number, plural, seconds
 from epipole.report.match_matrix import match_matrix_payload
 from epipole.report.plan import draw_plan
-from epipole.report.space import space_payload
+from epipole.report.space import SpaceData, space_data
+from epipole.report.space_model import MAX_POINTS, scene_of_model
+from epipole.report.space_scene import METRES, NO_UNIT
 
 
 def render_report(content: ReportContent) -> str:
@@ -33,7 +35,7 @@ def render_report(content: ReportContent) -> str:
         total=total,
         tiles=_tiles(content, statistics, total),
         notes=notes_of(content, statistics),
-        model=space_payload(model) if is_placed.any() else None,
+        model=_space(content) if is_placed.any() else None,
         plan=draw_plan(model, content.unit),
         num_pairs=len(graph),
         pairs=match_matrix_payload(graph, is_placed),
@@ -48,6 +50,11 @@ def render_report(content: ReportContent) -> str:
         settings=list(_flat(content.settings)),
         names=[str(name) for name in model.images.name],
     )
+
+
+def _space(content: ReportContent) -> SpaceData:
+    unit = METRES if content.is_metric else NO_UNIT
+    return space_data(scene_of_model(content.reconstruction, title=content.title, unit=unit), MAX_POINTS)
 
 
 def _tiles(content: ReportContent, statistics: Statistics, total: int) -> list[tuple[str, str, str]]:

@@ -113,10 +113,11 @@ def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:
 def _stay(out: Path, job: JobOptions) -> None:
     """Go on to show what was made, at the live view's address, until Ctrl-C."""
     from epipole.errors import FileFormatError
-    from epipole.pipelines.slam.scene import show
+    from epipole.pipelines.slam.scene import scene
+    from epipole.viewer import view_scene
 
     try:
-        handle = show(out, port=job.port, host=job.host, block=False)
+        handle = view_scene(scene(out), port=job.port, host=job.host, block=False)
     except FileFormatError as error:
         print(f"epipole: {error}", file=sys.stderr)
         return

@@ -80,6 +80,44 @@ def write_slam_map(
     store(as_path(path), VERSION, arrays)
 
 
+class MapSketch(NamedTuple):
+    """What there is to see of a map."""
+
+    camera: Camera
+    names: tuple[str, ...]
+    """Of the keyframes' pictures."""
+    cams_from_world: Rigid3
+    grey: np.ndarray
+    """Pictures of the keyframes (k, h, w)."""
+    xyz_in_world: np.ndarray
+    """Points that have a place (n, 3)."""
+    num_agreed: np.ndarray
+    is_metric: bool
+
+
+def sketch_of_map(path: str | Path) -> MapSketch:
+    """A map as it can be drawn, without what is needed to go on in it.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    camera = camera_of_map(path)
+    arrays = _arrays(_file_of(as_path(path)))
+    placed = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
+    return MapSketch(
+        camera,
+        tuple(str(n) for n in arrays["name"]),
+        Rigid3(arrays["rotation"], arrays["translation"]),
+        arrays["grey"],
+        arrays["xyz"][placed].astype(np.float64),
+        arrays["num_agreed"][placed],
+        bool(arrays["is_metric"]),
+    )
+
+
 def camera_of_map(path: str | Path) -> Camera:
     """The lens of the camera that made a map.
 

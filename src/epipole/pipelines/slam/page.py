@@ -29,7 +29,9 @@ from epipole.report.frame import render
 from epipole.report.markup import count, number
 from epipole.report.path_plan import draw_path_plan
 from epipole.report.series import Line, draw_lines
-from epipole.report.space import space_payload
+from epipole.report.space import space_data
+from epipole.report.space_model import MAX_POINTS, scene_of_model
+from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
 from epipole.scene import Curve, Reconstruction, Trajectory
 
 MOST_STRETCHES, MOST_LOOPS = 40, 200
@@ -82,7 +84,7 @@ def render_page(page: SlamPage) -> str:
         tiles=_tiles(page),
         warnings=page.summary["warnings"],
         has_truth=page.truth is not None,
-        model=space_payload(model, curves=[c for c in curves if len(c.segments_in_world)]),
+        model=space_data(_scene(page, model, curves), MAX_POINTS),
         num_points=len(model.points),
         plan=draw_path_plan(curves, model.points.xyz_in_world, upright.apply(places[[0, -1]]), page.unit),
         strip=state_strip(page.records),
@@ -102,6 +104,11 @@ def render_page(page: SlamPage) -> str:
         settings=list(_flat(page.settings)),
         names=[str(name) for name in model.images.name],
     )
+
+
+def _scene(page: SlamPage, model: Reconstruction, curves: Sequence[Curve]) -> SpaceScene:
+    unit = METRES if page.is_metric else NO_UNIT
+    return scene_of_model(model, title=page.title, unit=unit, cameras="Keyframes", curves=curves)
 
 
 def _errors(page: SlamPage) -> tuple[PathErrors | None, PathErrors | None]:

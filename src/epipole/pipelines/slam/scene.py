@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from epipole.errors import EpipoleError, FileFormatError
+from epipole.geometry import Rigid3, Similarity3
+from epipole.image import color_map
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
 from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
 from epipole.io.photographs import read_rgb
 from epipole.io.sequences import read_sequence
-from epipole.io.trajectories import read_trajectory
+from epipole.io.trajectories import read_trajectory, trajectory_format
 from epipole.pipelines.slam.drawing import (
     CAUSAL,
     CAUSAL_RGB,
@@ -24,11 +26,15 @@ from epipole.pipelines.slam.drawing import (
     path_curve,
     upright_from_world,
 )
+from epipole.pipelines.slam.map_files import MAP_FILE, sketch_of_map
+from epipole.report.markup import plural
+from epipole.report.space_model import scene_of_model
+from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
 from epipole.runs.folder import read_mark
-from epipole.viewer import ViewerHandle, view
 
 TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
 PICTURE_PX = 640
+UNIT_OF_FILE = "units of the file"
 
 
 def is_mine(path: Path) -> bool:
@@ -36,7 +42,7 @@ def is_mine(path: Path) -> bool:
     return (path / CAUSAL_TRAJECTORY).is_file() and (path / TRAJECTORY).is_file()
 
 
-def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
+def scene(path: Path) -> SpaceScene:
     """The map's points, keyframes with their pictures where they are still there, the path and the loops.
 
     Raises:
@@ -47,21 +53,104 @@ def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandl
     model = read_model(path / "sparse" / "0")
     final, causal = read_trajectory(path / TRAJECTORY), read_trajectory(path / CAUSAL_TRAJECTORY)
     numbers = _frame_numbers(path)
-    loops = loop_curve(_loops(path), model, [numbers.get(name, -1) for name in model.images.name])
+    summary = _summary(path)
+    loops = loop_curve(_loops(summary), model, [numbers.get(name, -1) for name in model.images.name])
     curves = (
         path_curve(FINAL, final, FINAL_RGB),
         path_curve(CAUSAL, causal, CAUSAL_RGB, is_shown=False),
         loops,
     )
     upright = upright_from_world(final.world_from_body)
-    return view(
+    return scene_of_model(
         model.transformed(upright),
-        picture_loader(path),
-        port=port,
-        host=host,
-        block=block,
-        curves=tuple(curve.transformed(upright) for curve in curves if len(curve.segments_in_world)),
+        title=path.resolve().name,
+        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        cameras="Keyframes",
+        load_picture=picture_loader(path),
+        curves=[curve.transformed(upright) for curve in curves],
     )
+
+
+def is_trajectory(path: Path) -> bool:
+    """Whether a file is a path of TUM's, KITTI's or EuRoC's form."""
+    if path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti") or not path.is_file():
+        return False
+    try:
+        trajectory_format(path)
+    except FileFormatError:
+        return False
+    return True
+
+
+def scene_of_trajectory(path: Path) -> SpaceScene:
+    """A path alone, upright, with its places in the colours of their times.
+
+    Raises:
+        FileFormatError: the file is damaged, or holds no place.
+    """
+    found = read_trajectory(path)
+    if not len(found):
+        raise FileFormatError(path, "holds no place")
+    upright = upright_from_world(found.world_from_body)
+    places = upright.apply(found.world_from_body.translation)
+    covariances = None
+    if found.covariance is not None:
+        turned = upright.rotation @ found.world_from_body.rotation
+        covariances = turned @ found.covariance[:, :3, :3] @ np.swapaxes(turned, 1, 2)
+    times = found.timestamp_s - found.timestamp_s[0]
+    instants = PointLayer(
+        "Places",
+        places,
+        color_map(times),
+        (PointMeasure("time", times, "s"),),
+        covariances,
+        "as the file tells",
+    )
+    return SpaceScene(
+        title=path.resolve().name,
+        words=f"{plural(len(found), 'place')} over {times[-1]:.1f} s, a way of {found.path_length():.4g}",
+        unit=UNIT_OF_FILE,
+        points=(instants,),
+        curves=(path_curve("path", found, FINAL_RGB).transformed(upright),),
+    )
+
+
+def is_map(path: Path) -> bool:
+    """Whether a path is that of a map's file, or of the folder that holds it alone."""
+    return (path.is_file() and path.suffix == ".npz") or (path / MAP_FILE.name).is_file()
+
+
+def scene_of_map(path: Path) -> SpaceScene:
+    """Points and keyframes of a map, with the pictures that it keeps of them.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    found = sketch_of_map(path)
+    upright = upright_from_world(found.cams_from_world.inverse())
+    points = upright.apply(found.xyz_in_world)
+    rgb = np.full((len(points), 3), 200, np.uint8)
+    agreed = PointMeasure("keyframes that agree", found.num_agreed.astype(np.float64), "", is_at_least=True)
+    pictures = dict(zip(found.names, found.grey))
+    n = len(found.names)
+    keyframes = CameraLayer(
+        "Keyframes",
+        found.names,
+        _cameras_after(upright, found.cams_from_world),
+        np.broadcast_to(found.camera.K, (n, 3, 3)).copy(),
+        np.broadcast_to([found.camera.width, found.camera.height], (n, 2)).copy(),
+        lambda name: np.repeat(pictures[name][..., None], 3, axis=2),
+    )
+    words = f"A map of {plural(n, 'keyframe')} and {plural(len(points), 'point')}"
+    unit = METRES if found.is_metric else NO_UNIT
+    return SpaceScene(
+        path.resolve().name, words, unit, (PointLayer("Points", points, rgb, (agreed,)),), keyframes
+    )
+
+
+def _cameras_after(upright: Similarity3, cams_from_world: Rigid3) -> Rigid3:
+    """Cameras of a world that was turned."""
+    return cams_from_world @ Rigid3(upright.rotation, upright.translation).inverse()
 
 
 def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:
@@ -84,10 +173,14 @@ def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:
     return load_picture
 
 
-def _loops(path: Path) -> list[dict[str, Any]]:
-    """Of the summary; none where it has none."""
+def _summary(path: Path) -> dict[str, Any]:
     summary = read_json(path / "summary.json")
-    loops = summary.get("loops", []) if isinstance(summary, dict) else []
+    return summary if isinstance(summary, dict) else {}
+
+
+def _loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """None where it has none."""
+    loops = summary.get("loops", [])
     return [loop for loop in loops if isinstance(loop, dict)] if isinstance(loops, list) else []
 
 

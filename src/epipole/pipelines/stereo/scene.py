@@ -7,11 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import FileFormatError
-from epipole.image import color_map
+from epipole.geometry import Rigid3
+from epipole.pipelines.stereo.depth import point_covariances
 from epipole.pipelines.stereo.files import StereoFiles, read_stereo
 from epipole.pipelines.stereo.pairs import read_summary
-from epipole.scene import depth_map_to_point_cloud
-from epipole.viewer import DepthView, ViewerHandle, view_depth
+from epipole.report.markup import count
+from epipole.report.space_scene import CameraLayer, FirstView, PointLayer, PointMeasure, SpaceScene
+from epipole.scene import DepthMap, RectifiedRig, depth_map_to_point_cloud
+
+UNIT = "units of the baseline"
+"""Metres where that was told in metres."""
 
 
 def is_mine(path: Path) -> bool:
@@ -19,7 +24,7 @@ def is_mine(path: Path) -> bool:
     return (path / "disparity.pfm").is_file() or "done" in read_summary(path)
 
 
-def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandle:
+def scene(path: Path) -> SpaceScene:
     """The points of a pair, before the camera that saw them.
 
     Raises:
@@ -29,20 +34,71 @@ def show(path: Path, *, port: int | None, host: str, block: bool) -> ViewerHandl
         done = read_summary(path)["done"]
         hint = f": choose one, {path / str(done[0])} for one" if done else "; none was measured"
         raise FileFormatError(path, f"it holds several pairs{hint}")
-    return view_depth(depth_view(read_stereo(path)), port=port, host=host, block=block)
+    return scene_of_pair(read_stereo(path), path.resolve().name)
 
 
-def depth_view(files: StereoFiles) -> DepthView:
-    """Points and pictures of a pair, as the viewer takes them."""
-    cloud = depth_map_to_point_cloud(files.depths, files.K)
-    depth = files.depths[cloud.mask].astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        logarithm = np.log(np.where(files.depths > 0, files.depths, np.nan))
-    return DepthView(
-        cloud.points_in_cam,
-        files.left_rgb[cloud.mask],
-        np.nan_to_num(files.sigma_depth[cloud.mask] / depth, nan=np.inf).astype(np.float64),
-        files.left_rgb,
-        color_map(logarithm),
-        float(files.K[0, 0]),
+def is_pair_file(path: Path) -> bool:
+    """Whether a file is one of a measured pair with depth, which tells more than the file alone."""
+    own = path.name in ("depth.pfm", "disparity.pfm", "cloud.ply", "rig.json")
+    return own and path.is_file() and (path.parent / "rig.json").is_file()
+
+
+def scene_of_file(path: Path) -> SpaceScene:
+    """The pair that a file is of.
+
+    Raises:
+        FileFormatError: a file is damaged.
+    """
+    return scene(path.parent)
+
+
+def scene_of_pair(files: StereoFiles, title: str) -> SpaceScene:
+    """Points with their errors, and the left camera.
+
+    Raises:
+        FileFormatError: no pixel has a depth.
+    """
+    layer = points_of_depths(files.depths, files.sigma_depth, files.K, files.left_rgb)
+    if not len(layer.xyz_in_world):
+        raise FileFormatError(title, "no pixel of the pair has a depth")
+    height, width = files.depths.shape
+    camera = CameraLayer(
+        "Left camera",
+        ("left",),
+        Rigid3.identity(1),
+        files.K[None],
+        np.array([[width, height]]),
+        lambda _: files.left_rgb,
     )
+    return SpaceScene(
+        title=title,
+        words=f"{count(len(layer.xyz_in_world))} of {count(width * height)} pixels have a depth",
+        unit=UNIT,
+        points=(layer,),
+        cameras=camera,
+        view=view_of_depths(layer.xyz_in_world),
+    )
+
+
+def points_of_depths(
+    depths: np.ndarray, sigma: np.ndarray | None, K: np.ndarray, rgb: np.ndarray
+) -> PointLayer:
+    """A depth map's points, in the camera's frame, with errors where they are known."""
+    cloud = depth_map_to_point_cloud(depths, K)
+    depth = depths[cloud.mask].astype(np.float64)
+    measures: tuple[PointMeasure, ...] = (PointMeasure("depth", depth),)
+    covariances, words = None, ""
+    if sigma is not None:
+        relative = np.where(sigma[cloud.mask] > 0, sigma[cloud.mask], np.nan) / depth
+        measures = (PointMeasure("error of depth", 100.0 * relative.astype(np.float64), "% of it"), *measures)
+        known = DepthMap(depths.astype(np.float64), sigma.astype(np.float64), np.zeros(depths.shape))
+        covariances = point_covariances(known, RectifiedRig(K[0, 0], K[0, 2], K[1, 2], 1.0))[cloud.mask]
+        words = "as the disparities' errors tell"
+    return PointLayer("Points", cloud.points_in_cam, rgb[cloud.mask], measures, covariances, words)
+
+
+def view_of_depths(points_in_cam: np.ndarray) -> FirstView:
+    """From beside the camera, on what is half as far as the rest."""
+    middle = float(np.median(points_in_cam[:, 2])) if len(points_in_cam) else 1.0
+    position = middle * np.array([-0.25, -0.25, -0.2])
+    return FirstView(position, np.array([0.0, 0.0, middle]), np.array([0.0, -1.0, 0.0]))

@@ -12,20 +12,20 @@ from epipole.pipelines.viewing.config import USUAL_SHARED
 
 
 def view(
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")],
     port: int | None = None,
     host: str = "127.0.0.1",
     share: Path | None = None,
     share_max: int = USUAL_SHARED,
 ) -> None:
-    """Show a model, a path with its map, the depth of a pair, or Gaussians in the browser.
+    """Show any result or file in the browser: a model, a path with its map, depth, Gaussians, points, triangles, a calibration.
 
     Args:
-        out: Output folder of `reconstruct`, `slam`, `stereo`, `splat` or `nerf`, a COLMAP model, or a file of Gaussians.
+        out: Output folder of a job, a COLMAP model, or a file: PLY, SPZ, SOG, .splat, depth map (PFM, 16-bit PNG), trajectory, map, calibration.
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
-        share: Write one .html file that shows Gaussians in any browser instead, and start no server.
-        share_max: At most so many Gaussians are in that file, the most visible.
+        share: Write one .html file that shows it in any browser instead, and start no server.
+        share_max: At most so many points, drawn evenly, and Gaussians, the most visible, are in that file.
     """
     import threading
 

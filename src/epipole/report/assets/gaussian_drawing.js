@@ -1,8 +1,10 @@
 /* Gaussians in WebGL2: each is the ellipse of its projection (Zwicker et al., EWA volume splatting, 2001), drawn as a
    parallelogram around it, from the farthest to the nearest. The equations are those of epipole.fields. */
+/* global glProgram, EYE_GLSL, setEye */
 /* exported gaussianDrawing, gaussianSorter */
 "use strict";
 const TEXTURE_WIDTH = 2048; // texels: two a Gaussian, one for its harmonics, one for its place in the order
+const ORDER_UNIT = 2; // of the texture that setOrder writes to
 const TOGETHER = 512; // Gaussians of an instance: graphics cards, and software more so, are slow with small ones
 
 const VERTEX_SHADER = `#version 300 es
@@ -11,11 +13,8 @@ precision highp int;
 precision highp usampler2D;
 uniform usampler2D rows, harmonics, order;
 uniform int shown;
-uniform mat3 camFromWorld;
-uniform vec3 center;
-uniform vec2 size, focal;
+${EYE_GLSL}
 uniform vec2 scaleRange, colourRange, harmonicRange;
-uniform float near;
 uniform bool hasHarmonics;
 out vec2 away;
 flat out float reach2, opacity;
@@ -32,9 +31,9 @@ void main() {
   int at = 2 * gaussian;
   ivec2 place = ivec2(at % ${TEXTURE_WIDTH}, at / ${TEXTURE_WIDTH});
   uvec4 first = texelFetch(rows, place, 0), second = texelFetch(rows, place + ivec2(1, 0), 0);
-  vec3 ray = uintBitsToFloat(first.xyz) - center, p = camFromWorld * ray;
+  vec3 mean = uintBitsToFloat(first.xyz), ray = mean - center, p = camFromWorld * ray;
   opacity = float(second.w >> 16) / 65535.0;
-  if (!(p.z > near && opacity > 1.0 / 255.0)) return;
+  if (!(p.z > near && opacity > 1.0 / 255.0) || isCut(mean)) return;
 
   vec4 q = normalize(vec4(unpackSnorm2x16(second.x), unpackSnorm2x16(second.y))); // w, x, y, z
   vec3 scale = exp(scaleRange.x + scaleRange.y * vec3(unpackUnorm2x16(second.z), unpackUnorm2x16(second.w).x));
@@ -47,8 +46,8 @@ void main() {
   vec2 limit = 0.65 * size / focal;
   vec2 uv = clamp(p.xy / p.z, -limit, limit);
   vec3 depths = vec3(inCam[0].z, inCam[1].z, inCam[2].z);
-  vec3 across = focal.x / p.z * (vec3(inCam[0].x, inCam[1].x, inCam[2].x) - uv.x * depths);
-  vec3 down = focal.y / p.z * (vec3(inCam[0].y, inCam[1].y, inCam[2].y) - uv.y * depths);
+  vec3 across = focal / p.z * (vec3(inCam[0].x, inCam[1].x, inCam[2].x) - uv.x * depths);
+  vec3 down = focal / p.z * (vec3(inCam[0].y, inCam[1].y, inCam[2].y) - uv.y * depths);
   // V = L L^T; its determinant from a cross product, which loses no digits of thin ellipses.
   float vxx = dot(across, across), vyy = dot(down, down), vxy = dot(across, down);
   vec3 both = cross(across, down);
@@ -61,7 +60,7 @@ void main() {
   float l11 = sqrt(vxx);
   away = sqrt(reach2) * vec2(float(gl_VertexID & 1) * 2.0 - 1.0, float(gl_VertexID & 2) - 1.0);
   vec2 offset = vec2(l11 * away.x, vxy / l11 * away.x + sqrt(det) / l11 * away.y);
-  gl_Position = vec4((pixel + offset) * vec2(2.0, -2.0) / size, 0.0, 1.0);
+  gl_Position = vec4((pixel + offset) * vec2(2.0, -2.0) / size, 1.0 - 2.0 * near / p.z, 1.0); // as of clipOf
 
   colour = colourRange.x + colourRange.y * triple(first.w);
   if (hasHarmonics) {
@@ -87,25 +86,11 @@ void main() {
   drawn = vec4(colour * alpha, alpha);
 }`;
 
-/* What a canvas is drawn by, or null without WebGL2; `words` holds 8 numbers a Gaussian, `harmonics` 3 or none. */
-function gaussianDrawing(canvas, data, words, harmonics) {
-  const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, stencil: false });
-  if (!gl) return null;
-  const program = gl.createProgram();
-  for (const [kind, source] of [
-    [gl.VERTEX_SHADER, VERTEX_SHADER],
-    [gl.FRAGMENT_SHADER, FRAGMENT_SHADER],
-  ]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(program, shader);
-  }
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-  gl.useProgram(program);
-  const at = (name) => gl.getUniformLocation(program, name);
+/* Gaussians of `data`; `words` holds 8 numbers for each, `harmonics` 3 or none. */
+function gaussianDrawing(gl, data, words, harmonics) {
+  const made = glProgram(gl, VERTEX_SHADER, FRAGMENT_SHADER);
+  gl.useProgram(made.program);
+  const at = made.at;
 
   function newTexture(unitNumber, name) {
     gl.activeTexture(gl.TEXTURE0 + unitNumber);
@@ -135,7 +120,7 @@ function gaussianDrawing(canvas, data, words, harmonics) {
   putWords(1, "harmonics", harmonics || new Uint32Array(0), 3);
   gl.uniform1i(at("hasHarmonics"), harmonics ? 1 : 0);
   for (const name of ["scaleRange", "colourRange", "harmonicRange"]) gl.uniform2fv(at(name), data[name]);
-  newTexture(2, "order"); // the active one from here on: setOrder writes to it
+  newTexture(ORDER_UNIT, "order");
   gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, TEXTURE_WIDTH, heightOf(data.count));
 
   const corners = new Uint16Array(6 * TOGETHER);
@@ -144,11 +129,11 @@ function gaussianDrawing(canvas, data, words, harmonics) {
       [0, 1, 2, 2, 1, 3].map((corner) => 4 * k + corner),
       6 * k,
     );
+  const array = gl.createVertexArray();
+  gl.bindVertexArray(array);
   gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
-  gl.enable(gl.BLEND);
-  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-  gl.clearColor(data.background, data.background, data.background, 1);
+  gl.bindVertexArray(null);
 
   let shown = 0;
   return {
@@ -156,21 +141,22 @@ function gaussianDrawing(canvas, data, words, harmonics) {
     setOrder(rows, count) {
       const form = [gl.RED_INTEGER, gl.UNSIGNED_INT, rows];
       shown = count;
+      gl.activeTexture(gl.TEXTURE0 + ORDER_UNIT);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, Math.ceil(count / TEXTURE_WIDTH), ...form);
     },
-    draw({ r, d, f, o }, focal, near) {
-      gl.viewport(0, 0, canvas.width, canvas.height);
-      gl.uniformMatrix3fv(at("camFromWorld"), true, [...r, ...d, ...f]);
-      gl.uniform3fv(at("center"), o);
-      gl.uniform2f(at("size"), canvas.width, canvas.height);
-      gl.uniform2f(at("focal"), focal, focal);
-      gl.uniform1f(at("near"), near);
+    /* Over what is there already; what lies before a Gaussian's middle hides it. */
+    draw(eye) {
+      setEye(gl, made, eye);
       gl.uniform1i(at("shown"), shown);
-      gl.clear(gl.COLOR_BUFFER_BIT);
+      gl.enable(gl.BLEND);
+      gl.depthMask(false);
+      gl.bindVertexArray(array);
       const instances = Math.ceil(shown / TOGETHER);
       gl.drawElementsInstanced(gl.TRIANGLES, 6 * TOGETHER, gl.UNSIGNED_SHORT, 0, instances);
+      gl.bindVertexArray(null);
+      gl.depthMask(true);
+      gl.disable(gl.BLEND);
     },
-    gl,
   };
 }
 

@@ -8,6 +8,7 @@ const darkScheme = matchMedia("(prefers-color-scheme: dark)");
 const NAMES = readJson("names") || [];
 
 function bytesOf(text) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
   const binary = atob(text),
     out = new Uint8Array(binary.length);
   for (let k = 0; k < binary.length; k++) out[k] = binary.charCodeAt(k);

@@ -1,51 +1,85 @@
-/* The 3D view: points splatted into pixels with a depth buffer, frusta as lines. No WebGL. */
-/* global byId, readJson, bytesOf, cssColour, darkScheme, NAMES, showTip, fitCanvas, orbitEye, fullScreen */
+/* The 3D view: what is drawn, and from where. Points are drawn in portions, a frame each, as many as the device draws in
+   time: they lie in an order drawn at random, so that the first portion, all there is while the eye moves, is a fair
+   sample of them, and the rest follows as soon as it rests. */
+/* global byId, readJson, cssColour, darkScheme, showTip, fitCanvas, fullScreen */
+/* global orbitEye, eyeAt, frameOf, unit, cross, dot, glTarget */
+/* global spaceLayers, gaussianSorter, spaceTools, pickPoint, pickTriangle, pickGaussian */
 "use strict";
-function spaceView(canvas, data) {
-  const n = data.count,
-    steps = new Uint16Array(bytesOf(data.xyz).buffer),
-    rgb = bytesOf(data.rgb);
-  const points = new Float32Array(3 * n),
-    colours = new Uint32Array(n);
-  for (let k = 0; k < 3 * n; k++) points[k] = data.low[k % 3] + (steps[k] / 65535) * data.span[k % 3];
-  const packed = (r, g, b) => (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
-  for (let k = 0; k < n; k++) colours[k] = packed(rgb[3 * k], rgb[3 * k + 1], rgb[3 * k + 2]);
-  const cameras = data.centers.map((center, k) => ({
-    center,
-    corners: data.corners[k],
-    name: NAMES[data.image[k]],
-  }));
-  const curves = data.curves || [],
-    curveBoxes = [...document.querySelectorAll(".show-curve")];
-  const pen = canvas.getContext("2d");
-  const start = () => ({
-    focus: data.focus.slice(),
-    yaw: 0.9,
-    pitch: -0.55,
-    roll: 0,
-    dist: 2.2 * data.radius,
-    spread: 0.5 / 1.15,
+const SPREAD = 0.75 * Math.tan((25 * Math.PI) / 180); // 50 degrees across a picture of 4 : 3
+const EVERYWHERE = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
+const [FIRST_PORTION, LEAST_PORTION] = [30000, 8000]; // points
+const REST_TIMES = 6; // portions a frame when nothing moves
+const [QUICK_MS, SLOW_MS] = [22, 33];
+const FINE_POINTS = 300000; // of a scene whose lines are worth four samples a pixel
+
+async function spaceView(canvas, data) {
+  const say = (text) => {
+    byId("no-drawing").textContent = text;
+    byId("no-drawing").hidden = !text;
+  };
+  const total = data.points.reduce((sum, layer) => sum + layer.count, 0);
+  const isFine = total < FINE_POINTS && !data.gaussians;
+  const gl = canvas.getContext("webgl2", {
+    alpha: false,
+    antialias: isFine,
+    depth: true,
+    stencil: false,
   });
-  let hovered = -1,
-    asked = false,
-    pixels = null,
-    depth = null;
-  const { basis, focal, eye, flyTo } = orbitEye(canvas, {
+  if (!gl) {
+    say("This browser, or its graphics card, has no WebGL2: the scene cannot be drawn. Another may.");
+    return null;
+  }
+  say("Loading \u2026");
+  let drawn = null;
+  try {
+    drawn = await spaceLayers(gl, data);
+  } catch (error) {
+    say(`The scene cannot be drawn here: ${error.message}.`);
+    return null;
+  }
+  say("");
+
+  const frame = frameOf(data.up),
+    radius = data.radius;
+  const look = {
+    near: 0.002 * radius,
+    box: EVERYWHERE,
+    pointPx: 2,
+    frustum: 1,
+    opacity: 0.5,
+    shown: drawn.shown,
+    limits: data.points.map(() => [0, 1, 0, 1]),
+    colourBy: 0,
+  };
+  const target = glTarget(gl);
+  let asked = false,
+    version = 0, // of what is to be seen
+    painted = { version: -1, share: 0, aside: false },
+    paintedAt = 0,
+    portion = FIRST_PORTION,
+    sorted = "",
+    chosen = -1,
+    hovered = -1;
+  const start = () => lookingAt(data.position, data.lookAt, data.up, SPREAD);
+  const view = orbitEye(canvas, {
     start,
-    radius: data.radius,
+    radius,
     redraw,
+    frame,
+    wheelAlways: canvas.dataset.whole === "yes",
     hover(event) {
       const found = cameraAt(event);
       if (found !== hovered) {
         hovered = found;
         redraw();
       }
-      canvas.style.cursor = found < 0 ? "" : "pointer";
-      showTip(event, found < 0 ? "" : cameras[found].name);
+      canvas.style.cursor = tools.isMeasuring() ? "crosshair" : found < 0 ? "" : "pointer";
+      showTip(event, found < 0 ? "" : data.cameras.names[found]);
     },
     click(event) {
+      if (tools.isMeasuring()) return tools.measureAt(event.offsetX, event.offsetY);
       const found = cameraAt(event);
-      if (found >= 0) lookFrom(cameras[found]);
+      if (found >= 0) toCamera(found);
     },
     leave(event) {
       hovered = -1;
@@ -53,203 +87,272 @@ function spaceView(canvas, data) {
       redraw();
     },
   });
+  const sorter =
+    drawn.gaussians &&
+    gaussianSorter(drawn.gaussians.places, (order, count, spent) => {
+      drawn.gaussians.drawing.setOrder(order, count);
+      canvas.dataset.sortMs = spent.toFixed(2);
+      redraw();
+    });
 
-  function toView(b, p) {
-    const [x, y, z] = p.map((v, k) => v - b.o[k]);
-    return [b.r, b.d, b.f].map((axis) => axis[0] * x + axis[1] * y + axis[2] * z);
+  function lookingAt(o, place, up, spread) {
+    const away = place.map((v, k) => v - o[k]),
+      f = unit(away),
+      right = cross(f, up);
+    const r = Math.hypot(...right) > 1e-6 * Math.hypot(...up) ? unit(right) : frameOf(f)[0];
+    return eyeAt(frame, { o, f, r, dist: Math.hypot(...away), spread });
   }
-  function toPixel(v) {
-    return [canvas.width / 2 + (focal() * v[0]) / v[2], canvas.height / 2 + (focal() * v[1]) / v[2]];
-  }
+  const eyeNow = () => ({ basis: view.basis(), focal: view.focal(), near: look.near, box: look.box });
 
-  function drawPoints(b, ratio) {
-    const w = canvas.width,
-      h = canvas.height,
-      F = focal();
-    if (!pixels || pixels.width !== w || pixels.height !== h) {
-      pixels = pen.createImageData(w, h);
-      depth = new Float32Array(w * h);
-    }
-    const out = new Uint32Array(pixels.data.buffer),
+  /* What is begun anew with every change: the ground, triangles and lines. */
+  function paintLines(eye, ratio) {
+    const grey = data.background,
       ground = cssColour("--stage");
-    out.fill(packed(...[1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16))));
-    depth.fill(0);
-    const size = Number(byId("point-size").value) * ratio * eye().dist,
-      near = 0.01 * data.radius;
-    const [r0, r1] = b.r,
-      [d0, d1, d2] = b.d,
-      [f0, f1, f2] = b.f,
-      [ox, oy, oz] = b.o;
-    for (let k = 0, q = 0; k < n; k++, q += 3) {
-      const x = points[q] - ox,
-        y = points[q + 1] - oy,
-        z = points[q + 2] - oz;
-      const zc = f0 * x + f1 * y + f2 * z;
-      if (zc < near) continue;
-      const inverse = 1 / zc;
-      const u = w / 2 + F * (r0 * x + r1 * y) * inverse,
-        v = h / 2 + F * (d0 * x + d1 * y + d2 * z) * inverse;
-      const s = Math.max(1, Math.min(9, Math.round(size * inverse)));
-      const left = Math.round(u - s / 2),
-        top = Math.round(v - s / 2);
-      if (left < 0 || top < 0 || left + s > w || top + s > h) continue;
-      const colour = colours[k];
-      for (let row = top; row < top + s; row++) {
-        for (let at = row * w + left, end = at + s; at < end; at++) {
-          if (inverse > depth[at]) {
-            depth[at] = inverse;
-            out[at] = colour;
-          }
-        }
-      }
-    }
-    pen.putImageData(pixels, 0, 0);
-  }
-
-  function drawFrusta(b, ratio) {
-    const size = data.size * Number(byId("frustum-size").value),
-      near = 0.01 * data.radius;
-    cameras.forEach((camera, k) => {
-      const apex = toView(b, camera.center),
-        c = camera.corners,
-        o = camera.center;
-      const corner = [0, 3, 6, 9].map((q) =>
-        toView(
-          b,
-          [0, 1, 2].map((a) => o[a] + size * c[q + a]),
-        ),
-      );
-      const all = [apex, ...corner];
-      if (all.some((v) => v[2] < near)) return;
-      const [p, a, e, g, i] = all.map(toPixel);
-      pen.strokeStyle = k === hovered ? "#ffd34d" : "#8fd0e6";
-      pen.globalAlpha = k === hovered ? 1 : 0.8;
-      pen.lineWidth = (k === hovered ? 2.2 : 1) * ratio;
-      pen.beginPath();
-      for (const q of [a, e, g, i]) {
-        pen.moveTo(...p);
-        pen.lineTo(...q);
-      }
-      pen.moveTo(...a);
-      pen.lineTo(...e);
-      pen.lineTo(...g);
-      pen.lineTo(...i);
-      pen.closePath();
-      pen.stroke();
-      pen.fillStyle = pen.strokeStyle;
-      pen.globalAlpha = 0.18;
-      pen.beginPath();
-      pen.moveTo(...a);
-      pen.lineTo(...e);
-      pen.lineTo(...g);
-      pen.lineTo(...i);
-      pen.fill();
-    });
-    pen.globalAlpha = 1;
-  }
-
-  function drawCurves(b, ratio) {
-    const near = 0.01 * data.radius;
-    for (let k = curves.length - 1; k >= 0; k--) {
-      const curve = curves[k]; // the first on top
-      if (!curveBoxes[k].checked) continue;
-      pen.strokeStyle = curve.rgb;
-      pen.lineWidth = 1.8 * ratio;
-      pen.lineCap = "round";
-      pen.beginPath();
-      for (let q = 0; q < curve.xyz.length; q += 6) {
-        const ends = [curve.xyz.slice(q, q + 3), curve.xyz.slice(q + 3, q + 6)].map((p) => toView(b, p));
-        if (ends.some((v) => v[2] < near)) continue;
-        pen.moveTo(...toPixel(ends[0]));
-        pen.lineTo(...toPixel(ends[1]));
-      }
-      pen.stroke();
+    const back =
+      grey === null ? [1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16) / 255) : [grey, grey, grey];
+    gl.clearColor(...back, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (drawn.mesh && look.shown.mesh) drawn.mesh.drawing.draw(eye);
+    const width = 1.6 * ratio;
+    for (let k = drawn.curves.length - 1; k >= 0; k--)
+      if (look.shown[`curve-${k}`]) drawn.curves[k].draw(eye, { width: 1.3 * width }); // the first on top
+    if (drawn.cameras && look.shown.cameras) {
+      const scale = data.cameras.size * look.frustum;
+      drawn.cameras.drawing.draw(eye, { scale, width, chosen, hovered });
     }
   }
-
-  function drawTriad(b, ratio) {
-    const x = 38 * ratio,
-      y = canvas.height - 38 * ratio,
-      reach = 24 * ratio;
-    pen.font = `${12 * ratio}px system-ui, sans-serif`;
-    pen.textAlign = "center";
-    pen.textBaseline = "middle";
-    pen.lineWidth = 1.4 * ratio;
-    [
-      ["x", "#e08a80"],
-      ["y", "#8cc48c"],
-      ["z", "#8fb0ec"],
-    ].forEach(([label, colour], k) => {
-      const dx = b.r[k] * reach,
-        dy = b.d[k] * reach;
-      pen.strokeStyle = pen.fillStyle = colour;
-      pen.beginPath();
-      pen.moveTo(x, y);
-      pen.lineTo(x + dx, y + dy);
-      pen.stroke();
-      pen.fillText(label, x + dx * 1.38, y + dy * 1.38);
+  function paintPoints(eye, ratio, from, to) {
+    drawn.points.forEach(({ layer, drawing }, k) => {
+      if (!look.shown[`points-${k}`]) return;
+      const first = Math.floor(from * layer.count);
+      drawing.draw(eye, {
+        first,
+        count: Math.floor(to * layer.count) - first,
+        sizePx: look.pointPx * ratio * view.eye().dist,
+        mostPx: 4 * look.pointPx * ratio,
+        limits: look.limits[k],
+        colourBy: Math.min(look.colourBy, layer.measures.length),
+      });
     });
+    canvas.dataset.points = Math.floor(to * total);
+  }
+  function paintPicture(eye) {
+    const { places, corners } = drawn.cameras;
+    gl.enable(gl.BLEND);
+    gl.disable(gl.DEPTH_TEST);
+    drawn.picture.drawing.draw(eye, {
+      place: places.subarray(3 * chosen, 3 * chosen + 3),
+      corners: corners.subarray(12 * chosen, 12 * chosen + 12),
+      scale: data.cameras.size * look.frustum,
+      opacity: look.opacity,
+    });
+    gl.disable(gl.BLEND);
+  }
+  /* The first portion is drawn on the canvas at once; what follows is gathered aside. */
+  function paint(eye, ratio, share) {
+    const isNew = painted.version !== version;
+    if (isNew) painted = { version, share: 0, aside: false };
+    else if (isFine) painted.share = 0; // few points: all of them anew
+    const until = Math.min(1, painted.share + (isNew ? share : isFine ? 1 : REST_TIMES * share)),
+      begins = isNew || isFine || !painted.aside;
+    if (isNew || isFine) {
+      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+      gl.viewport(0, 0, canvas.width, canvas.height);
+    } else {
+      target.bind(canvas.width, canvas.height);
+      painted.aside = true;
+    }
+    gl.enable(gl.DEPTH_TEST);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    if (begins) paintLines(eye, ratio);
+    if (total) paintPoints(eye, ratio, begins ? 0 : painted.share, until);
+    painted.share = until;
+    if (until === 1 && sorter && look.shown.gaussians) drawn.gaussians.drawing.draw(eye);
+    if (painted.aside) target.show();
+    if (drawn.picture.of === chosen && chosen >= 0 && look.opacity > 0) paintPicture(eye);
   }
 
-  function draw() {
+  /* The whole of it as a PNG; `ready` gets the bytes. */
+  function snapshot(ready) {
+    version++;
+    paint(eyeNow(), canvas.width / canvas.clientWidth, 1);
+    canvas.toBlob(ready, "image/png"); // of what was drawn in this very task
+  }
+
+  function draw(now) {
     asked = false;
-    const ratio = fitCanvas(canvas, 2),
-      b = basis();
-    drawPoints(b, ratio);
-    if (byId("show-cameras").checked) drawFrusta(b, ratio);
-    drawCurves(b, ratio);
-    drawTriad(b, ratio);
+    const before = `${canvas.width} ${canvas.height}`,
+      ratio = fitCanvas(canvas, 2),
+      eye = eyeNow(),
+      spent = now - paintedAt;
+    if (before !== `${canvas.width} ${canvas.height}`) version++;
+    // Frames that follow each other tell what a portion costs: those of a moving eye alone.
+    const isMoving = painted.version !== version;
+    if (isMoving && spent > SLOW_MS && spent < 3000) portion = Math.max(LEAST_PORTION, 0.7 * portion);
+    if (isMoving && spent < QUICK_MS) portion = Math.min(1.3 * portion, Math.max(total, FIRST_PORTION));
+    paintedAt = isMoving ? now : -Infinity;
+    const seen = JSON.stringify([eye.basis.f, eye.basis.o]);
+    if (sorter && seen !== sorted && !sorter.isBusy()) {
+      sorted = seen;
+      sorter.sort({ f: eye.basis.f, o: eye.basis.o, near: look.near });
+    }
+    paint(eye, ratio, total ? portion / total : 1);
+    tools.mark(eye);
+    const isSorted = !sorter || (seen === sorted && !sorter.isBusy());
+    canvas.dataset.settled = isSorted && painted.share === 1 ? "yes" : "no";
+    if (painted.share < 1) ask();
+  }
+  function ask() {
+    if (asked) return;
+    asked = true;
+    requestAnimationFrame(draw);
   }
   function redraw() {
-    if (!asked) {
-      asked = true;
-      requestAnimationFrame(draw);
-    }
+    canvas.dataset.settled = "no";
+    version++;
+    ask();
   }
 
   function cameraAt(event) {
-    if (!byId("show-cameras").checked) return -1;
-    const b = basis(),
-      ratio = canvas.width / canvas.clientWidth;
+    if (!drawn.cameras || !look.shown.cameras) return -1;
+    const { r, d, f, o } = view.basis(),
+      focal = (view.focal() * canvas.clientWidth) / canvas.width,
+      places = drawn.cameras.places;
     let best = -1,
       nearest = 16;
-    cameras.forEach((camera, k) => {
-      const v = toView(b, camera.center);
-      if (v[2] <= 0) return;
-      const [x, y] = toPixel(v),
-        away = Math.hypot(x / ratio - event.offsetX, y / ratio - event.offsetY);
+    for (let k = 0; k < places.length / 3; k++) {
+      const ray = [0, 1, 2].map((a) => places[3 * k + a] - o[a]),
+        z = dot(f, ray);
+      if (!(z > look.near)) continue;
+      const away = Math.hypot(
+        0.5 * canvas.clientWidth + (focal * dot(r, ray)) / z - event.offsetX,
+        0.5 * canvas.clientHeight + (focal * dot(d, ray)) / z - event.offsetY,
+      );
       if (away < nearest) {
         nearest = away;
         best = k;
       }
-    });
+    }
     return best;
   }
 
-  function lookFrom(camera) {
-    const axis = [0, 1, 2].map((a) => [0, 3, 6, 9].reduce((sum, q) => sum + camera.corners[q + a], 0));
-    const f = axis.map((v) => v / Math.hypot(...axis));
-    const depthOfScene = f.reduce((sum, v, k) => sum + v * (data.focus[k] - camera.center[k]), 0);
-    const reach = Math.max(depthOfScene, 0.3 * data.radius),
-      back = 2.2 * data.size;
-    flyTo({
-      ...start(),
-      focus: camera.center.map((v, k) => v + reach * f[k]),
-      yaw: Math.atan2(f[1], f[0]),
-      pitch: Math.asin(Math.max(-1, Math.min(1, f[2]))),
-      dist: reach + back,
-    });
+  /* The eye of a camera: the whole of its picture is seen. */
+  function toCamera(k) {
+    const { places, axes } = drawn.cameras,
+      [width, height] = data.cameras.sizes[k],
+      o = Array.from(places.subarray(3 * k, 3 * k + 3)),
+      [r, f] = [0, 3].map((q) => Array.from(axes.subarray(6 * k + q, 6 * k + q + 3)));
+    const depth = dot(
+        f,
+        data.lookAt.map((v, a) => v - o[a]),
+      ),
+      side = Math.min(canvas.width, canvas.height),
+      scale = Math.min(canvas.width / width, canvas.height / height);
+    chosen = k;
+    tools.showCamera(k);
+    showPicture(k);
+    const spread = (0.5 * side) / (scale * data.cameras.focals[k]);
+    view.flyTo(eyeAt(frame, { o, f, r, dist: Math.max(depth, 0.3 * radius), spread }));
+  }
+  function showPicture(k) {
+    const address = (data.cameras.pictures || [])[k];
+    drawn.picture.of = -1;
+    if (!address) return;
+    const image = new Image();
+    image.onload = () => {
+      if (chosen !== k) return;
+      drawn.picture.drawing.put(image);
+      drawn.picture.of = k;
+      redraw();
+    };
+    image.src = address;
+  }
+  function stepCamera(step) {
+    const count = data.cameras.names.length;
+    toCamera(chosen < 0 && step < 0 ? count - 1 : (chosen + step + count) % count);
   }
 
-  byId("reset-view").addEventListener("click", () => flyTo(start()));
-  byId("view-above").addEventListener("click", () =>
-    flyTo({ ...start(), yaw: Math.PI / 2, pitch: -1.57, dist: 2.7 * data.radius }),
-  );
-  byId("full-screen").addEventListener("click", () => fullScreen(canvas.parentElement));
-  for (const id of ["point-size", "frustum-size", "show-cameras"]) byId(id).addEventListener("input", redraw);
-  for (const box of curveBoxes) box.addEventListener("input", redraw);
+  /* The nearest place under a pixel of the page: of a triangle, a point or Gaussians. */
+  function placeAt(x, y) {
+    const basis = view.basis(),
+      focal = (view.focal() * canvas.clientWidth) / canvas.width,
+      u = (x - 0.5 * canvas.clientWidth) / focal,
+      v = (y - 0.5 * canvas.clientHeight) / focal,
+      ray = basis.f.map((value, k) => value + u * basis.r[k] + v * basis.d[k]);
+    const inside = (place) =>
+      [0, 1, 2].every((k) => place[k] >= look.box.low[k] && place[k] <= look.box.high[k]);
+    const found = [];
+    drawn.points.forEach(({ layer, rows, values, covariances }, k) => {
+      if (!look.shown[`points-${k}`]) return;
+      const limits = look.limits[k];
+      const passes = (row) => {
+        const within = (q) => {
+          const value = values ? values[2 * row + q] / 65535 : 1;
+          return value >= 1 || (value >= limits[2 * q] && value <= limits[2 * q + 1]);
+        };
+        return within(0) && within(1) && inside(rows.subarray(4 * row, 4 * row + 3));
+      };
+      const hit = pickPoint(rows, layer.count, basis, u, v, 8 / focal, look.near, passes);
+      if (!hit) return;
+      const covariance = covariances ? Array.from(covariances.subarray(6 * hit.row, 6 * hit.row + 6)) : null;
+      found.push({ ...hit, covariance, errorWords: layer.errorWords });
+    });
+    if (drawn.mesh && look.shown.mesh)
+      found.push(pickTriangle(drawn.mesh.vertices, drawn.mesh.faces, basis.o, ray, inside));
+    if (sorter && look.shown.gaussians) {
+      const { words, places } = drawn.gaussians;
+      const range = data.gaussians.scaleRange;
+      found.push(pickGaussian(words, places, range, basis, u, v, focal, look.near, inside));
+    }
+    return found.filter(Boolean).sort((a, b) => a.depth - b.depth)[0] || null;
+  }
+
+  /* #view= position, what is looked at, up, and degrees of the shorter side: ten numbers with commas between. */
+  function toViewOfAddress() {
+    const numbers = (/^#view=([-+.\deE,]+)$/.exec(location.hash) || ["", ""])[1].split(",").map(Number);
+    if (numbers.length !== 10 || !numbers.every(Number.isFinite)) return;
+    const inWorld = [0, 3, 6].map((k) => numbers.slice(k, k + 3)),
+      up = inWorld[2],
+      [position, lookAt] = inWorld.slice(0, 2).map((place) => place.map((v, k) => v - data.origin[k]));
+    if (!(numbers[9] > 0 && numbers[9] < 170) || !Math.hypot(...up)) return;
+    if (!Math.hypot(...lookAt.map((v, k) => v - position[k]))) return;
+    view.jumpTo(lookingAt(position, lookAt, up, Math.tan((numbers[9] * Math.PI) / 360)));
+  }
+
+  canvas.addEventListener("dblclick", (event) => {
+    const hit = placeAt(event.offsetX, event.offsetY),
+      eye = view.eye();
+    if (hit && !tools.isMeasuring())
+      view.flyTo({ ...eye, focus: hit.place, dist: Math.min(hit.depth, eye.dist) });
+  });
+  canvas.addEventListener("webglcontextlost", (event) => {
+    event.preventDefault();
+    say("The browser has taken the graphics card away. Load the page again.");
+  });
+  const tools = spaceTools(canvas, data, {
+    look,
+    redraw,
+    placeAt,
+    stepCamera,
+    reset() {
+      chosen = -1;
+      tools.showCamera(-1);
+      view.flyTo(start());
+    },
+    above() {
+      const o = data.lookAt.map((v, k) => v + 3 * radius * frame[2][k]);
+      view.flyTo(
+        eyeAt(frame, { o, f: frame[2].map((v) => -v), r: frame[0], dist: 3 * radius, spread: SPREAD }),
+      );
+    },
+    snapshot,
+  });
+  addEventListener("hashchange", toViewOfAddress);
   new ResizeObserver(redraw).observe(canvas);
   darkScheme.addEventListener("change", redraw);
-  draw();
+  toViewOfAddress();
+  redraw();
+  return { view, drawn, look, placeAt, toCamera, tools, snapshot, portion: () => portion };
 }
-if (byId("space")) spaceView(byId("space"), readJson("model"));
+
+const space = byId("space") ? spaceView(byId("space"), readJson("space-data")) : null;

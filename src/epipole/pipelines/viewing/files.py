@@ -1,0 +1,79 @@
+"""What the viewer shows of single files that are of no job: points, triangles and depth maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3
+from epipole.image import color_map
+from epipole.io.depth_maps import read_pfm, read_png16
+from epipole.io.mesh_ply import read_mesh_ply
+from epipole.pipelines.stereo.scene import points_of_depths, view_of_depths
+from epipole.report.markup import plural
+from epipole.report.space_scene import CameraLayer, FirstView, MeshLayer, PointLayer, SpaceScene
+from epipole.scene import extent_of
+
+UNIT = "units of the file"
+GREY = 190
+WIDTH_DEG = 60.0
+"""Taken to be across a depth map's picture, where no lens is told."""
+
+
+def is_ply(path: Path) -> bool:
+    """Whether a path is that of a PLY file."""
+    return path.suffix.lower() == ".ply" and path.is_file()
+
+
+def scene_of_ply(path: Path) -> SpaceScene:
+    """Points, or triangles where the file has faces.
+
+    Raises:
+        FileFormatError: the file is damaged, or holds no point.
+    """
+    found = read_mesh_ply(path)
+    xyz, n = found.xyz, len(found.xyz)
+    if not np.isfinite(xyz).all(axis=1).any():
+        raise FileFormatError(path, "holds no point that is finite")
+    rgb = found.rgb if found.rgb is not None else np.full((n, 3), GREY, np.uint8)
+    extent = extent_of(xyz[:: max(1, n // 200_000)], np.zeros((0, 3)), 95.0)
+    # Most such files are of a camera's world, y down; a model of one's own may stand otherwise.
+    away = extent.radius * np.array([-0.9, -1.1, -2.2])
+    view = FirstView(extent.focus + away, extent.focus, np.array([0.0, -1.0, 0.0]))
+    title = path.resolve().name
+    if len(found.faces):
+        words = f"{plural(len(found.faces), 'triangle')} between {plural(n, 'vertex', 'vertices')}"
+        mesh = MeshLayer("Triangles", xyz, found.faces, rgb)
+        return SpaceScene(title, words, UNIT, mesh=mesh, view=view)
+    return SpaceScene(title, plural(n, "point"), UNIT, (PointLayer("Points", xyz, rgb),), view=view)
+
+
+def is_depth_map(path: Path) -> bool:
+    """Whether a path is that of a PFM or a 16-bit PNG."""
+    return path.suffix.lower() in (".pfm", ".png") and path.is_file()
+
+
+def scene_of_depth_map(path: Path) -> SpaceScene:
+    """A depth map's points in the colours of their depths; the lens is not told by such a file.
+
+    Raises:
+        FileFormatError: the file is damaged, or no pixel has a depth.
+    """
+    depths = (read_pfm if path.suffix.lower() == ".pfm" else read_png16)(path)
+    depths = np.where(np.isfinite(depths) & (depths > 0), depths, np.nan)
+    if not np.isfinite(depths).any():
+        raise FileFormatError(path, "no pixel has a depth")
+    height, width = depths.shape
+    focal_px = 0.5 * width / np.tan(np.radians(0.5 * WIDTH_DEG))
+    K = np.array([[focal_px, 0.0, 0.5 * (width - 1)], [0.0, focal_px, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
+    layer = points_of_depths(depths, None, K, color_map(np.log(depths)))
+    camera = CameraLayer("Camera", ("camera",), Rigid3.identity(1), K[None], np.array([[width, height]]))
+    words = (
+        f"{plural(len(layer.xyz_in_world), 'pixel')} of {width} x {height}, its values taken as depths; "
+        f"its lens is not told: drawn as if it were {WIDTH_DEG:.0f} degrees wide"
+    )
+    return SpaceScene(
+        path.resolve().name, words, UNIT, (layer,), camera, view=view_of_depths(layer.xyz_in_world)
+    )

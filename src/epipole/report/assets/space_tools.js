@@ -1,0 +1,194 @@
+/* The controls of the 3D view: layers, sizes, limits, section, distances, pictures. */
+/* global byId, fullScreen, distanceBetween */
+/* exported spaceTools */
+"use strict";
+const AXES = [
+  ["x", "#f0928a"],
+  ["y", "#93d193"],
+  ["z", "#9dbcf5"],
+];
+
+/* A number in so many digits as are worth saying. */
+function inDigits(value, digits) {
+  if (!Number.isFinite(value)) return "\u221e";
+  return Number(value.toPrecision(digits)).toString();
+}
+function lengthInWords({ length, sigma }, unit, scale, errorWords) {
+  const named = unit ? ` ${unit}` : "";
+  if (sigma === null) return `${inDigits(length, 4)}${named}${scale}; how exact is not known here`;
+  if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the pictures do not hold it fast`;
+  const why = errorWords ? ` (${errorWords})` : "";
+  return `${inDigits(length, 4)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
+}
+
+function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, above, snapshot }) {
+  const marks = byId("space-marks"),
+    measured = byId("measured"),
+    measureButton = byId("measure");
+  let ends = [];
+
+  const each = (selector, act) => document.querySelectorAll(selector).forEach(act);
+  each(".show-layer", (box) => {
+    look.shown[box.dataset.layer] = box.checked; // a browser may keep them over a reload
+    box.addEventListener("input", () => {
+      look.shown[box.dataset.layer] = box.checked;
+      redraw();
+    });
+  });
+  const follow = (id, act) => {
+    if (!byId(id)) return;
+    const take = () => {
+      act(Number(byId(id).value));
+      redraw();
+    };
+    byId(id).addEventListener("input", take);
+    take();
+  };
+  follow("point-size", (value) => (look.pointPx = value));
+  follow("frustum-size", (value) => (look.frustum = value));
+  follow("picture-opacity", (value) => (look.opacity = value));
+  follow("point-colour", (value) => (look.colourBy = value));
+
+  /* One slider a measure, from its least to its largest value; beyond the last step is everything. */
+  each(".point-limit", (slider) => {
+    const [layer, q] = [Number(slider.dataset.layer), Number(slider.dataset.measure)],
+      measure = data.points[layer].measures[q],
+      told = slider.parentElement.querySelector("output");
+    const take = () => {
+      const t = Number(slider.value) / 1000,
+        value = measure.low + t * (measure.high - measure.low),
+        isAll = measure.isAtLeast ? t === 0 : t === 1;
+      look.limits[layer][2 * q + (measure.isAtLeast ? 0 : 1)] = isAll ? (measure.isAtLeast ? 0 : 1) : t;
+      told.textContent = isAll ? "all" : `${inDigits(value, 3)} ${measure.unit}`.trim();
+      slider.setAttribute("aria-valuetext", told.textContent);
+      redraw();
+    };
+    slider.addEventListener("input", take);
+    take();
+  });
+
+  /* Twelve hundred steps a side, of the middle of the scene; the ends of a slider leave nothing out. */
+  function takeSection() {
+    const box = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
+    each(".section-side", (slider) => {
+      const axis = Number(slider.dataset.axis),
+        t = Number(slider.value) / 1000,
+        value = data.low[axis] + t * (data.high[axis] - data.low[axis]),
+        isLow = slider.dataset.side === "low";
+      if (isLow ? t > 0 : t < 1) box[slider.dataset.side][axis] = value;
+      const isAll = isLow ? t === 0 : t === 1;
+      slider.setAttribute("aria-valuetext", isAll ? "all" : inDigits(value + data.origin[axis], 4));
+    });
+    look.box = box;
+    redraw();
+  }
+  each(".section-side", (slider) => slider.addEventListener("input", takeSection));
+  byId("whole-section").addEventListener("click", () => {
+    each(".section-side", (slider) => (slider.value = slider.dataset.side === "low" ? 0 : 1000));
+    takeSection();
+  });
+  takeSection();
+
+  const isMeasuring = () => measureButton.getAttribute("aria-pressed") === "true";
+  function setMeasuring(is) {
+    measureButton.setAttribute("aria-pressed", String(is));
+    ends = [];
+    measured.textContent = is ? "Click a place, then another (or Enter, for the middle of the view)." : "";
+    redraw();
+  }
+  measureButton.addEventListener("click", () => setMeasuring(!isMeasuring()));
+  function measureAt(x, y) {
+    const hit = placeAt(x, y);
+    if (!hit) {
+      measured.textContent = "There is nothing at that place.";
+      return;
+    }
+    ends = ends.length === 2 ? [hit] : [...ends, hit];
+    if (ends.length === 1) {
+      const place = hit.place.map((v, k) => inDigits(v + data.origin[k], 6)).join(", ");
+      measured.textContent = `From (${place}) to \u2026`;
+    } else {
+      const found = distanceBetween(...ends);
+      measured.textContent = lengthInWords(found, data.unit, data.scaleWords, ends[0].errorWords);
+      measured.dataset.length = found.length;
+      measured.dataset.sigma = found.sigma === null ? "" : found.sigma;
+    }
+    redraw();
+  }
+  canvas.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" && isMeasuring())
+      measureAt(0.5 * canvas.clientWidth, 0.5 * canvas.clientHeight);
+    if (event.key === "Escape" && isMeasuring()) setMeasuring(false);
+  });
+
+  if (data.cameras && data.cameras.names.length) {
+    byId("next-camera").addEventListener("click", () => stepCamera(1));
+    byId("last-camera").addEventListener("click", () => stepCamera(-1));
+  }
+  byId("reset-view").addEventListener("click", reset);
+  byId("view-above").addEventListener("click", above);
+  byId("full-screen").hidden = !document.fullscreenEnabled;
+  byId("full-screen").addEventListener("click", () => fullScreen(canvas.parentElement));
+  byId("save-picture").addEventListener("click", () =>
+    snapshot((blob) => {
+      const link = document.createElement("a"),
+        name = data.title.replace(/[^\p{L}\p{N}_.-]+/gu, "_").replace(/^[._]+/, "");
+      link.href = URL.createObjectURL(blob);
+      link.download = `${name || "scene"}.png`;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    }),
+  );
+
+  const element = (kind, attributes) => {
+    const made = document.createElementNS(marks.namespaceURI, kind);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  };
+  /* The axes in a corner, and what is being measured. Two drawings: to draw the whole anew is slow in software. */
+  function mark({ basis, focal, near }) {
+    const axes = AXES.flatMap(([label, colour], k) => {
+      const [x, y, dx, dy] = [34, 34, 22 * basis.r[k], 22 * basis.d[k]];
+      const text = element("text", { x: x + 1.4 * dx, y: y + 1.4 * dy + 4 });
+      text.textContent = label;
+      text.style.fill = colour; // before the style of the page's other drawings
+      return [
+        element("line", { x1: x, y1: y, x2: x + dx, y2: y + dy, stroke: colour, "stroke-width": 1.5 }),
+        text,
+      ];
+    });
+    byId("space-axes").replaceChildren(...axes);
+    if (!ends.length && !marks.childElementCount) return;
+    const scale = (focal * canvas.clientWidth) / canvas.width,
+      drawn = [];
+    const seen = ends.map(({ place }) => {
+      const ray = place.map((v, k) => v - basis.o[k]),
+        [x, y, z] = [basis.r, basis.d, basis.f].map((a) => a[0] * ray[0] + a[1] * ray[1] + a[2] * ray[2]);
+      return z > near
+        ? [0.5 * canvas.clientWidth + (scale * x) / z, 0.5 * canvas.clientHeight + (scale * y) / z]
+        : null;
+    });
+    if (seen.length === 2 && seen[0] && seen[1]) {
+      const [[x1, y1], [x2, y2]] = seen;
+      const dashes = { stroke: "#ffd34d", "stroke-width": 2, "stroke-dasharray": "5 4" };
+      drawn.push(element("line", { x1, y1, x2, y2, ...dashes }));
+    }
+    for (const pixel of seen.filter(Boolean))
+      drawn.push(
+        element("circle", { cx: pixel[0], cy: pixel[1], r: 4.5, fill: "#ffd34d", stroke: "#14191d" }),
+      );
+    marks.replaceChildren(...drawn);
+  }
+  function showCamera(k) {
+    const label = byId("camera-name");
+    if (label)
+      label.textContent = k < 0 ? "" : `${k + 1} of ${data.cameras.names.length}: ${data.cameras.names[k]}`;
+    if (!byId("camera-picture")) return;
+    byId("camera-picture").hidden = k < 0 || !data.cameras.pictures[k];
+    if (!byId("camera-picture").hidden) {
+      byId("camera-picture").src = data.cameras.pictures[k];
+      byId("camera-picture").alt = `The picture of ${data.cameras.names[k]}`;
+    }
+  }
+  return { mark, measureAt, isMeasuring, setMeasuring, showCamera };
+}

@@ -1,0 +1,92 @@
+"""A reconstruction as layers of a 3D view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from epipole.report.markup import count, number
+from epipole.report.space_scene import (
+    CameraLayer,
+    LoadPicture,
+    PointLayer,
+    PointMeasure,
+    SpaceScene,
+)
+from epipole.scene import Curve, Extent, Reconstruction, extent_of
+from epipole.scene.point_accuracy import covariances_of_points, pixel_noise
+
+MAX_POINTS = 40_000
+"""Of a report."""
+_RADIUS_PERCENT = 95.0
+
+
+def stage_of(reconstruction: Reconstruction) -> Extent:
+    """The bulk of the points and the bulk of the cameras."""
+    points, centers = reconstruction.points.xyz_in_world, reconstruction.camera_centers_in_world()
+    return extent_of(points, centers, _RADIUS_PERCENT)
+
+
+def scene_of_model(
+    model: Reconstruction,
+    *,
+    title: str,
+    unit: str,
+    cameras: str = "Cameras",
+    curves: Sequence[Curve] = (),
+    load_picture: LoadPicture | None = None,
+) -> SpaceScene:
+    """Points with their errors, cameras and lines.
+
+    Args:
+        model: upright, +z is up.
+        title: of the view.
+        unit: of its lengths; empty: up to scale.
+        cameras: what the cameras are called.
+        curves: lines with pieces.
+        load_picture: of an image's name.
+    """
+    num_placed = int(model.is_registered().sum())
+    words = f"{num_placed} of {len(model.images)} pictures placed, {count(len(model.points))} points"
+    return SpaceScene(
+        title=title,
+        words=words,
+        unit=unit,
+        points=(points_of_model(model),),
+        cameras=cameras_of_model(model, cameras, load_picture),
+        curves=tuple(curve for curve in curves if len(curve.segments_in_world)),
+    )
+
+
+def points_of_model(model: Reconstruction) -> PointLayer:
+    """The points, with reprojection errors, numbers of pictures that see each, and covariances."""
+    noise = pixel_noise(model)
+    known = np.isfinite(noise)
+    return PointLayer(
+        "Points",
+        model.points.xyz_in_world,
+        model.points.rgb,
+        (
+            PointMeasure("error", model.points.error_px, "px"),
+            PointMeasure(
+                "pictures that see it", np.diff(model.tracks.offsets).astype(float), "", is_at_least=True
+            ),
+        ),
+        covariances_of_points(model, noise) if known else None,
+        f"pixels off by {number(noise)} px, cameras taken as right" if known else "",
+    )
+
+
+def cameras_of_model(model: Reconstruction, name: str, load_picture: LoadPicture | None) -> CameraLayer:
+    """The placed cameras, without distortion."""
+    images = np.flatnonzero(model.is_registered())
+    cameras = [model.cameras[int(c)] for c in model.camera_of_image[images]]
+    return CameraLayer(
+        name,
+        tuple(str(model.images.name[k]) for k in images),
+        model.cams_from_world()[images],
+        np.array([camera.K for camera in cameras]).reshape(-1, 3, 3),
+        np.array([[camera.width, camera.height] for camera in cameras], np.int64).reshape(-1, 2),
+        load_picture,
+    )

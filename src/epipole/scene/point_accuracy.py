@@ -1,0 +1,47 @@
+"""How far each point of a model may be off, from its own pixels alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole._declared import checked
+from epipole.robust.triangulate import covariances_of_information
+from epipole.scene.reconstruction import Reconstruction
+
+_MEDIAN_OF_RAYLEIGH = 1.1774100225154747
+"""Median length of a 2D Gaussian error, in its standard deviations: sqrt(2 log 2)."""
+
+
+@checked
+def pixel_noise(model: Reconstruction) -> float:
+    """The standard deviation of a keypoint's coordinate in pixels, from the median reprojection error; NaN without one."""
+    errors = model.reprojection_errors_px()
+    errors = errors[np.isfinite(errors)]
+    return float(np.median(errors)) / _MEDIAN_OF_RAYLEIGH if len(errors) else float("nan")
+
+
+@checked
+def covariances_of_points(model: Reconstruction, noise_px: float) -> Float64[np.ndarray, "n 3 3"]:
+    """First-order covariances sigma^2 (sum over the track of J^T J)^-1 with the cameras taken as exact (HZ section 5.2).
+
+    Args:
+        model: its tracks say which pictures see a point.
+        noise_px: standard deviation of a pixel's coordinate.
+
+    Returns:
+        In the world's unit squared; infinite where the views leave a point undetermined.
+    """
+    information = np.zeros((len(model.points), 3, 3))
+    point_of_observation = np.repeat(np.arange(len(model.points)), np.diff(model.tracks.offsets))
+    order = np.argsort(model.tracks.image, kind="stable")
+    starts = np.searchsorted(model.tracks.image[order], np.arange(len(model.images) + 1))
+    cams_from_world = model.cams_from_world()
+    for image in np.flatnonzero(model.is_registered()):
+        seen = point_of_observation[order[starts[image] : starts[image + 1]]]
+        camera, pose = model.cameras[int(model.camera_of_image[image])], cams_from_world[image]
+        _, jacobian, _ = camera.project_with_jacobian(pose.apply(model.points.xyz_in_world[seen]))
+        rows = jacobian @ pose.rotation
+        # A picture may see a point by two keypoints.
+        np.add.at(information, seen, np.swapaxes(rows, 1, 2) @ rows)
+    return covariances_of_information(information, noise_px)

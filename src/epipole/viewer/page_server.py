@@ -1,0 +1,95 @@
+"""A small server of pages that are held in memory: it reads no file, and answers its own pages alone."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from email.message import Message
+from functools import partial
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from epipole.errors import ConfigError
+from epipole.viewer.allowed import is_allowed
+from epipole.viewer.ports import is_local
+
+HTML, BYTES, JPEG = "text/html; charset=utf-8", "application/octet-stream", "image/jpeg"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Served:
+    """What is at an address."""
+
+    kind: str
+    """Its media type."""
+    make: Callable[[Message], bytes | None]
+    """The bytes, or None where there are none after all; it gets the request's headers."""
+
+
+def fixed(kind: str, data: bytes) -> Served:
+    """The same bytes for every request."""
+    return Served(kind, lambda _: data)
+
+
+class PageServer:
+    """Pages by their addresses, in threads of their own until it is stopped."""
+
+    def __init__(self, pages: Mapping[str, Served], host: str, port: int) -> None:
+        """Listen.
+
+        Args:
+            pages: by address, without the first slash; "" is the first page.
+            host: the address to listen on.
+            port: as `port_for` chose it.
+
+        Raises:
+            ConfigError: somebody took the port in between.
+        """
+        pages = {"favicon.ico": fixed("image/x-icon", b""), **pages}  # browsers ask for it
+        try:
+            self.http = ThreadingHTTPServer((host, port), partial(_Answer, pages, is_local(host)))
+        except OSError as error:
+            raise ConfigError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from error
+        self.http.daemon_threads = True
+        self.port = int(self.http.server_address[1])
+        self.stopped = threading.Event()
+        self.thread = threading.Thread(target=self.http.serve_forever, name="epipole-pages", daemon=True)
+        self.thread.start()
+
+    def stop(self) -> None:
+        """Close the server; again does nothing."""
+        if not self.stopped.is_set():
+            self.stopped.set()
+            self.http.shutdown()
+            self.http.server_close()
+
+
+class _Answer(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    timeout = 60
+
+    def __init__(self, pages: Mapping[str, Served], local: bool, *args: object) -> None:
+        self.pages, self.local = pages, local
+        super().__init__(*args)  # type: ignore[arg-type]
+
+    def do_GET(self) -> None:
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        if not is_allowed(hosts, origins, is_local=self.local):
+            self.send_error(HTTPStatus.FORBIDDEN, "This viewer answers its own page alone")
+            return
+        served = self.pages.get(self.path.partition("?")[0].removeprefix("/"))
+        data = served.make(self.headers) if served is not None else None
+        if served is None or data is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        self.send_response(HTTPStatus.OK)
+        self.send_header("Content-Type", served.kind)
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing of what is asked for."""

@@ -1,0 +1,74 @@
+"""A page that is one 3D view: a file of its own, or one whose bytes a server has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from epipole.report.frame import render
+from epipole.report.space import SpaceData, of_all, pictures_inside, space_data
+from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+
+PICTURE_ADDRESS = "picture/"
+"""Of a served page: the number of the camera follows."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePage:
+    """A scene in one file."""
+
+    html: str
+    """The whole page; it loads nothing."""
+    shown: str
+    """What it shows, and of how much, in words."""
+
+
+def scene_page(scene: SpaceScene, most: int) -> ScenePage:
+    """A scene with everything inside it; of points, and of Gaussians, at most so many."""
+    data = space_data(scene, most, most)
+    if scene.cameras is not None:
+        inside = pictures_inside(scene.cameras)
+        data.numbers["cameras"]["pictures"] = inside if any(inside) else None
+    words = _with_what_is_left_out(scene, data)
+    return ScenePage(_html(scene, data, words, data.blocks), words)
+
+
+def served_page(scene: SpaceScene) -> tuple[str, SpaceData]:
+    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `picture/NUMBER`."""
+    data = space_data(scene)
+    if scene.cameras is not None and scene.cameras.load_picture is not None:
+        data.numbers["cameras"]["pictures"] = [
+            f"{PICTURE_ADDRESS}{k}" for k in range(len(scene.cameras.names))
+        ]
+    return _html(scene, data, scene.words, {}, served=True), data
+
+
+def _html(scene: SpaceScene, data: SpaceData, words: str, blocks: dict[str, bytes], **flags: bool) -> str:
+    return render(
+        __package__,
+        "scene.html.jinja",
+        title=scene.title,
+        words=words,
+        lengths=lengths_in_words(scene.unit),
+        data=data,
+        blocks=blocks,
+        **flags,
+    )
+
+
+def lengths_in_words(unit: str) -> str:
+    """What lengths are told in."""
+    if unit == NO_UNIT:
+        return "Lengths are known up to scale"
+    return f"Lengths are in {'metres' if unit == METRES else unit}"
+
+
+def _with_what_is_left_out(scene: SpaceScene, data: SpaceData) -> str:
+    left = [
+        f"{of_all(layer['count'], layer['whole'])} {layer['name'].lower()}"
+        for layer in data.numbers["points"]
+        if layer["count"] < layer["whole"]
+    ]
+    gaussians = data.numbers["gaussians"]
+    if gaussians is not None and gaussians["count"] < gaussians["whole"]:
+        left.append(f"the most visible {of_all(gaussians['count'], gaussians['whole'])} Gaussians")
+    return f"{scene.words}; here {', '.join(left)}" if left else scene.words

@@ -1,0 +1,199 @@
+"""Hands on the viewer's controls: layers, limits, section, distances with their errors, cameras, pictures."""
+
+import io
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
+from test_viewer_kinds import Opened, workspace
+from viewer_scenes import free_port, three_cameras
+
+from epipole import api
+from epipole.report.space_model import points_of_model, scene_of_model
+from epipole.report.space_scene import PointLayer, SpaceScene
+from epipole.scene.point_accuracy import covariances_of_points
+from epipole.viewer import view_scene
+from epipole.viewer.scene_page import scene_page
+
+RGB = np.full((2, 3), 255, np.uint8)
+
+
+@pytest.fixture
+def tab(browser: Any, tmp_path: Path) -> Iterator[Opened]:
+    """A workspace of two cameras and forty points in a row."""
+    handle = api.view(workspace(tmp_path), port=free_port(), block=False)
+    opened = Opened(browser, handle.url)
+    yield opened
+    opened.close()
+    handle.stop()
+
+
+def lit(drawn: np.ndarray) -> int:
+    return int((np.abs(drawn - drawn[5, 5]).max(axis=2) > 20).sum())
+
+
+def set_slider(tab: Opened, selector: str, value: float) -> None:
+    tab.page.locator(selector).evaluate(
+        "(input, value) => { input.value = value; input.dispatchEvent(new Event('input')); }", value
+    )
+
+
+def pixel_of(tab: Opened, place: np.ndarray) -> tuple[float, float]:
+    """Of the page, where a place of the scene is seen."""
+    x, y = tab.page.evaluate(
+        """place => space.then(({ view }) => { const c = document.getElementById("space"),
+        b = view.basis(), r = place.map((v, k) => v - b.o[k]), on = a => a[0] * r[0] + a[1] * r[1] + a[2] * r[2],
+        f = view.focal() * c.clientWidth / c.width, box = c.getBoundingClientRect();
+        return [box.left + c.clientWidth / 2 + f * on(b.r) / on(b.f), box.top + c.clientHeight / 2 + f * on(b.d) / on(b.f)]; })""",
+        place.tolist(),
+    )
+    return x, y
+
+
+def test_layers_limits_and_sections_take_away_what_they_say(tab: Opened) -> None:
+    everything = lit(tab.drawn())
+    tab.page.click("summary:has-text('Layers')")
+    tab.page.click("[data-layer=cameras].show-layer")
+    points = lit(tab.drawn())
+    assert 0 < points < everything
+    set_slider(tab, ".point-limit[data-measure='0']", 500)
+    fewer = lit(tab.drawn())
+    assert 0.3 * points < fewer < 0.7 * points
+    assert (
+        tab.page.locator(".point-limit + output").first.inner_text() == "0.598 px"
+    )  # of 0.2 to 0.996, the 99.5th percentile
+    set_slider(tab, ".point-limit[data-measure='0']", 1000)
+    set_slider(tab, ".section-side[data-axis='0'][data-side='high']", 500)
+    halved = lit(tab.drawn())
+    assert 0.2 * points < halved < 0.8 * points
+    tab.page.locator("#whole-section").evaluate("b => b.click()")
+    assert lit(tab.drawn()) == points
+    tab.page.select_option("#point-colour", "1")
+    assert np.ptp(tab.drawn().reshape(-1, 3), axis=0).max() > 150  # a colour for each error
+    tab.page.click("[data-layer='points-0']")
+    assert lit(tab.drawn()) == 0
+
+
+def test_a_camera_is_looked_through_and_its_picture_shown(tab: Opened) -> None:
+    tab.page.click("#next-camera")
+    tab.page.wait_for_selector("#camera-picture:not([hidden])")
+    assert tab.page.inner_text("#camera-name") == "1 of 2: a.jpg"
+    eye = tab.page.evaluate("space.then(s => s.view.basis())")
+    origin = tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
+    np.testing.assert_allclose(np.array(eye["o"]) + origin, [0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(eye["f"], [0, 1, 0], atol=1e-6)
+    before = tab.drawn()
+    set_slider(tab, "#picture-opacity", 1.0)
+    assert np.abs(tab.drawn() - before).mean() > 20
+    tab.page.click("#reset-view")
+    tab.settle()
+    assert tab.page.inner_text("#camera-name") == ""
+
+
+def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
+    """Clicked in the browser; by the same covariances as the library's."""
+    base = three_cameras(2)
+    noisy = replace(
+        base, images=replace(base.images, keypoints_px=np.array([[20.0, 20], [40, 20], [8, 20], [28, 20]]))
+    )
+    layer = points_of_model(noisy)
+    assert layer.covariances is not None
+    handle = view_scene(scene_of_model(noisy, title="two", unit="m"), port=free_port(), block=False)
+    tab = Opened(browser, handle.url)
+    origin = np.array(
+        tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
+    )
+    tab.page.click("#measure")
+    for place in base.points.xyz_in_world:
+        tab.page.mouse.click(*pixel_of(tab, place - origin))
+    told = tab.page.locator("#measured")
+    length = np.linalg.norm(np.diff(base.points.xyz_in_world, axis=0))
+    along = np.diff(base.points.xyz_in_world, axis=0)[0] / length
+    sigma = np.sqrt(along @ layer.covariances.sum(axis=0) @ along)
+    assert float(told.get_attribute("data-length")) == pytest.approx(length, rel=1e-6)
+    assert float(told.get_attribute("data-sigma")) == pytest.approx(sigma, rel=1e-5)
+    assert told.inner_text().startswith("3 ± ") and " m, one standard deviation" in told.inner_text()
+    tab.page.keyboard.press("Escape")
+    tab.close()
+    handle.stop()
+
+
+def test_the_deviation_holds_over_many_draws(rng: np.random.Generator) -> None:
+    """First order against a thousand triangulations of noisy pixels."""
+    model, noise = three_cameras(2), 0.05
+    covariances = covariances_of_points(model, noise)
+    # Two cameras at x = 0 and 1, f = 50, depth 4: the disparity's deviation is sqrt(2) noise.
+    pixels = 50.0 * model.points.xyz_in_world[:, 0] / 4.0
+    left = pixels + noise * rng.normal(size=(20000, 2))
+    right = pixels - 50.0 / 4.0 + noise * rng.normal(size=(20000, 2))
+    depth = 50.0 / (left - right)
+    across = left * depth / 50.0
+    lengths = np.hypot(np.diff(across, axis=1), np.diff(depth, axis=1))[:, 0]
+    along = np.array([1.0, 0.0, 0.0])
+    assert lengths.std() == pytest.approx(np.sqrt(along @ covariances.sum(axis=0) @ along), rel=0.05)
+
+
+@pytest.mark.parametrize(("unit", "words"), [("", "10, up to scale"), ("m", "10 m;")])
+def test_a_distance_says_what_it_does_not_know(unit: str, words: str, browser: Any, tmp_path: Path) -> None:
+    xyz = np.array([[0.0, 0, 0], [10, 0, 0]])
+    page = tmp_path / "page.html"
+    scene = SpaceScene("two", "two points", unit, (PointLayer("Points", xyz, RGB),))
+    page.write_text(scene_page(scene, 10).html, encoding="utf-8")
+    tab = Opened(browser, page.as_uri(), 390, 844)
+    origin = np.array(
+        tab.page.evaluate("JSON.parse(document.getElementById('space-data').textContent).origin")
+    )
+    tab.page.locator("#measure").press("Enter")
+    for place in xyz:
+        tab.page.mouse.click(*pixel_of(tab, place - origin))
+    text = tab.page.inner_text("#measured")
+    assert text.startswith(words) and "how exact is not known" in text
+    assert tab.page.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.close()
+
+
+def test_the_picture_is_saved_under_a_safe_name(browser: Any, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    xyz = np.array([[0.0, 0, 0], [10, 0, 0]])
+    scene = SpaceScene("../a b<script>", "two points", "", (PointLayer("Points", xyz, RGB),))
+    page.write_text(scene_page(scene, 10).html, encoding="utf-8")
+    tab = Opened(browser, page.as_uri())
+    with tab.page.expect_download() as told:
+        tab.page.click("#save-picture")
+    assert told.value.suggested_filename == "a_b_script_.png"
+    saved = Image.open(io.BytesIO(Path(told.value.path()).read_bytes()))
+    size = tab.page.evaluate(
+        "[document.getElementById('space').width, document.getElementById('space').height]"
+    )
+    assert list(saved.size) == size and lit(np.asarray(saved.convert("RGB")).astype(float)) > 0
+    tab.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_barrier_is_known_to_axe(scheme: str, browser: Any, tmp_path: Path) -> None:
+    page = api.share(workspace(tmp_path), tmp_path / "page.html")
+    tab = Opened(browser, page.file.as_uri())
+    tab.page.emulate_media(color_scheme=scheme)
+    tab.page.click("summary:has-text('Layers')")
+    tab.page.click("#measure")
+    wanted = {"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}
+    found = Axe().run(tab.page, options=wanted)
+    assert found.violations_count == 0, found.generate_report()
+    tab.close()
+
+
+def test_keys_turn_and_measure(tab: Opened) -> None:
+    tab.page.focus("#space")
+    before = tab.page.evaluate("space.then(s => s.view.eye().yaw)")
+    tab.page.keyboard.press("ArrowLeft")
+    assert tab.page.evaluate("space.then(s => s.view.eye().yaw)") != before
+    tab.page.focus("#measure")
+    tab.page.keyboard.press("Space")
+    tab.page.focus("#space")
+    tab.page.keyboard.press("Enter")
+    assert tab.page.inner_text("#measured") != ""
