@@ -1,0 +1,48 @@
+"""Adds the generated pages to the site; `+name` in the navigation of mkdocs.yml stands for all pages of a folder."""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+from typing import Any
+
+from api_pages import api_pages
+from benchmark_pages import benchmark_pages
+from command_pages import command_pages
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from tutorial_pages import tutorial_pages
+
+
+def generated() -> dict[str, str]:
+    """Markdown of all generated pages by path, in the order of the navigation."""
+    return {**tutorial_pages(), **command_pages(), **api_pages(), **benchmark_pages()}
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Make the pages, and put them in the places of the navigation that ask for them."""
+    config.extra["generated"] = generated()
+    config.nav = _filled(config.nav, list(config.extra["generated"]))
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages to those on disk."""
+    for path, text in config.extra.pop("generated").items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def _filled(entries: Any, pages: list[str]) -> list[Any]:
+    """Navigation with `+name` replaced; a section without pages is left out."""
+    found: list[Any] = []
+    for entry in entries:
+        if isinstance(entry, str) and entry.startswith("+"):
+            found += [path for path in pages if PurePosixPath(path).parent.name == entry[1:]]
+        elif isinstance(entry, dict):
+            title, value = next(iter(entry.items()))
+            below = _filled(value, pages) if isinstance(value, list) else value
+            if below:
+                found.append({title: below})
+        else:
+            found.append(entry)
+    return found
