@@ -4,9 +4,9 @@ from pathlib import Path
 
 import jaxtyping
 import pytest
+from docs_setups import photographs
 
 import epipole
-from docs_setups import photographs
 
 
 @pytest.fixture(scope="session")

@@ -118,6 +118,21 @@ def ride(_: Path) -> dict[str, Any]:
     return {"lens": lens, "pictures": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
 
 
+def ride_folder(folder: Path, count: int) -> None:
+    """The same in the form of KITTI: pairs of grey pictures and calib.txt."""
+    lens = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
+    for side, offset in (("image_0", 0.0), ("image_1", 0.12)):
+        (folder / side).mkdir(parents=True)
+        for n in range(count):
+            at = np.array([0.03 * n + offset, -4.0, 1.4])
+            picture = render(courtyard(), lens, look_at(at, at + np.array([0.0, 4.4, -0.8])))
+            grey = cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY)
+            cv2.imwrite(str(folder / side / f"{n:06d}.png"), grey)
+    rows = [[260, 0, 159.5, x, 0, 260, 119.5, 0, 0, 0, 1, 0] for x in (0.0, -260 * 0.12)]
+    text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    (folder / "calib.txt").write_text(text)
+
+
 def known_points(_: Path) -> dict[str, Any]:
     problem = absolute_pose_problem(100, outlier_ratio=0.2, noise_px=0.5)
     return {name: getattr(problem, name) for name in ("points_in_world", "pixels", "camera")}

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from docs_pages import PAGES, blocks_of
 from docs_setups import IN_PLACE, PREPARED, two_views, usual
+
 from epipole import api
 
 WITH_CODE = [name for name, path in PAGES.items() if blocks_of(path, "python", "py")]
@@ -20,7 +20,7 @@ def names_for(page: str, folder: Path, reconstructed: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("page", WITH_CODE)
 def test_python_of_the_pages_runs(
-    page: str, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: str, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unchecked: None
 ) -> None:
     opened: list[Any] = []
     real = api.view
