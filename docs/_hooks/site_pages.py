@@ -1,8 +1,11 @@
-"""Adds the generated pages to the site; `+name` in the navigation of mkdocs.yml stands for all pages of a folder."""
+"""Adds the generated pages to the site, and fills the navigation of mkdocs.yml.
+
+There `+name` stands for all generated pages of a folder, and `?page.md` is left out while there is no such page.
+"""
 
 from __future__ import annotations
 
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from api_pages import api_pages
@@ -21,7 +24,7 @@ def generated() -> dict[str, str]:
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Make the pages, and put them in the places of the navigation that ask for them."""
     config.extra["generated"] = generated()
-    config.nav = _filled(config.nav, list(config.extra["generated"]))
+    config.nav = _filled(config.nav, list(config.extra["generated"]), Path(config.docs_dir))
     return config
 
 
@@ -32,17 +35,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def _filled(entries: Any, pages: list[str]) -> list[Any]:
-    """Navigation with `+name` replaced; a section without pages is left out."""
+def _filled(entries: Any, pages: list[str], docs: Path) -> list[Any]:
+    """Navigation with all marks replaced; a section without pages is left out."""
     found: list[Any] = []
     for entry in entries:
-        if isinstance(entry, str) and entry.startswith("+"):
-            found += [path for path in pages if PurePosixPath(path).parent.name == entry[1:]]
-        elif isinstance(entry, dict):
-            title, value = next(iter(entry.items()))
-            below = _filled(value, pages) if isinstance(value, list) else value
-            if below:
-                found.append({title: below})
-        else:
-            found.append(entry)
+        title, value = next(iter(entry.items())) if isinstance(entry, dict) else (None, entry)
+        if isinstance(value, list):
+            value = _filled(value, pages, docs)
+        elif value.startswith("+"):
+            found += [path for path in pages if PurePosixPath(path).parent.name == value[1:]]
+            continue
+        elif value.startswith("?"):
+            value = value[1:] if (docs / value[1:]).is_file() else None
+        if value:
+            found.append({title: value} if title else value)
     return found

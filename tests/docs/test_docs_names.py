@@ -9,8 +9,10 @@ from epipole import geometry, robust, solvers
 
 
 def test_functions_named_in_the_pages_exist() -> None:
-    assert len(PAGES) >= 7
-    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES.values())
+    ours = [
+        page for name, page in PAGES.items() if not name.startswith("coming_from/")
+    ]  # these name others' functions
+    text = "\n".join(page.read_text(encoding="utf-8") for page in ours)
     names = set(
         re.findall(
             r"`(?:epipole\.\w+\.)?((?:estimate|solve|triangulate|decompose|rectifying|verify)_\w+)`", text
