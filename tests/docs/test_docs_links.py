@@ -51,3 +51,18 @@ def test_pages_link_to_nothing_outside_of_the_site() -> None:
         if not (page.parent / link.partition("#")[0]).resolve().is_relative_to(ROOT / "docs")
     ]
     assert not wrong
+
+
+def test_lists_and_tables_are_seen_as_such() -> None:
+    """The site's Markdown wants an empty line before a list, and four spaces before a table inside of one; GitHub does not mind."""
+    wrong = []
+    for name, page in {**PAGES, "benchmarks": ROOT / "benchmarks" / "README.md"}.items():
+        lines = re.sub(
+            r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL
+        )
+        wrong += [
+            f"{name}: {found[0].strip()}"
+            for found in re.finditer(r"^(?![-|\s]).*\n- .*", lines, re.MULTILINE)
+        ]
+        wrong += [f"{name}: {found[0].strip()}" for found in re.finditer(r"^ {1,3}\|.*", lines, re.MULTILINE)]
+    assert not wrong
