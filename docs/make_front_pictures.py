@@ -28,7 +28,7 @@ PICTURES = Path(__file__).with_name("pictures")
 DATA = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 FOUNTAIN = {"camera_model": "PINHOLE", "camera_params": "1379.74,1382.08,760.345,503.405"}
 HELD_OUT = "0005.jpg"
-WIDTH, HEIGHT = 640, 260
+WIDTH, HEIGHT = 640, 300
 FINER = 3
 """Drawn so many times larger, and made smaller: smooth edges."""
 BACK, CAMERAS = (24, 20, 17), (60, 80, 230)
@@ -41,6 +41,19 @@ class View:
         """An empty picture seen from there."""
         self.image = np.full((FINER * HEIGHT, FINER * WIDTH, 3), BACK, np.uint8)
         self.cam_from_world, self.focal_px = cam_from_world, FINER * focal_px
+
+    @staticmethod
+    def around(points_in_world: np.ndarray, toward_eye: np.ndarray, up: np.ndarray, focal_px: float) -> View:
+        """From that side, as near as all these points allow."""
+        low, high = points_in_world.min(axis=0), points_in_world.max(axis=0)
+        middle, direction = (low + high) / 2, toward_eye / np.linalg.norm(toward_eye)
+        distance = 0.2 * float(np.linalg.norm(high - low))
+        while True:
+            view = View(look_at(middle + distance * direction, middle, up), focal_px)
+            at, depth = view.pixels(points_in_world)
+            if (depth > 0).all() and (at >= 0).all() and (at < (FINER * WIDTH, FINER * HEIGHT)).all():
+                return view
+            distance *= 1.02
 
     def pixels(self, points_in_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (n, 2) as whole numbers, and depths."""
@@ -101,16 +114,16 @@ def model(work: Path) -> None:
     cams_from_world, points = found.cams_from_world(), found.points
     centers = cams_from_world.centers()
     middle = np.median(points.xyz_in_world, axis=0)
-    up = -cams_from_world.rotation[:, 1].mean(axis=0)
-    back = centers.mean(axis=0) - middle
-    side = np.cross(up, back)
-    eye = middle + 1.35 * back + 0.45 * side + 0.55 * np.linalg.norm(back) * up
-    view = View(look_at(eye, middle + 0.28 * back, up), 560)
-    near = np.linalg.norm(points.xyz_in_world - middle, axis=1) < 1.6 * np.linalg.norm(back)
-    view.points(points.xyz_in_world[near], points.rgb[near], 3)
+    up, back = -cams_from_world.rotation[:, 1].mean(axis=0), centers.mean(axis=0) - middle
+    reach = float(np.linalg.norm(back))
+    near = np.linalg.norm(points.xyz_in_world - middle, axis=1) < 1.1 * reach
+    side = np.cross(up, back) / np.linalg.norm(up)
+    shown = np.vstack([middle + 0.4 * (points.xyz_in_world[near] - middle), centers])
+    view = View.around(shown, back + 0.8 * side + 0.7 * reach * up, up, 700)
+    view.points(points.xyz_in_world[near], points.rgb[near], 4)
     for image in range(len(found.images)):
         camera = found.cameras[int(found.camera_of_image[image])]
-        view.frustum(camera, cams_from_world[image], 0.09 * float(np.linalg.norm(back)))
+        view.frustum(camera, cams_from_world[image], 0.12 * reach)
     save("model", view.small())
 
 
@@ -129,15 +142,14 @@ def slam(work: Path) -> None:
     epipole.slam(DATA / "slam/7scenes", work / "slam")
     path = read_trajectory(work / "slam/trajectory.txt").world_from_body
     points = read_colmap_model(work / "slam/sparse/0").points
-    middle = np.median(points.xyz_in_world, axis=0)
-    places = path.translation
-    up = -path.rotation[:, :, 1].mean(axis=0)
-    back = places.mean(axis=0) - middle
-    back -= (back @ up) * up / (up @ up)
-    reach = float(np.linalg.norm(back))
-    eye = middle + 2.0 * back + 1.5 * reach * up / np.linalg.norm(up)
-    view = View(look_at(eye, middle + 0.5 * back, up), 520)
-    view.points(points.xyz_in_world, points.rgb, 3)
+    middle, places = np.median(points.xyz_in_world, axis=0), path.translation
+    up, back = -path.rotation[:, :, 1].mean(axis=0), places.mean(axis=0) - middle
+    distances = np.linalg.norm(points.xyz_in_world - middle, axis=1)
+    near = distances < np.percentile(distances, 75)
+    view = View.around(
+        np.vstack([points.xyz_in_world[near], places]), back + 1.2 * np.linalg.norm(back) * up, up, 900
+    )
+    view.points(points.xyz_in_world, points.rgb, 4)
     colors = color_map(np.arange(len(places), dtype=float))
     for n in range(len(places) - 1):
         view.path(places[n : n + 2], tuple(int(c) for c in colors[n][::-1]), 6)
