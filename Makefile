@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 # Kernels are compiled once, for both workers of the tests.
 WARM_UP := $(BIN)/python -c 'from epipole.pipelines.sfm.warm_up import warm_up; warm_up()'
 
-.PHONY: demo test test-numba fuzz clean
+.PHONY: demo test docs test-numba fuzz clean
 
 demo: $(STAMP)
 	$(BIN)/epipole demo
@@ -17,7 +17,12 @@ test: $(STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports
 	$(BIN)/mypy & types=$$!; $(WARM_UP) && wait $$types
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The pages under docs/, the command line, the API and the benchmarks as a site in build/site, which opens from disk.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 # Kernels on the oldest Numba that is allowed and on the newest there is, each in an environment of its own.
 NUMBA_TESTS := tests/test_jit.py tests/test_kernel_modes.py tests/test_simd.py tests/robust tests/optim

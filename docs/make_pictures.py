@@ -264,9 +264,67 @@ def stereo_range() -> None:
     curve("stereo_range", middles, series, ("depth, m", "error of depth, m"))
 
 
+def conventions() -> None:
+    """The camera's axes, a corner of the pixel grid in both ways of counting, and the names of motions."""
+    parts: list[str] = []
+
+    def line(a: tuple[float, float], b: tuple[float, float], color: str = "#444", more: str = "") -> None:
+        ends = f'x1="{a[0]}" y1="{a[1]}" x2="{b[0]}" y2="{b[1]}"'
+        parts.append(f'<line {ends} stroke="{color}" stroke-width="1.6" {more}/>')
+
+    def word(x: float, y: float, text: str, color: str = "#333", more: str = "") -> None:
+        parts.append(f'<text x="{x}" y="{y}" fill="{color}" {more}>{text}</text>')
+
+    arrow = 'marker-end="url(#tip)"'
+    red, green, blue = "#b3261e", "#2e7d32", "#1f5fa8"
+    # the camera: its centre, a picture in front of it, and its axes
+    eye, corners = (70, 200), [(140, 64), (300, 64), (300, 170), (140, 170)]
+    for corner in corners:
+        line(eye, corner, "#aaa")
+    points = " ".join(f"{x},{y}" for x, y in corners)
+    parts.append(f'<polygon points="{points}" fill="#eef2f7" stroke="#666"/>')
+    line(eye, (340, 52), blue, arrow)
+    line(eye, (140, 200), red, arrow)
+    line(eye, (70, 262), green, arrow)
+    word(308, 44, "z forward", blue)
+    word(148, 205, "x right", red)
+    word(78, 262, "y down", green)
+    word(14, 204, "camera")
+    word(252, 186, "picture", "#666")
+    # pixels: whole numbers are centres; COLMAP counts from the corner
+    left, top, side = 420, 74, 62
+    for k in range(4):
+        line((left, top + side * min(k, 3)), (left + 3 * side, top + side * min(k, 3)), "#999")
+        line((left + side * k, top), (left + side * k, top + 3 * side), "#999")
+    for column in range(3):
+        for row in range(3):
+            x, y = left + side * (column + 0.5), top + side * (row + 0.5)
+            parts.append(f'<circle cx="{x}" cy="{y}" r="3" fill="{blue}"/>')
+            word(x, y + 20, f"({column}, {row})", blue, 'text-anchor="middle"')
+    parts.append(f'<circle cx="{left}" cy="{top}" r="4" fill="{red}"/>')
+    word(left - 34, top - 28, "the corner: (-0.5, -0.5) in epipole and OpenCV,", red)
+    word(left - 34, top - 11, "(0, 0) in COLMAP's files", red)
+    word(
+        left - 34,
+        top + 3 * side + 22,
+        "the first pixel's centre: (0, 0) here, (0.5, 0.5) in COLMAP's files",
+        blue,
+    )
+    # motions: names that cancel
+    word(60, 306, "points_in_cam = cam_from_world.apply(points_in_world)", more='class="code"')
+    word(60, 328, "cam2_from_world = cam2_from_cam1 @ cam1_from_world", more='class="code"')
+    style = "text { font: 13px sans-serif } .code { font: 14px monospace }"
+    tip = '<marker id="tip" markerWidth="8" markerHeight="8" refX="6" refY="3" orient="auto"><path d="M0,0 L6,3 L0,6 z" fill="#444"/></marker>'
+    body = "\n".join(parts)
+    title = "<title>The camera's axes, pixel centres and corners, and names of motions</title>"
+    svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 790 345">{title}<style>{style}</style><defs>{tip}</defs>'
+    svg += f'<rect width="790" height="345" fill="white"/>\n{body}\n</svg>\n'
+    (PICTURES / "conventions.svg").write_text(svg, encoding="utf-8")
+
+
 if __name__ == "__main__":
     for draw in (
-        *(homography, fundamental, relative_pose, triangulation, absolute_pose),
+        *(conventions, homography, fundamental, relative_pose, triangulation, absolute_pose),
         *(bundle_adjustment, bundle_growth, stereo, stereo_range),
     ):
         draw()

@@ -47,7 +47,7 @@ class Calibration:
     residuals_px: Float64[np.ndarray, "k 2"]
     """Projected minus found; NaN for views without a place."""
     view_states: tuple[tuple[ViewState, ...], ...]
-    """[camera][view]"""
+    """By `[camera][view]`."""
     uncertainty: Uncertainty
 
     @property
@@ -123,7 +123,7 @@ def calibrate_views(
     corners and views are left out; the rest is fitted by least squares until nothing changes.
 
     Args:
-        views: [camera][instant]; empty where the board was not found.
+        views: By `[camera][instant]`; empty where the board was not found.
         sizes: width and height of each camera's pictures.
         config: options.
 

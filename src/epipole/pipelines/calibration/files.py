@@ -25,7 +25,7 @@ class CalibrationRun:
     check: CrossCheck | None
     verdict: Verdict
     pictures: tuple[tuple[Path, ...], ...]
-    """[camera][view]"""
+    """By `[camera][view]`."""
     problems: dict[str, str]
     """Pictures that could not be read, and why."""
 

@@ -1,7 +1,7 @@
-"""Every Python block of the pages runs, top to bottom, with the files and arrays that it names."""
+"""What the pages' code speaks of: small files in a folder, and arrays."""
 
 import bz2
-import re
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,11 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pytest
 from PIL import Image
 
 from board_pictures import board_pictures
-from epipole import api
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import write_colmap_model, write_g2o
@@ -26,13 +24,7 @@ from epipole.synthetic.stereo_rooms import stereo_room
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "sfm"))
 from photographs import neighbouring_views, render_to
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 SIZE = (320, 240)
-
-
-def blocks_of(page: Path) -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
 def two_views() -> dict[str, Any]:
@@ -126,6 +118,21 @@ def ride(_: Path) -> dict[str, Any]:
     return {"lens": lens, "pictures": [(0.1 * n, *both) for n, both in enumerate(zip(greys, depths))]}
 
 
+def ride_folder(folder: Path, count: int) -> None:
+    """The same in the form of KITTI: pairs of grey pictures and calib.txt."""
+    lens = Camera("PINHOLE", *SIZE, [260.0, 260.0, 159.5, 119.5])
+    for side, offset in (("image_0", 0.0), ("image_1", 0.12)):
+        (folder / side).mkdir(parents=True)
+        for n in range(count):
+            at = np.array([0.03 * n + offset, -4.0, 1.4])
+            picture = render(courtyard(), lens, look_at(at, at + np.array([0.0, 4.4, -0.8])))
+            grey = cv2.cvtColor(picture.rgb, cv2.COLOR_RGB2GRAY)
+            cv2.imwrite(str(folder / side / f"{n:06d}.png"), grey)
+    rows = [[260, 0, 159.5, x, 0, 260, 119.5, 0, 0, 0, 1, 0] for x in (0.0, -260 * 0.12)]
+    text = "".join(f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows))
+    (folder / "calib.txt").write_text(text)
+
+
 def known_points(_: Path) -> dict[str, Any]:
     problem = absolute_pose_problem(100, outlier_ratio=0.2, noise_px=0.5)
     return {name: getattr(problem, name) for name in ("points_in_world", "pixels", "camera")}
@@ -138,12 +145,20 @@ def tracks(_: Path) -> dict[str, Any]:
     return {"cams_from_world": motions, "camera": truth.cameras[0], "pixels": np.stack(pixels)}
 
 
+def usual(folder: Path, reconstructed: Path) -> dict[str, Any]:
+    """For pages without a setup of their own: a reconstruction of IMAGES in OUT, and arrays of two views and of known points."""
+    shutil.copytree(reconstructed, folder, dirs_exist_ok=True)
+    calibration(folder)
+    picture = np.asarray(Image.open(sorted((folder / "IMAGES").iterdir())[0]))
+    return {"picture": picture, **known_points(folder), **two_views()}
+
+
 PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
-    "README": photographs,
     "absolute_pose": known_points,
     "bundle_adjustment": bundle,
     "calibration": board_pictures,
     "cameras": cameras,
+    "conventions": lambda _: {},
     "fields": seen_model,
     "fundamental_matrix": lambda _: two_views(),
     "homography": lambda _: two_views(),
@@ -151,28 +166,10 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pose_graphs": pose_graph,
     "relative_pose": lambda _: two_views(),
     "slam": ride,
-    "scale": lambda folder: {},
+    "scale": lambda _: {},
     "stereo": stereo_pair,
     "triangulation": tracks,
 }
-WITHOUT_CODE = ("index", "promises")
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
-def test_python_of_the_pages_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = []
-    real = api.view
-    monkeypatch.setattr(api, "view", lambda *a, **k: opened.append(real(*a, **k)) or opened[-1])
-    monkeypatch.chdir(tmp_path)
-    names = {} if page.stem in WITHOUT_CODE else PREPARED[page.stem](tmp_path)
-    blocks = blocks_of(page)
-    assert blocks or page.stem in WITHOUT_CODE
-    try:
-        for number, block in enumerate(blocks):
-            exec(compile(block, f"{page.name}, block {number + 1}", "exec"), names)
-    finally:
-        for handle in opened:
-            handle.stop()
-    success = getattr(names.get("found"), "success", True)
-    assert success, names["found"]
-    assert bool(opened) == (page.stem == "README")
+"""By the page's path below docs/ without .md: makes its files in a folder and returns its names."""
+IN_PLACE = ("README", "first_model")
+"""Pages that reconstruct IMAGES into OUT: they run where that has been done, and go on from there."""

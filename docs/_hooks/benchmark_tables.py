@@ -1,0 +1,145 @@
+"""Numbers, tables and standings of the benchmark pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+LEVEL = 0.02
+"""Values that differ by no more than this share of the greater one count as level."""
+OURS = "epipole"
+NOT_COMPARED = {("PoseLib (pose alone)", "all"), ("pycolmap, 20000 points", "seconds")}
+"""Program and measure: it does not do this, or did it for another number of items."""
+Rows = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table: where its value is, its heading, and a factor for its unit."""
+
+    key: str
+    heading: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What programs are compared by."""
+
+    key: str
+    words: str
+    higher_is_better: bool = False
+
+
+def number(value: Any) -> str:
+    """A value as it stands in a table: four digits, and thousands apart."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value.replace("|", "\\|")
+    if isinstance(value, list):
+        return " to ".join(number(part) for part in value)
+    if float(value).is_integer() and abs(value) < 1e15:
+        return f"{int(value):,}"
+    if abs(value) >= 1e7:
+        return f"{value:.3g}"
+    if abs(value) >= 1000:
+        return f"{value:,.0f}"
+    return f"{value:.4g}" if abs(value) >= 1 else f"{value:.3g}"
+
+
+def flat(values: Any, prefix: str = "") -> dict[str, Any]:
+    """Numbers and words of nested dictionaries by their joined keys; long lists are left out."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix} {key}".strip().replace("_", " ")
+        if isinstance(value, Mapping):
+            found |= flat(value, name)
+        elif not isinstance(value, list):
+            found[name] = value
+        elif len(value) <= 3 and all(isinstance(part, int | float) for part in value):
+            found[name] = value or None
+    return found
+
+
+def table(rows: Rows, columns: Sequence[Column] | None = None, first: str = "") -> str:
+    """Markdown of rows by their names; without columns, of all that any row has."""
+    if columns is None:
+        columns = [Column(key, key) for key in dict.fromkeys(key for row in rows.values() for key in row)]
+    used = [c for c in columns if any(row.get(c.key) is not None for row in rows.values())]
+    lines = [
+        f"| {first} | " + " | ".join(c.heading.replace("|", "\\|") for c in used) + " |",
+        "|---|" + "---:|" * len(used),
+    ]
+    lines += [
+        f"| {name} | " + " | ".join(_scaled(row.get(c.key), c) for c in used) + " |"
+        for name, row in rows.items()
+    ]
+    return "\n".join(lines)
+
+
+def _scaled(value: Any, column: Column) -> str:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return number(value * column.factor if is_number and column.factor != 1.0 else value)
+
+
+def standing(rows: Rows, measures: Sequence[Measure], ours: str | None = None) -> str:
+    """Where epipole is better than the others, level with them, or worse, measure by measure; empty where none is there."""
+    mine = ours or next((name for name in rows if name.startswith(OURS)), None)
+    others = [name for name in rows if not name.startswith(OURS)]
+    lines = []
+    for measure in measures:
+        own = None if mine is None else rows[mine].get(measure.key)
+        if own is None:
+            continue
+        places: dict[str, list[str]] = {"better": [], "level": [], "worse": []}
+        for name in others:
+            theirs = rows[name].get(measure.key)
+            if theirs is not None and (name, measure.key) not in NOT_COMPARED:
+                places[_place(own, theirs, measure)].append(name)
+        if any(places.values()):
+            lines.append(f"| {measure.words} | " + " | ".join(", ".join(v) for v in places.values()) + " |")
+    if not lines:
+        return ""
+    return "\n".join([f"| {mine} is | better than | level with | worse than |", "|---|---|---|---|", *lines])
+
+
+def _place(own: float, theirs: float, measure: Measure) -> str:
+    if abs(own - theirs) <= LEVEL * max(abs(own), abs(theirs)):
+        return "level"
+    return "better" if (own > theirs) == measure.higher_is_better else "worse"
+
+
+def medians(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The median of each number over runs, and how many there are."""
+    keys = dict.fromkeys(key for run in runs for key, value in run.items() if isinstance(value, int | float))
+    found = {key: median(run[key] for run in runs if run.get(key) is not None) for key in keys}
+    return {"runs": len(runs), **found}
+
+
+def machine_line(name: str, content: Any) -> str:
+    """From which file, on what machine, with which versions, of which commit."""
+    words = [f"`benchmarks/results/{name}`"]
+    machine = content.get("machine") if isinstance(content, dict) else None
+    if machine:
+        cores = f"{machine['cpus_usable']} processors" if machine.get("cpus_usable") else ""
+        threads = (
+            f"{machine['threads']} thread{'s' * (machine['threads'] > 1)}" if machine.get("threads") else ""
+        )
+        words += [part for part in (machine.get("cpu", ""), cores, threads) if part]
+        words.append(f"Python {machine['python']}")
+        words += [f"{package} {version}" for package, version in machine.get("versions", {}).items()]
+        commit = machine.get("commit") or ""
+        words.append(f"commit {commit[:10]}" + (" with changes" if commit.endswith("+") else ""))
+    peers = {**content.get("versions", {}), **_versions_of_runs(content)} if isinstance(content, dict) else {}
+    words += [f"{peer} {version}" for peer, version in peers.items() if peer != OURS]
+    return "*" + ", ".join(words) + "*"
+
+
+def _versions_of_runs(content: Mapping[str, Any]) -> dict[str, str]:
+    runs = content.get("runs", ())
+    return {run["program"]: run["version"] for run in runs if "program" in run and run.get("version")}

@@ -1,0 +1,52 @@
+"""Adds the generated pages to the site, and fills the navigation of mkdocs.yml.
+
+There `+name` stands for all generated pages of a folder, and `?page.md` is left out while there is no such page.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from api_pages import api_pages
+from benchmark_pages import benchmark_pages
+from command_pages import command_pages
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from tutorial_pages import tutorial_pages
+
+
+def generated() -> dict[str, str]:
+    """Markdown of all generated pages by path, in the order of the navigation."""
+    return {**tutorial_pages(), **command_pages(), **api_pages(), **benchmark_pages()}
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Make the pages, and put them in the places of the navigation that ask for them."""
+    config.extra["generated"] = generated()
+    config.nav = _filled(config.nav, list(config.extra["generated"]), Path(config.docs_dir))
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages to those on disk."""
+    for path, text in config.extra.pop("generated").items():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def _filled(entries: Any, pages: list[str], docs: Path) -> list[Any]:
+    """Navigation with all marks replaced; a section without pages is left out."""
+    found: list[Any] = []
+    for entry in entries:
+        title, value = next(iter(entry.items())) if isinstance(entry, dict) else (None, entry)
+        if isinstance(value, list):
+            value = _filled(value, pages, docs)
+        elif value.startswith("+"):
+            found += [path for path in pages if PurePosixPath(path).parent.name == value[1:]]
+            continue
+        elif value.startswith("?"):
+            value = value[1:] if (docs / value[1:]).is_file() else None
+        if value:
+            found.append({title: value} if title else value)
+    return found
