@@ -55,9 +55,8 @@ right = found_f.inlier_mask
 residuals_px = sampson_error(found_f.model, pixels1, pixels2)
 lines2 = epipolar_lines(found_f.model, pixels1)
 to_line_px = point_line_distance(pixels2, lines2)
-print(
-    f"median residual {np.median(residuals_px[right]):.2f} px, to the line {np.median(to_line_px[right]):.2f} px"
-)
+print(f"median residual {np.median(residuals_px[right]):.2f} px")
+print(f"median distance from the line {np.median(to_line_px[right]):.2f} px")
 assert np.allclose(residuals_px, found_f.residuals_px, rtol=1e-6, atol=1e-9)
 assert (residuals_px <= to_line_px + 1e-9).all() and np.median(residuals_px[right]) < 0.5
 

@@ -45,18 +45,15 @@ assert np.allclose(first.world_from_body.as_matrix(), np.eye(4))
 placed = {n: found for n, found in answers if found.world_from_body is not None}
 assert not any(n in placed for n in covered)
 assert all(n in placed for n in range(0, len(ride), 2) if n not in covered)
-print(
-    f"{len(placed)} of {len(answers)} frames have a place; lost frames: {[n for n, _ in answers if n not in placed]}"
-)
+print(f"{len(placed)} of {len(answers)} frames have a place")
 
 # Each answer says how sure it is: the covariance of (translation, rotation) in the camera's axes, in metres
 # and radians.
 
 last = answers[-1][1]
 sigma = np.sqrt(np.diag(last.covariance))
-print(
-    f"last pose known to {1000 * np.linalg.norm(sigma[:3]):.1f} mm and {np.degrees(np.linalg.norm(sigma[3:])):.3f} degrees"
-)
+place_mm, turn_deg = 1000 * np.linalg.norm(sigma[:3]), np.degrees(np.linalg.norm(sigma[3:]))
+print(f"last pose known to {place_mm:.1f} mm and {turn_deg:.3f} degrees")
 assert 0 < np.linalg.norm(sigma[:3]) < 0.05
 
 # After the last frame the whole map is adjusted. `trajectory` then tells the path as it is known now, which

@@ -65,9 +65,9 @@ assert full.mean() > 0.5 and off < 0.15
 write_gaussian_ply(out / "scene.ply", cloud)
 assert len(read_gaussian_ply(out / "scene.ply")) == n
 epipole.convert(out / "scene.ply", out / "scene.spz")
-print(
-    f"ply {(out / 'scene.ply').stat().st_size / 1e6:.1f} MB, spz {(out / 'scene.spz').stat().st_size / 1e6:.1f} MB"
-)
+ply, spz = ((out / name).stat().st_size for name in ("scene.ply", "scene.spz"))
+print(f"ply {ply / 1e6:.1f} MB, spz {spz / 1e6:.1f} MB")
+assert spz < 0.3 * ply
 
 # The page. It holds the Gaussians themselves, the most visible if there are more than `share_max`.
 
