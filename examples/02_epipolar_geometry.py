@@ -26,7 +26,7 @@ from epipole.synthetic import courtyard, courtyard_views, render
 # epipole.io.photographs.read_grey("one.jpg")`.
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
-cams_from_world = courtyard_views(24)[[8, 10]]
+cams_from_world = courtyard_views(24)[[8, 13]]
 pictures = [
     render(courtyard(), camera, view, noise_sigma=2.0, seed=n).rgb for n, view in enumerate(cams_from_world)
 ]
@@ -48,8 +48,8 @@ found_f = estimate_fundamental_matrix(pixels1, pixels2)
 print("F:", found_f, f"noise {found_f.noise_px:.2f} px")
 assert found_f.success
 
-# Residuals are Sampson distances in pixels: how far a match must move to satisfy the equation. The distance
-# of a pixel from the line of its partner says the same in one picture alone.
+# Residuals are Sampson distances in pixels: how far a match must move to satisfy the equation, to first
+# order. The distance of a pixel from the line of its partner says the same in one picture alone.
 
 right = found_f.inlier_mask
 residuals_px = sampson_error(found_f.model, pixels1, pixels2)

@@ -56,7 +56,8 @@ for baseline in (0.1, 0.2, 0.8):
     assert abs(spread_m[baseline] / stated_m[baseline] - 1.0) < 0.1
     assert abs(by_hand / stated_m[baseline] - 1.0) < 0.02
 
-# Twice the baseline halves the error. Sideways the point is known far better than along the ray.
+# Twice the baseline halves the error. Across the ray the point is known far better than along it, even by the
+# widest pair.
 
 assert abs(stated_m[0.1] / stated_m[0.2] - 2.0) < 0.02
 across, along = np.sqrt(covariance[0, 0, 0]), np.sqrt(covariance[0, 2, 2])

@@ -13,7 +13,7 @@ from epipole.metrics import camera_errors
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.synthetic.problems import bundle_problem
 
-# Twelve pictures of 400 points, taken on a ring of four metres; each point is seen by five neighbours, half a
+# Twelve pictures of 400 points, taken on a ring of radius four; each point is seen by five neighbours, half a
 # pixel wrong. The start has every pose and point moved at random, a focal length that is off, and no
 # distortion. A model of your own is read by `epipole.io.read_colmap_model("OUT/sparse/0")`.
 

@@ -53,8 +53,8 @@ print(f"places off by {1000 * errors.mean_position:.2f} mm, of a path of {size_m
 print(f"rotations off by {errors.mean_rotation_deg:.3f} degrees")
 assert errors.mean_position < 2e-3 * size_m and errors.mean_rotation_deg < 0.1
 
-# The lens was refined with everything else: the EXIF says whole millimetres of a 35 mm film and no
-# distortion.
+# The lens was refined with everything else: EXIF tells the focal length in whole millimetres of a 35 mm
+# camera, and nothing of the distortion.
 
 lens = model.cameras[0]
 print(lens)

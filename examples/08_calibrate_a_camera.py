@@ -19,8 +19,7 @@ from epipole.synthetic.markers import chessboard_sheet
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp())
 
-# A chessboard of 9 x 6 inner corners with squares of 25 mm, and a wide lens with barrel distortion: the
-# truth.
+# A chessboard of 9 x 6 inner corners with squares of 25 mm, and a lens with barrel distortion: the truth.
 
 lens = epipole.Camera("OPENCV", 480, 360, [390.0, 393.0, 236.0, 177.0, -0.25, 0.08, 0.001, -0.0005])
 board = SyntheticScene.of(chessboard_sheet(9, 6, 0.025, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
@@ -38,8 +37,8 @@ for n in range(10):
     picture = render(board, lens, Rigid3(turn, at), noise_sigma=2.0, seed=n)
     Image.fromarray(picture.rgb).save(photographs / f"{n:02d}.jpg", quality=95)
 
-# Corners are found, and lens and views adjusted together, the board being known. The sizes of the board are
-# the only option that must be given: `columns` and `rows` count inner corners.
+# Corners are found, and lens and views adjusted together, the board being known. All that is told is the size
+# of the board: `columns` and `rows` count inner corners, and `square` is in metres.
 
 run = epipole.calibrate(photographs, out / "calibration", columns=9, rows=6, square=0.025)
 found = run.calibration
@@ -73,8 +72,8 @@ assert np.median(apart_px) < 0.3 and apart_px.max() < 1.5
 print(f"root mean square of the residuals: {found.rms_px:.3f} px")
 assert found.rms_px < 0.3
 
-# The calibration is a file that every other job takes: `epipole.reconstruct("IMAGES", "OUT",
-# calibration=FILE)` or `epipole stereo LEFT RIGHT OUT --calibration FILE`.
+# The calibration is a file that `reconstruct`, `slam` and `stereo` take, on the command line as
+# `--calibration FILE`.
 
 again = read_calibration(out / "calibration" / "calibration.json").cameras[0]
 assert np.allclose(again.params, camera.params)

@@ -40,7 +40,7 @@ bar = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]])
 ends_in_world = np.array([[-0.6, 0.1, 0.0], [0.6, 0.1, 0.0]])
 views = np.array([0, 2, 4, 6, 8])
 lens = true.cameras[0]
-clicks = np.stack([lens.project(true.cams_from_world()[int(v)].apply(ends_in_world)) for v in views])
+clicks = np.stack([lens.project(true.cams_from_world()[v].apply(ends_in_world)) for v in views])
 clicks += rng.standard_normal(clicks.shape)
 by_bar = fit_scale_to_object(bar, model.cams_from_world()[views], [lens] * 5, clicks, sigma_px=1.0)
 print("bar:", by_bar)

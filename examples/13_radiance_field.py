@@ -74,7 +74,7 @@ near, far = max(0.0, walls.min(axis=0).max()), walls.max(axis=0).min()
 # interpolated; colours depend on the direction by harmonics of degree one. Density sigma lets exp(-sigma
 # delta) of the light through: alpha = 1 - exp(-sigma delta). What is stored goes through a softplus, shifted
 # by 4.6 so that what is not known lets 99 in 100 through. The pixel is the sum of T alpha c with T the light
-# that is left, and T of the background.
+# that is left, until that is a thousandth, and T of the background.
 
 x, y, z = direction
 basis = np.array([0.28209479, -0.48860251 * y, 0.48860251 * z, -0.48860251 * x])

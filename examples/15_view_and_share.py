@@ -85,4 +85,5 @@ assert smaller.num_bytes < 0.5 * page.num_bytes
 
 handle = epipole.view(out / "scene.ply", block=False)
 print("watch at", handle.url)
+assert handle.url.startswith("http://127.0.0.1:")
 handle.stop()
