@@ -18,7 +18,7 @@ from epipole.synthetic.problems import bundle_problem
 rng = np.random.default_rng(3)
 true = bundle_problem(16, 300, 5, noise_px=0.5, seed=2).truth
 turn = Similarity3.exp([1.0, -2.0, 0.5, 0.3, -0.8, 0.4, 0.0])
-model = true.transformed(Similarity3(np.asarray(1 / 2.5), turn.rotation, turn.translation))
+model = true.transformed(Similarity3(1 / 2.5, turn.rotation, turn.translation))
 print(model)
 
 # A real one: `model = epipole.reconstruct("IMAGES", "OUT").model`; and `epipole.reconstruct("IMAGES", "OUT",
@@ -77,7 +77,7 @@ else:
 
 # The model in metres. Pixels do not change, lengths do: cameras, points, and what is seen between them.
 
-metric = model.transformed(Similarity3(np.asarray(agreed.scale), np.eye(3), np.zeros(3)))
+metric = model.transformed(Similarity3(agreed.scale, np.eye(3), np.zeros(3)))
 way_m = np.linalg.norm(np.diff(metric.camera_centers_in_world(), axis=0), axis=1).sum()
 true_way_m = np.linalg.norm(np.diff(true.camera_centers_in_world(), axis=0), axis=1).sum()
 print(f"the way of the camera: {way_m:.2f} m, in truth {true_way_m:.2f} m")
