@@ -28,7 +28,7 @@ from epipole.report.space_scene import (
 )
 from epipole.scene import Curve, Extent, extent_of, frustum_corners_in_cam, frustum_size
 
-RADIUS_PERCENT = 95.0
+RADIUS_PERCENT = 85.0
 FRUSTUM_SIZES = (0.01, 0.12)
 """Of the radius."""
 FROM_A_CORNER = np.array([-1.68, -2.06, 1.6])

@@ -61,7 +61,7 @@ def scene(path: Path) -> SpaceScene:
     position = middle + reach * np.array([-1.1, -1.0, -1.9])
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(n, 'camera')}, and where every ninth of their pixels looks",
+        words=f"{plural(n, 'camera')}, and where a grid of their pixels looks",
         unit=UNIT if n > 1 else "arbitrary units",
         cameras=layer,
         curves=curves,
