@@ -28,7 +28,7 @@ from epipole.fields.training_view import TrainingView
 from epipole.io.gaussian_files import read_gaussians
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
-from epipole.pipelines.fields.scene import splat_view
+from epipole.pipelines.fields.scene import seen_gaussians
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "field_growth.json"
 LEAST = 1000
@@ -40,7 +40,7 @@ VIEWS, GROWING = 8, 40
 
 def measured(source: Path, count: int, side: int, steps: int) -> dict[str, float]:
     """Median seconds of a step of so many Gaussians and pixels, and the most memory that was used, in bytes."""
-    known, guitar = splat_view(source), read_gaussians(source)
+    (_, known), guitar = seen_gaussians(source), read_gaussians(source)
     job = RenderJob(frames=VIEWS, width=side, height=side)
     shots = orbit(known.position, known.look_at, known.up, job)
     views = []

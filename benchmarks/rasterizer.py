@@ -30,7 +30,7 @@ from epipole.io.gaussian_files import read_gaussians
 from epipole.pipelines.fields.cameras import Shot, orbit
 from epipole.pipelines.fields.config import FieldOptions, RenderJob
 from epipole.pipelines.fields.pictures import gather_field_pictures
-from epipole.pipelines.fields.scene import splat_view
+from epipole.pipelines.fields.scene import seen_gaussians
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "rasterizer.json"
@@ -57,7 +57,7 @@ def multiplied(cloud: GaussianCloud, count: int) -> GaussianCloud:
 
 def around(source: Path, size: tuple[int, int], rounds: int) -> list[Shot]:
     """Of a circle around a model."""
-    known = splat_view(source)
+    _, known = seen_gaussians(source)
     job = RenderJob(frames=rounds, width=size[0], height=size[1])
     return orbit(known.position, known.look_at, known.up, job)
 

@@ -1,11 +1,11 @@
 """Adds the generated pages to the site, and fills the navigation of mkdocs.yml.
 
-There `+name` stands for all generated pages of a folder, and `?page.md` is left out while there is no such page.
+There `+name` stands for all generated pages of a folder.
 """
 
 from __future__ import annotations
 
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 from api_pages import api_pages
@@ -24,7 +24,7 @@ def generated() -> dict[str, str]:
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Make the pages, and put them in the places of the navigation that ask for them."""
     config.extra["generated"] = generated()
-    config.nav = _filled(config.nav, list(config.extra["generated"]), Path(config.docs_dir))
+    config.nav = _filled(config.nav, list(config.extra["generated"]))
     return config
 
 
@@ -35,18 +35,15 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def _filled(entries: Any, pages: list[str], docs: Path) -> list[Any]:
-    """Navigation with all marks replaced; a section without pages is left out."""
+def _filled(entries: Any, pages: list[str]) -> list[Any]:
+    """Navigation with all marks replaced."""
     found: list[Any] = []
     for entry in entries:
         title, value = next(iter(entry.items())) if isinstance(entry, dict) else (None, entry)
         if isinstance(value, list):
-            value = _filled(value, pages, docs)
+            value = _filled(value, pages)
         elif value.startswith("+"):
             found += [path for path in pages if PurePosixPath(path).parent.name == value[1:]]
             continue
-        elif value.startswith("?"):
-            value = value[1:] if (docs / value[1:]).is_file() else None
-        if value:
-            found.append({title: value} if title else value)
+        found.append({title: value} if title else value)
     return found

@@ -175,5 +175,5 @@ def _weighed(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float]:
 
 def _counted(kind: str, estimates: Sequence[ScaleEstimate]) -> str:
     if kind in ("GPS", "positions", "odometry", "imu"):
-        return estimates[0].note
+        return estimates[0].note or estimates[0].name
     return estimates[0].name if len(estimates) == 1 else f"{len(estimates)} {kind}s"

@@ -23,7 +23,7 @@ def evaluate(
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
-        truth: COLMAP model, folder of Strecha .camera files, Middlebury _par.txt file, or a trajectory.
+        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, or a trajectory.
         max_difference_s: Trajectories: instants further apart are not compared.
         json: Print JSON.
     """

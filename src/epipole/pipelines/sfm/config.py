@@ -126,7 +126,7 @@ class ReconstructConfig:
     """Options of `epipole reconstruct`. A new user needs none."""
 
     camera_model: str | None = None
-    """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
+    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL unless parameters are given)."""
     camera_params: str | None = None
     """Known intrinsics, comma separated, in COLMAP's order; one camera took all pictures. The principal point
     is counted from the top-left corner of the picture, as COLMAP does (the centre of the first pixel is 0.5,

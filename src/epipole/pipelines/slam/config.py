@@ -85,7 +85,7 @@ class CameraOptions:
     """What is known of the camera, for folders that do not tell it."""
 
     camera_model: str | None = None
-    """PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
+    """SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE (PINHOLE unless given)."""
     camera_params: str | None = None
     """Intrinsics, comma separated, in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy): the principal point counts
     from the picture's corner, half a pixel more than from the first pixel's centre (OpenCV, ROS)."""
