@@ -55,3 +55,10 @@ def test_contradiction_and_ignorance_are_refused():
         agreed_scale([], ["tag 3: seen in 1 picture"])
     with pytest.raises(ConfigError, match="positive"):
         agreed_scale([estimate(0.0)])
+
+
+def test_an_estimate_without_a_note_is_told_by_its_name():
+    found = agreed_scale(
+        [ScaleEstimate("GPS", "fixes of the phone", 2.0, 0.01), ScaleEstimate("length", "bar", 2.0, 0.01)]
+    )
+    assert found.in_words().startswith("metres, from fixes of the phone and bar: known to ")

@@ -197,3 +197,31 @@ def test_keys_turn_and_measure(tab: Opened) -> None:
     tab.page.focus("#space")
     tab.page.keyboard.press("Enter")
     assert tab.page.inner_text("#measured") != ""
+
+
+def test_of_many_points_a_part_is_drawn_while_the_eye_moves_and_all_at_rest(browser: Any) -> None:
+    n = 400_000
+    xyz = np.random.default_rng(0).uniform(-1, 1, (n, 3)).astype(np.float32)
+    layer = PointLayer("Points", xyz, np.full((n, 3), 200, np.uint8))
+    handle = view_scene(SpaceScene("many", "many points", "m", (layer,)), port=free_port(), block=False)
+    tab = Opened(browser, handle.url, 500, 400)
+    assert tab.page.evaluate("document.getElementById('space').dataset.points") == str(n)
+    counts = tab.page.evaluate(
+        """async () => { const { view } = await space, counts = [];
+        for (let k = 0; k < 8; k++) { view.jumpTo({ ...view.eye(), yaw: view.eye().yaw + 0.1 });
+          await new Promise(requestAnimationFrame);
+          counts.push(Number(document.getElementById("space").dataset.points)); }
+        return counts; }"""
+    )
+    assert 0 < min(counts[1:]) < n
+    tab.settle()
+    assert tab.page.evaluate("document.getElementById('space').dataset.points") == str(n)
+    # All of them, gathered portion by portion, are what one drawing of all gives.
+    gathered = np.asarray(
+        Image.open(io.BytesIO(tab.page.locator("#space").screenshot())).convert("RGB")
+    ).astype(float)
+    whole = tab.drawn()
+    middle = np.s_[120:260, 100:400]
+    assert np.abs(gathered[middle] - whole[middle]).mean() < 1.0
+    tab.close()
+    handle.stop()
