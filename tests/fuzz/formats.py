@@ -17,7 +17,7 @@ from bag_writing import Recorded
 from PIL import Image, features
 from test_io_colmap_database import PAIRS, make_contents
 from test_io_hostile_calibrations import EUROC, KALIBR, KITTI, KITTI_ROWS, LENS, MIDDLEBURY, PAIR, XML
-from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_PLY, graph_of, transforms_text
+from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, graph_of, transforms_text
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
@@ -59,6 +59,7 @@ from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.hash_files import HashContents, read_hash, write_hash
 from epipole.io.imu_logs import read_camera_from_imu, read_imu
 from epipole.io.llff import read_llff
+from epipole.io.mesh_ply import read_mesh_ply, write_mesh_ply
 from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.stereo_video import extract_pairs
@@ -317,6 +318,16 @@ def _frame_table(folder: Path) -> None:
 def _cloud(folder: Path) -> None:
     found = read_points_ply(folder / "cloud.ply")
     assert found.rgb is None or found.rgb.shape == found.xyz.shape
+
+
+def _put_mesh(folder: Path) -> None:
+    write_mesh_ply(folder / "mesh.ply", np.ones((4, 3)), [[0, 1, 2], [1, 2, 3]], np.zeros((4, 3), np.uint8))
+
+
+def _mesh(folder: Path) -> None:
+    found = read_mesh_ply(folder / "mesh.ply")
+    assert found.rgb is None or found.rgb.shape == found.xyz.shape
+    assert not len(found.faces) or (found.faces.min() >= 0 and found.faces.max() < len(found.xyz))
 
 
 def _gaussians(folder: Path) -> None:
@@ -694,6 +705,8 @@ FORMATS: dict[str, Format] = {
         lambda folder: write_points_ply(folder / "cloud.ply", np.ones((6, 3)), np.zeros((6, 3), np.uint8)),
         *("cloud.ply", "ply", _cloud, ("read_points_ply",)),
     ),
+    "mesh": Format(_put_mesh, "mesh.ply", "ply", _mesh, ("read_mesh_ply",)),
+    "mesh-text": Format(_put("mesh.ply", TEXT_MESH), "mesh.ply", "text", _mesh, ("read_mesh_ply",)),
     "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
     "hash": Format(_put_hash, "hash.npz", "binary", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),

@@ -99,6 +99,11 @@ def test_transforms(folder: Path, data: st.DataObject) -> None:
         assert_model(found)
 
 
+TEXT_MESH = (
+    b"ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    b"0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n3 0 1 2\n"
+)
 TEXT_PLY = b"""ply
 format ascii 1.0
 comment made by hand

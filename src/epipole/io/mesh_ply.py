@@ -96,20 +96,22 @@ def _corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray]:
         return []
     if len(header.face_types) != 1 or len(header.face_types[0]) != 2:
         raise FileFormatError(path, "the faces hold something else than one list of corners: not read")
+    if any(kind.startswith("f") for kind in header.face_types[0]):
+        raise FileFormatError(path, "corners of the faces are not whole numbers")
     if not header.byte_order:
         return _text_corners(path, data, header)
-    count_type, corner_type = (header.byte_order + kind for kind in header.face_types[0])
+    count_type, corner_type = (np.dtype(header.byte_order + kind) for kind in header.face_types[0])
     start = header.size + header.num_vertices * header.vertex_bytes
-    if start >= len(data):
+    if start + count_type.itemsize > len(data):
         raise FileFormatError(path, "the file ends before its faces")
     k = int(np.frombuffer(data, count_type, 1, start)[0])
     # Nearly all files hold polygons of one kind: read in one go.
-    kind = np.dtype([("count", count_type), ("corners", corner_type, (k,))])
-    if start + header.num_faces * kind.itemsize <= len(data):
+    if k >= 0 and header.num_faces * (count_type.itemsize + k * corner_type.itemsize) <= len(data) - start:
+        kind = np.dtype([("count", count_type), ("corners", corner_type, (k,))])
         rows = np.frombuffer(data, kind, header.num_faces, start)
         if (rows["count"] == k).all():
             return [rows["corners"].astype(np.int64)]
-    return _mixed_corners(path, data, header, start, np.dtype(count_type), np.dtype(corner_type))
+    return _mixed_corners(path, data, header, start, count_type, corner_type)
 
 
 def _mixed_corners(
