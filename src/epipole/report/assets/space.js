@@ -10,7 +10,7 @@ const EVERYWHERE = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
 const [FIRST_PORTION, LEAST_PORTION] = [30000, 8000]; // points
 const REST_TIMES = 6; // portions a frame when nothing moves
 const [QUICK_MS, SLOW_MS] = [22, 33];
-const FINE_POINTS = 300000; // of a scene whose lines are worth four samples a pixel
+const FINE_POINTS = 50000; // of a scene whose lines are worth four samples a pixel
 
 async function spaceView(canvas, data) {
   const say = (text) => {
