@@ -102,7 +102,7 @@ def main() -> None:
             runs = [measured(browser, path) for _ in range(arguments.runs)]
             browser.close()
         rows.append({"points": n} | {name: statistics.median(run[name] for run in runs) for name in runs[0]})
-    content = {"machine": describe_machine(2), "window": SIZE, "runs": arguments.runs, "clouds": rows}
+    content = {"machine": describe_machine(2), "window": SIZE, "num_runs": arguments.runs, "clouds": rows}
     RESULTS.write_text(json.dumps(content, indent=1) + "\n")
     heads = ("read, s", "first picture, s", "all points, s", "ms a frame", "95 %", "points a frame")
     table = Table("points", *heads)
