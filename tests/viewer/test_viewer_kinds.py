@@ -24,6 +24,7 @@ from epipole.io.mesh_ply import write_mesh_ply
 from epipole.io.ply import write_points_ply
 from epipole.io.trajectories import write_trajectory
 from epipole.pipelines.fields.kinds import KINDS as KINDS_OF_FIELDS
+from epipole.pipelines.sfm.scene import picture_loader
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map_files import write_slam_map
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
@@ -263,6 +264,15 @@ def test_pictures_are_read_when_they_are_looked_at_and_stay_in_their_folder(tmp_
     handle.stop()
     with pytest.raises(OSError):
         OPEN(handle.url, timeout=2)
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "a/../../secret.png", "/secret.png", "link/secret.png"])
+def test_a_name_that_leaves_the_folder_of_pictures_is_not_read(name: str, tmp_path: Path) -> None:
+    picture(tmp_path / "secret.png")
+    picture(tmp_path / "images" / "a.png")
+    (tmp_path / "images" / "link").symlink_to(tmp_path)
+    assert picture_loader(tmp_path / "images")("a.png") is not None
+    assert picture_loader(tmp_path / "images")(name) is None
 
 
 def test_hostile_names_are_text(browser: Any, tmp_path: Path) -> None:
