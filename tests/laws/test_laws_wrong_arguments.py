@@ -20,7 +20,7 @@ from epipole.errors import EpipoleError
 from valid_calls import ROOMS, Call, valid_calls
 from wrong_arguments import describe, made, wrong_values
 
-OF_EACH_ARGUMENT = 3
+OF_EACH_ARGUMENT = 5
 RESULTS = {
     *(
         "ImuFactors",
