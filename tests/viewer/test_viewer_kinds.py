@@ -241,6 +241,12 @@ def test_what_is_nothing_to_see_is_told(tmp_path: Path) -> None:
             api.view(wrong, port=free_port(), block=False)
 
 
+def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text("1")
+    with pytest.raises(FileFormatError, match="no file that can be shown"):
+        api.view(tmp_path / "script.py", port=free_port(), block=False)
+
+
 def test_a_pair_without_depth_is_told(tmp_path: Path) -> None:
     for side in ("left", "right"):
         picture(tmp_path / f"{side}.png")

@@ -100,5 +100,7 @@ def scene_of(path: Path) -> SpaceScene:
     """
     if not path.exists():
         raise FileFormatError(path, "there is no such file or folder")
-    make = next((make for is_mine, make in KINDS if is_mine(path)), sfm.scene)
-    return make(path)
+    make = next((make for is_mine, make in KINDS if is_mine(path)), None)
+    if make is None and path.is_file() and path.suffix.lower() != ".json":
+        raise FileFormatError(path, "is no file that can be shown: `epipole view --help` lists what is")
+    return (make or sfm.scene)(path)
