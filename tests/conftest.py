@@ -1,20 +1,24 @@
 """Run-time type checks for the whole test run, and what all tests share."""
 
+import gc
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-# Every annotated function of the package checks the shapes and types of its arguments and results in the test
-# run; an int may stand for a float, as in mypy. This must come before the first import of epipole.
+sys.path.insert(0, str(Path(__file__).parent))
+import type_checks
+
+# Every annotated function of the package checks the shapes and types of its arguments and results, in its first calls in
+# each test; an int may stand for a float, as in mypy. This must come before the first import of epipole.
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
-jaxtyping.install_import_hook("epipole", CHECKER)
+type_checks.install("epipole", CHECKER)
 
 # Made-up examples are few and the same in every run, and may take as long as a kernel compiles;
 # `--hypothesis-profile=hunt` looks for new ones.
@@ -26,20 +30,27 @@ settings.register_profile("hunt", deadline=None, max_examples=600, suppress_heal
 settings.load_profile("epipole")
 
 
+# As in the command: to search what libraries and kernels hold for cycles again and again takes a tenth of the time.
+gc.set_threshold(200_000, 20, 100)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    type_checks.next_test()
+
+
 @pytest.fixture
 def unchecked() -> Iterator[None]:
     """Types are not checked at run time: for tests that repeat many times what others have had checked."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    with type_checks.switched_off():
+        yield
 
 
 @pytest.fixture(scope="module")
 def unchecked_module() -> Iterator[None]:
     """The same for a whole file, and what its tests share."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    with type_checks.switched_off():
+        yield
 
 
 @pytest.fixture

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-import jaxtyping
 import pytest
 from docs_setups import photographs
 
 import epipole
+import type_checks
 
 
 @pytest.fixture(scope="session")
@@ -14,10 +14,7 @@ def reconstructed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """IMAGES, six rendered photographs; OUT, their reconstruction; DIR, the true cameras."""
     folder = tmp_path_factory.mktemp("reconstructed")
     photographs(folder)
-    jaxtyping.config.update("jaxtyping_disable", True)
-    try:
+    with type_checks.switched_off():
         result = epipole.reconstruct(folder / "IMAGES", folder / "OUT")
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
     assert result.model.is_registered().all()
     return folder

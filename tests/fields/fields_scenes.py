@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import cv2
 import numpy as np
 
 from epipole.cameras import Camera
@@ -42,3 +43,20 @@ def views(count=14, with_alpha=True):
         picture = np.rint(255 * np.clip(whole, 0, 1)).astype(np.uint8)
         out.append(TrainingView(f"{n:02d}.png", picture, CAMERA, place))
     return tuple(out)
+
+
+def frames_of(chosen, folder):
+    """Pictures in a folder, and their entries in a transforms.json."""
+    out = []
+    for seen in chosen:
+        picture = cv2.cvtColor(seen.picture, cv2.COLOR_RGBA2BGRA)
+        (folder / "images").mkdir(exist_ok=True)
+        cv2.imwrite(str(folder / "images" / seen.name), picture)
+        matrix = seen.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
+        out.append({"file_path": f"images/{seen.name}", "transform_matrix": matrix.tolist()})
+    return out
+
+
+def lens():
+    fx, fy, cx, cy = CAMERA.params
+    return {"w": CAMERA.width, "h": CAMERA.height, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}

@@ -4,8 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import views
-from test_fields_run import frames_of, lens
+from fields_scenes import frames_of, lens, views
 
 from epipole import compare_fields
 from epipole.errors import ConfigError, FileFormatError

@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, views
+from fields_scenes import CAMERA, frames_of, lens, views
 from plyfile_of import mesh_in
-from test_fields_run import frames_of, lens
 
 from epipole import mesh, nerf, splat
 from epipole.cameras import Camera

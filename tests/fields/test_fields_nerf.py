@@ -5,8 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, views
-from test_fields_run import frames_of, lens
+from fields_scenes import CAMERA, frames_of, lens, views
 
 from epipole import nerf, render, share
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError

@@ -5,8 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, WHITE, scene, views
-from test_fields_run import frames_of, lens
+from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
 
 from epipole import render, splat
 from epipole.cameras import Camera

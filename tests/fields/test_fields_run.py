@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from fields_scenes import CAMERA, scene, views
+from fields_scenes import CAMERA, frames_of, lens, scene, views
 
 from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
@@ -24,23 +24,6 @@ from epipole.pipelines.fields.pictures import gather_field_pictures
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 
 OPTIONS = {"steps": 80, "max_gaussians": 400, "sh_degree": 1}
-
-
-def frames_of(chosen, folder):
-    """Pictures in a folder, and their entries in a transforms.json."""
-    out = []
-    for seen in chosen:
-        picture = cv2.cvtColor(seen.picture, cv2.COLOR_RGBA2BGRA)
-        (folder / "images").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "images" / seen.name), picture)
-        matrix = seen.cam_from_world.inverse().as_matrix() @ np.diag([1.0, -1.0, -1.0, 1.0])
-        out.append({"file_path": f"images/{seen.name}", "transform_matrix": matrix.tolist()})
-    return out
-
-
-def lens():
-    fx, fy, cx, cy = CAMERA.params
-    return {"w": CAMERA.width, "h": CAMERA.height, "fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5}
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from browser_tab import BROWSER, open_tab
-from fields_scenes import CAMERA, WHITE, scene, views
-from test_fields_run import frames_of, lens
+from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
 
 from epipole import splat
 from epipole.errors import ConfigError
