@@ -22,12 +22,12 @@ def blocks_of(page: Path, *languages: str) -> list[str]:
     return [found["body"] for found in _FENCE.finditer(text) if found["language"] in languages]
 
 
-def commands_of(page: Path) -> list[str]:
-    """Lines of `epipole ...` in blocks of the shell, without their comments; a line that ends in a backslash goes on."""
-    lines = [
-        line.strip().removeprefix("$ ")
-        for block in blocks_of(page, "", "bash", "sh", "shell", "console")
-        for line in block.replace("\\\n", " ").splitlines()
-    ]
-    found = [shlex.split(line, comments=True) for line in lines if line.startswith("epipole ")]
-    return [shlex.join(words) for words in found]
+def command_blocks(page: Path) -> list[list[str]]:
+    """For each block of the shell with lines of `epipole ...` these lines, without comments; one that ends in a backslash goes on."""
+    blocks = []
+    for block in blocks_of(page, "", "bash", "sh", "shell", "console"):
+        lines = [line.strip().removeprefix("$ ") for line in block.replace("\\\n", " ").splitlines()]
+        found = [shlex.split(line, comments=True) for line in lines if line.startswith("epipole ")]
+        if found:
+            blocks.append([shlex.join(words) for words in found])
+    return blocks

@@ -1,130 +1,112 @@
-"""The command lines of README.md and of the pages under docs/.
+"""Every command line of README.md and of the pages under docs/ is run, block by block from the top, on small files of the kind it speaks of.
 
-Every line is read by the real command line: its command, its options and the types of their values are right, and the job is not run.
-The lines of `JOBS` are really run as well, each group in order in one small folder (its pictures are rendered; Gaussians are trained for
-twenty steps), and must end without an error; only these lines are shown to work on files. What is read alone needs minutes
-(`splat`, `nerf`, `compare-fields`), a camera, a recording, or does not end (`view`).
+Nothing is left out. What would take minutes is shortened: trainings take twenty steps instead of a time, a circle of pictures has
+three, the demo six photographs. Where a line serves pages the address that it prints is asked, and then Ctrl-C is pressed; the
+camera at this computer is a stand-in that gives rendered pictures.
 """
 
+import itertools
+import os
+import re
 import shlex
-from collections.abc import Callable
+import shutil
+import signal
+import sys
+import threading
+import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from docs_pages import PAGES, commands_of
-from docs_setups import PREPARED, ride_folder
+from docs_pages import PAGES, command_blocks
+from docs_ride import Capture
+from docs_worlds import AFTER_RECONSTRUCTING, WORLDS
 
-import epipole
-from epipole.cli import main as command_line
-from epipole.io import write_trajectory
-from epipole.scene import Trajectory
+from epipole.cli.main import main
+from epipole.lesson import command as lesson
+from epipole.pipelines.slam import command as slam
+from epipole.pipelines.slam import moving_sources
+from epipole.pipelines.viewing import command as viewing
 
-LINES = {line: page for page, path in PAGES.items() for line in commands_of(path)}
-"""Each line once, and a page on which it stands."""
-
-
-@pytest.fixture(scope="module")
-def functions() -> dict[str, Callable[..., None]]:
-    return command_line._functions()
-
-
-@pytest.mark.parametrize("line", LINES)
-def test_command_lines_can_be_read(
-    line: str, functions: dict[str, Callable[..., None]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = line.split()[1:]
-    asked = (
-        "stereo-doctor"
-        if words[:2] == ["stereo", "doctor"]
-        else next((w for w in words if w in functions), "")
-    )
-    # The parser is made of the commands anew for each line: of this one and of one other it is made ten times as fast.
-    known = {name: functions[name] for name in (asked or "demo", "version")}
-    monkeypatch.setattr(command_line, "_functions", lambda: known)
-    run = []
-    real = command_line._parsed
-    monkeypatch.setattr(command_line, "_parsed", lambda words: real(words) and (lambda: run.append(words)))
-    read(line)
-    assert run or "--help" in line or words in (["help"], ["--version"])
-
-
-def read(line: str) -> None:
-    """Run a line in this process; what it refuses is a failure that tells why."""
-    try:
-        command_line.main(shlex.split(line)[1:])
-    except SystemExit as stopped:
-        assert not stopped.code, f"{line} (on the page {LINES[line]}) ended with {stopped.code}"
-
-
-def pair_files(folder: Path) -> None:
-    PREPARED["stereo"](folder)
-    (folder / "calibration.json").rename(folder / "FILE")
-    PREPARED["calibration"](folder)
-    (folder / "IMAGES").rename(folder / "BOARDS")
-
-
-def path_files(folder: Path) -> None:
-    ride_folder(folder / "SOURCE", 12)
-    path = Trajectory(0.1 * np.arange(12), epipole.Rigid3.exp(0.1 * np.arange(72.0).reshape(12, 6) / 12))
-    for name in ("PATH.txt", "TRUTH.txt"):
-        write_trajectory(path, folder / name, "tum")
-
-
-def field_files(folder: Path) -> None:
-    PREPARED["fields"](folder)
-    epipole.splat(folder / "MODEL", folder / "OUT", steps=20, max_gaussians=500)
-
-
-JOBS: dict[str, tuple[Callable[[Path], None] | None, tuple[str, ...]]] = {
-    "a model": (
-        None,  # where the reconstruction is that all tests share
-        (
-            "epipole version",
-            "epipole reconstruct IMAGES OUT",
-            "epipole evaluate OUT --truth DIR",
-            "epipole undistort OUT",
-            "epipole convert OUT TARGET --format transforms",
-            "epipole convert OUT cloud.ply",
-        ),
-    ),
-    "a pair": (
-        pair_files,
-        (
-            "epipole calibrate BOARDS CAL --columns 9 --rows 6 --square 0.025",
-            "epipole stereo doctor LEFT RIGHT --focal-px 800 --baseline 0.12",
-            "epipole stereo LEFT RIGHT OUT",
-            "epipole stereo LEFT RIGHT OUT --focal-px 800 --baseline 0.12",
-        ),
-    ),
-    "a path": (
-        path_files,
-        (
-            "epipole evaluate PATH.txt --truth TRUTH.txt",
-            "epipole slam SOURCE OUT",
-            "epipole slam SOURCE OUT --resume",
-        ),
-    ),
-    "a field": (
-        field_files,
-        (
-            "epipole convert OUT small.spz",
-            "epipole view OUT --share page.html",
-            "epipole mesh OUT mesh.ply",
-        ),
-    ),
+BLOCKS = {
+    f"{page}-{n}": lines for page, path in PAGES.items() for n, lines in enumerate(command_blocks(path))
 }
+TRAINING = ("splat", "nerf", "compare-fields")
+MAKING = ("reconstruct", "slam", "stereo", *TRAINING)
+"""Commands whose lines may be alternatives: an output folder of another source is refused by each."""
+INTERRUPTED = 130
+_ADDRESS = re.compile(r"(?:Viewer|Lesson) at (http://\S+)")
 
 
-@pytest.mark.parametrize("job", JOBS)
-def test_quick_commands_run(
-    job: str, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unchecked: None
+def shortened(line: str) -> list[str]:
+    """The words to run, fewer steps and pictures."""
+    words = shlex.split(re.sub(r" --(time|steps) \w+", "", line))[1:]
+    if words[0] in TRAINING:
+        words += ["--steps", "20"]
+    if words[0] == "render" and "--cameras" not in words:
+        words += ["--frames", "3"]
+    return [*words, "--num-views", "6"] if words[0] == "demo" else words
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """Addresses that were printed and have answered; Ctrl-C follows."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    found: list[str] = []
+
+    def said(*words: object, **_: object) -> None:
+        sys.stdout.write(f"{' '.join(map(str, words))}\n")
+        if address := _ADDRESS.match(str(words[0])):
+            with urllib.request.urlopen(address[1], timeout=20) as answer:
+                assert answer.status == 200 and answer.read()
+            found.append(address[1])
+            threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    for command in (viewing, lesson, slam):
+        monkeypatch.setattr(command, "print", said, raising=False)
+    yield found
+    signal.signal(signal.SIGINT, before)
+
+
+def test_every_block_has_its_files() -> None:
+    known = {*AFTER_RECONSTRUCTING, *WORLDS}
+    assert known == set(BLOCKS), known ^ set(BLOCKS)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_command_lines_run(
+    block: str,
+    reconstructed: Path,
+    tmp_path: Path,
+    asked: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    unchecked: None,
 ) -> None:
-    prepare, lines = JOBS[job]
-    folder = tmp_path if prepare else reconstructed
-    if prepare:
-        prepare(folder)
+    is_there = block in AFTER_RECONSTRUCTING
+    folder = reconstructed if is_there else tmp_path
+    (AFTER_RECONSTRUCTING if is_there else WORLDS)[block](folder)
     monkeypatch.chdir(folder)
-    for line in lines:
-        assert line in LINES, f"{line} stands on no page"
-        read(line)
+    monkeypatch.setattr(moving_sources, "_opened_camera", lambda index: Capture())
+    made: dict[str, list[str]] = {}
+    for line in BLOCKS[block]:
+        command, *words = shlex.split(line)[1:]
+        named = list(itertools.takewhile(lambda word: not word.startswith("-"), words))
+        if command in MAKING:
+            job = [command, *named[:-1]]
+            if made.setdefault(named[-1], job) != job:
+                shutil.rmtree(named[-1])  # lines with one OUT are alternatives
+                made[named[-1]] = job
+        run(line, asked)
+
+
+def run(line: str, asked: list[str]) -> None:
+    """In this process; what a line refuses is a failure that tells why."""
+    words, code, before = shortened(line), 0, len(asked)
+    try:
+        main(words)
+    except SystemExit as stopped:
+        code = int(stopped.code or 0)
+    served = len(asked) > before
+    assert code in ((0, INTERRUPTED) if served else (0,)), f"{line} ended with {code}"
+    serves = words[0] in ("view", "lesson") and "--share" not in words and "--export" not in words
+    assert served == (serves or (words[0] == "slam" and "--view" in words)), line

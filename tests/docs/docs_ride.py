@@ -1,0 +1,218 @@
+"""A ride before a courtyard with two tags and a board in it, as files of each kind that the command lines of the pages name."""
+
+import json
+import shutil
+import sys
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.io import write_trajectory
+from epipole.io.depth_maps import write_png16
+from epipole.io.video_files import write_video
+from epipole.scene import Trajectory
+from epipole.synthetic import SyntheticScene, courtyard, look_at, render
+from epipole.synthetic.inertial import imu_along
+from epipole.synthetic.markers import chessboard_sheet, tag_sheet
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
+from bag_writing import Recorded
+
+LENS = Camera("PINHOLE", 640, 480, [500.0, 500.0, 319.5, 239.5])
+"""`--camera-params 500,500,320,240`."""
+COUNT, HZ, KITTI_HZ, BASELINE = 18, 30.0, 10.0, 0.12
+FEW = slice(1, None, 3)
+"""Frames that are taken as photographs."""
+RIGHT_FROM_LEFT = Rigid3(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
+MILLIMETRES = 1000.0
+
+
+class Ride(NamedTuple):
+    """What the sensors saw, and from where."""
+
+    left: list[np.ndarray]
+    """(h, w, 3) RGB."""
+    right: list[np.ndarray]
+    depth: list[np.ndarray]
+    """(h, w) metres, 0 where there is none."""
+    cams_from_world: Rigid3
+
+    def path(self, hz: float = HZ) -> Trajectory:
+        """world_from_camera at the frames' times, the first of which is 0."""
+        return Trajectory(np.arange(COUNT) / hz, self.cams_from_world.inverse())
+
+
+@cache
+def ride() -> Ride:
+    """Along an arc, rendered once."""
+    angles = np.deg2rad(-75.0 + 1.5 * np.arange(COUNT))
+    centers = np.column_stack(
+        [4.4 * np.cos(angles), 4.4 * np.sin(angles), 1.4 + 0.02 * np.sin(np.arange(COUNT))]
+    )
+    places = [look_at(center, (-0.2, 0.4, 0.6)) for center in centers]
+    scene = _scene(float(angles[COUNT // 2]))
+    left = [render(scene, LENS, place) for place in places]
+    right = [render(scene, LENS, RIGHT_FROM_LEFT @ place).rgb for place in places]
+    depth = [np.nan_to_num(picture.depth, nan=0.0).astype(np.float32) for picture in left]
+    together = Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+    return Ride([picture.rgb for picture in left], right, depth, together)
+
+
+def _scene(angle: float) -> SyntheticScene:
+    """The courtyard; 1.2 m before the middle of the ride two tags of 12 cm, and a board of 9 x 6 corners, 3 cm apart."""
+    ahead = -np.array([np.cos(angle), np.sin(angle), 0.0])
+    aside = np.array([ahead[1], -ahead[0], 0.0])
+    axes = tuple(aside), (0.0, 0.0, -1.0)
+
+    def at(metres: float) -> tuple[float, ...]:
+        return tuple(-3.2 * ahead + metres * aside + np.array([0.0, 0.0, 1.05]))
+
+    sheets = [
+        *tag_sheet(1, 0.12, at(-0.4), *axes),
+        *tag_sheet(2, 0.12, at(0.4), *axes),
+        *chessboard_sheet(9, 6, 0.03, at(0.0), *axes),
+    ]
+    yard, things = courtyard(), SyntheticScene.of(sheets)
+    columns = ("kind", "params", "texture", "color", "seed")
+    both = {name: np.concatenate([getattr(yard, name), getattr(things, name)]) for name in columns}
+    return SyntheticScene(**both, light=yard.light)
+
+
+def grey(picture: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+
+
+def pictures(folder: Path, numbers: slice = slice(None), ending: str = ".png") -> list[str]:
+    """A folder of pictures; their names."""
+    folder.mkdir(parents=True)
+    names = []
+    for n, picture in enumerate(ride().left[numbers]):
+        names.append(f"{n:03d}{ending}")
+        cv2.imwrite(str(folder / names[-1]), picture[..., ::-1])
+    return names
+
+
+def many_pictures(folder: Path, at_rest: int) -> list[str]:
+    """The ride after so many pictures at rest, two of each frame."""
+    names = pictures(folder)
+    for name in names:
+        (folder / name).rename(folder / f"frame_{name}")
+    out = []
+    for n in range(at_rest + 2 * COUNT):
+        out.append(f"{n:06d}.png")
+        shutil.copy(folder / f"frame_{names[max(n - at_rest, 0) // 2]}", folder / out[-1])
+    for name in names:
+        (folder / f"frame_{name}").unlink()
+    return out
+
+
+def lengths(path: Path, names: list[str], numbers: slice) -> None:
+    """Two points of the wall, in three pictures."""
+    ends = np.array([[-0.6, 2.4, 1.0], [0.5, 2.4, 1.2]])
+    lines = []
+    for end, place in zip("ab", ends):
+        for n in (0, 2, 4):
+            view = ride().cams_from_world[int(np.arange(COUNT)[numbers][n])]
+            x, y = LENS.project(view.apply(place[None]))[0]
+            lines.append(f"wall {np.linalg.norm(ends[0] - ends[1])} {end} {names[n]} {x} {y}\n")
+    path.write_text("".join(lines))
+
+
+def video(path: Path) -> None:
+    write_video(path, ride().left, HZ)
+
+
+def kitti(folder: Path) -> None:
+    for name, seen in (("image_0", ride().left), ("image_1", ride().right)):
+        (folder / name).mkdir(parents=True)
+        for n, picture in enumerate(seen):
+            cv2.imwrite(str(folder / name / f"{n:06d}.png"), grey(picture))
+    f, _, cx, cy = LENS.params
+    rows = [[f, 0, cx, x, 0, f, cy, 0, 0, 0, 1, 0] for x in (0.0, -f * BASELINE)]
+    lines = [f"P{k}: {' '.join(map(str, row))}\n" for k, row in enumerate(rows)]
+    (folder / "calib.txt").write_text("".join(lines))
+
+
+def tum(folder: Path) -> None:
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(parents=True)
+    for n, (picture, depth) in enumerate(zip(ride().left, ride().depth)):
+        cv2.imwrite(str(folder / "rgb" / f"{n}.png"), picture[..., ::-1])
+        write_png16(folder / "depth" / f"{n}.png", depth, 5000.0)
+    for name in ("rgb", "depth"):
+        (folder / f"{name}.txt").write_text("".join(f"{n / HZ:.6f} {name}/{n}.png\n" for n in range(COUNT)))
+    write_trajectory(ride().path(), folder / "groundtruth.txt")
+
+
+def euroc(folder: Path) -> None:
+    """One camera with an inertial unit."""
+    camera, unit = folder / "mav0" / "cam0", folder / "mav0" / "imu0"
+    pictures(camera / "data")
+    unit.mkdir(parents=True)
+    names = [f"{n:03d}.png" for n in range(COUNT)]
+    first = 1_400_000_000_000_000_000
+    rows = [f"{first + round(1e9 * n / HZ)},{name}\n" for n, name in enumerate(names)]
+    (camera / "data.csv").write_text("#timestamp [ns],filename\n" + "".join(rows))
+    told = {
+        "T_BS": {"rows": 4, "cols": 4, "data": np.eye(4).ravel().tolist()},
+        **{"rate_hz": HZ, "resolution": [LENS.width, LENS.height], "camera_model": "pinhole"},
+        **{"intrinsics": LENS.params.tolist(), "distortion_model": "radial-tangential"},
+        "distortion_coefficients": [0.0] * 4,
+    }
+    (camera / "sensor.yaml").write_text(json.dumps(told))
+    log = imu_along(ride().path().timestamp_s, ride().path().world_from_body, Rigid3.identity(), 0)
+    times = first + np.rint(1e9 * log.timestamp_s).astype(np.int64)
+    values = np.column_stack([log.gyro_rad_s, log.accel_m_s2])
+    rows = [f"{time},{','.join(map(str, row))}\n" for time, row in zip(times, values)]
+    (unit / "data.csv").write_text("#timestamp [ns],w x,y,z,a x,y,z\n" + "".join(rows))
+
+
+def recording(folder: Path, kind: str, name: str = "ride") -> Path:
+    """Of ROS: NAME.bag, or the folder NAME, of a pair of cameras."""
+    out, size = Recorded(kind), (LENS.width, LENS.height)
+    for n in range(COUNT):
+        ns = 1_500_000_000 * 10**9 + round(1e9 * n / HZ)
+        for side, seen, corner in (("left", ride().left, 0.0), ("right", ride().right, -500.0 * BASELINE)):
+            P = np.column_stack([LENS.K, [corner, 0, 0]])
+            out.image(f"/{side}/image_raw", ns, grey(seen[n]), "mono8")
+            out.camera_info(f"/{side}/camera_info", ns, size, LENS.K, P=P)
+    return out.write(folder, name)
+
+
+def wheels(path: Path) -> None:
+    """SECONDS METRES a line."""
+    steps = np.linalg.norm(np.diff(ride().cams_from_world.centers(), axis=0), axis=1)
+    metres = np.concatenate([[0.0], np.cumsum(steps)])
+    path.write_text("".join(f"{n / HZ:.6f} {at}\n" for n, at in enumerate(metres)))
+
+
+def mounting(path: Path) -> None:
+    """The wheels' middle is 30 cm below the camera."""
+    there = np.eye(4)
+    there[1, 3] = 0.3
+    path.write_text(f"T_cam_imu: {there.tolist()}\n")
+
+
+def places(path: Path, names: list[str] | None = None, numbers: slice = slice(None)) -> None:
+    """SECONDS X Y Z, or PICTURE X Y Z."""
+    centers = ride().cams_from_world.centers()[numbers]
+    first = [f"{n / HZ:.6f}" for n in range(len(centers))] if names is None else names
+    path.write_text("".join(f"{name} {x} {y} {z}\n" for name, (x, y, z) in zip(first, centers)))
+
+
+class Capture:
+    """The camera at this computer: gives the ride's pictures."""
+
+    def __init__(self) -> None:
+        self.left = [*ride().left]
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        return (True, self.left.pop(0)[..., ::-1].copy()) if self.left else (False, None)
+
+    def release(self) -> None:
+        self.left.clear()

@@ -1,0 +1,237 @@
+"""The files that the command lines of each page speak of: small, and of the kind that the page says."""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import docs_ride
+import numpy as np
+from docs_ride import LENS
+from docs_setups import PREPARED, photographs
+
+import epipole
+from board_pictures import board_pictures
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.io import write_trajectory
+from epipole.io.calibration_files import (
+    CalibrationFile,
+    read_calibration,
+    write_calibration,
+    write_opencv_yaml,
+)
+from epipole.io.photographs import write_jpeg_with_exif
+from epipole.io.ply import write_points_ply
+from epipole.scene import Trajectory
+from epipole.synthetic import courtyard, courtyard_views, render
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
+from fields_scenes import CAMERA, frames_of, lens, views
+from test_io_llff import write_scene
+
+LARGE = Camera("PINHOLE", 1536, 1024, [1380.0, 1380.0, 767.5, 511.5])
+
+
+def calibration_of(camera: Camera) -> CalibrationFile:
+    return CalibrationFile((camera,), Rigid3(np.eye(3)[None], np.zeros((1, 3))))
+
+
+def large_photographs(folder: Path) -> None:
+    """IMAGES of 1536 x 1024 by a lens of 1380 pixels, MASKS and CAL."""
+    small = Camera("PINHOLE", 480, 320, [431.25, 431.25, 239.5, 159.5])
+    (folder / "IMAGES").mkdir()
+    (folder / "MASKS").mkdir()
+    views = courtyard_views(24)[np.arange(6, 10)]
+    for n in range(4):
+        drawn = render(courtyard(), small, views[n], noise_sigma=1.5, seed=n)
+        picture = cv2.resize(drawn.rgb, (LARGE.width, LARGE.height), interpolation=cv2.INTER_CUBIC)
+        name = f"view_{n}.color.jpg"
+        write_jpeg_with_exif(folder / "IMAGES" / name, picture, focal_35mm=1380 / 1536 * 36)
+        mask = np.full((LARGE.height, LARGE.width), 255, np.uint8)
+        mask[:40] = 0
+        cv2.imwrite(str(folder / "MASKS" / f"{name}.png"), mask)
+    (folder / "CAL").mkdir()
+    write_calibration(folder / "CAL" / "calibration.json", calibration_of(LARGE))
+
+
+def from_colmap(folder: Path) -> None:
+    """IMAGES, and a database of their features and matches."""
+    large_photographs(folder)
+    epipole.reconstruct(folder / "IMAGES", folder / "before")
+    shutil.copy(folder / "before" / "database.db", folder)
+
+
+def results(folder: Path) -> None:
+    """What a reconstruction left has a second model; a cloud, and two paths."""
+    shutil.copytree(folder / "OUT" / "sparse" / "0", folder / "OUT" / "sparse" / "1", dirs_exist_ok=True)
+    rng = np.random.default_rng(0)
+    write_points_ply(
+        folder / "cloud.ply", rng.normal(size=(200, 3)), rng.integers(0, 256, (200, 3)).astype(np.uint8)
+    )
+    path = Trajectory(0.1 * np.arange(12), Rigid3.exp(0.1 * np.arange(72.0).reshape(12, 6) / 12))
+    for name in ("PATH.txt", "TRUTH.txt"):
+        write_trajectory(path, folder / name, "tum")
+
+
+def walk(folder: Path) -> None:
+    photographs(folder)
+    docs_ride.video(folder / "walk.mp4")
+
+
+def pair(folder: Path) -> None:
+    """A rectified pair, LEFT and RIGHT, its calibration in two forms, and BOARDS before two cameras."""
+    PREPARED["stereo"](folder)
+    shutil.copy(folder / "calibration.json", folder / "FILE")
+    write_opencv_yaml(folder / "stereo.yaml", read_calibration(folder / "FILE"))
+    for side, moved_m in (("left", 0.0), ("right", -0.03)):
+        board_pictures(folder / side, moved_m=moved_m)
+        (folder / "BOARDS" / side).mkdir(parents=True)
+        for path in sorted((folder / side / "IMAGES").iterdir()):
+            half = cv2.resize(cv2.imread(str(path)), (320, 240), interpolation=cv2.INTER_AREA)
+            cv2.imwrite(str(folder / "BOARDS" / side / path.name), half)
+
+
+def boards(folder: Path) -> None:
+    board_pictures(folder)
+
+
+def known_ride(folder: Path) -> None:
+    """SOURCE, a pair's ride; PICTURES and TUESDAY of one camera, FILE, its calibration; WHEELS and TRUTH.txt."""
+    docs_ride.kitti(folder / "SOURCE")
+    for name in ("PICTURES", "TUESDAY"):
+        docs_ride.pictures(folder / name)
+    write_calibration(folder / "FILE", calibration_of(LENS))
+    docs_ride.wheels(folder / "WHEELS")
+    write_trajectory(docs_ride.ride().path(), folder / "TRUTH.txt")
+
+
+def sources_of_slam(folder: Path) -> None:
+    docs_ride.recording(folder, "ros1")
+    docs_ride.recording(folder, "mcap", "recording")
+    docs_ride.kitti(folder / "ride")
+    docs_ride.video(folder / "ride.mp4")
+    write_opencv_yaml(folder / "camera.yaml", calibration_of(LENS))
+    names = docs_ride.many_pictures(folder / "pictures", 100)
+    (folder / "masks").mkdir()
+    for name in names:
+        cv2.imwrite(str(folder / "masks" / f"{name}.png"), np.full((LENS.height, LENS.width), 255, np.uint8))
+
+
+def stopped_ride(folder: Path) -> None:
+    docs_ride.kitti(folder / "SOURCE")
+    write_trajectory(docs_ride.ride().path(hz=docs_ride.KITTI_HZ), folder / "groundtruth.txt")
+
+
+def metres_for_slam(folder: Path) -> None:
+    docs_ride.video(folder / "ride.mp4")
+    docs_ride.pictures(folder / "ride")
+    docs_ride.euroc(folder / "flight")
+    metres(folder)
+    docs_ride.places(folder / "gps.txt")
+
+
+def metres(folder: Path) -> None:
+    docs_ride.wheels(folder / "wheels.txt")
+    docs_ride.mounting(folder / "mount.yaml")
+
+
+def metres_for_photographs(folder: Path) -> None:
+    names = docs_ride.pictures(folder / "photos", docs_ride.FEW)
+    docs_ride.places(folder / "places.txt", names, docs_ride.FEW)
+    docs_ride.lengths(folder / "lengths.txt", names, docs_ride.FEW)
+    docs_ride.video(folder / "walk.mp4")
+    docs_ride.euroc(folder / "flight")
+    metres(folder)
+
+
+def maps(folder: Path) -> None:
+    for name in ("monday", "tuesday"):
+        docs_ride.kitti(folder / name)
+
+
+def from_orb_slam(folder: Path) -> None:
+    for name in ("rgbd_dataset_freiburg1_xyz", "rgbd_dataset_freiburg1_desk"):
+        docs_ride.tum(folder / name)
+    docs_ride.pictures(folder / "pictures")
+
+
+def field_sources(*names: str, model: str | None = None) -> Callable[[Path], None]:
+    """PHOTOS of the ride, an output of a reconstruction, and pictures with cameras as NeRF writes them."""
+
+    def prepare(folder: Path) -> None:
+        docs_ride.pictures(folder / "PHOTOS", docs_ride.FEW, ".jpg")
+        if model is not None:
+            PREPARED["fields"](folder)
+            (folder / "MODEL").rename(folder / model)
+        for name in names:
+            scene(folder / name)
+
+    return prepare
+
+
+def scene(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+
+
+def fields_of_all_kinds(folder: Path) -> None:
+    """NeRF's and LLFF's layouts beside a model and photographs."""
+    field_sources("scene", model="OUT2")(folder)
+    (folder / "PHOTOS").rename(folder / "photos")
+    shutil.copy(folder / "scene" / "transforms.json", folder)
+    (folder / "lego").mkdir()
+    angle, frames = 2 * np.arctan(0.5 * CAMERA.width / CAMERA.params[0]), frames_of(views(), folder / "lego")
+    for name, own in (("train", frames[:10]), ("test", frames[10:])):
+        content = json.dumps({"camera_angle_x": angle, "frames": own})
+        (folder / "lego" / f"transforms_{name}.json").write_text(content)
+    write_scene(folder / "fern", 6)
+
+
+def splats(folder: Path) -> None:
+    scene(folder / "SCENE")
+    epipole.splat(folder / "SCENE", folder / "PATH", steps=20, max_gaussians=500)
+
+
+def nothing(_: Path) -> None:
+    """The lines name no file."""
+
+
+AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
+    "README-0": nothing,
+    "README-2": results,
+    "first_model-0": nothing,
+    "first_model-1": nothing,
+    "first_model-2": nothing,
+    "index-0": nothing,
+}
+"""By the page and the number of its block: where IMAGES are six photographs, OUT their reconstruction and DIR the true cameras."""
+WORLDS: dict[str, Callable[[Path], None]] = {
+    "README-1": large_photographs,
+    "README-3": pair,
+    "README-4": known_ride,
+    "README-5": field_sources("SOURCE", model="MODEL"),
+    "README-6": nothing,
+    "calibration-0": boards,
+    "calibration-1": pair,
+    "coming_from/colmap-0": from_colmap,
+    "coming_from/nerfstudio-0": field_sources("SCENE"),
+    "coming_from/nerfstudio-1": field_sources(),
+    "coming_from/opencv-0": pair,
+    "coming_from/orb_slam3-0": from_orb_slam,
+    "fields-0": fields_of_all_kinds,
+    "install-0": nothing,
+    "install-1": nothing,
+    "reconstruction-0": walk,
+    "scale-0": metres_for_photographs,
+    "slam-0": sources_of_slam,
+    "slam-1": stopped_ride,
+    "slam-2": stopped_ride,
+    "slam-3": metres_for_slam,
+    "slam-4": maps,
+    "viewer-0": splats,
+}
+"""The same in an empty folder."""
