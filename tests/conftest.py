@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, settings
 sys.path.insert(0, str(Path(__file__).parent))
 import type_checks
 
-# Every annotated function of the package checks the shapes and types of its arguments and results, in its first calls in
+# Every annotated function of the package checks the shapes and types of its arguments and results, in its first and some later calls in
 # each test; an int may stand for a float, as in mypy. This must come before the first import of epipole.
 CHECKER = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 type_checks.install("epipole", CHECKER)

@@ -1,4 +1,4 @@
-"""Run-time type checks of annotated functions, in the first calls of each in a test: loops cost little more than without.
+"""Run-time type checks of annotated functions, in the first calls of each in a test, and in some later ones: loops stay fast.
 
 jaxtyping's import hook writes `@jaxtyping.jaxtyped(typechecker=...)` to every function and class; `sampled` stands for it here. A
 check takes tens of microseconds, a call that goes unchecked a tenth of one. What is checked is made at the first call, which
@@ -14,8 +14,8 @@ from typing import Any
 
 import jaxtyping
 
-FIRST = 20
-"""Calls of a function that are checked in each test."""
+FIRST, EVERY = 50, 50
+"""So many calls of a function are checked in each test, and of later ones every so-many-th."""
 _real: Any = jaxtyping.jaxtyped
 
 
@@ -87,10 +87,10 @@ def _sampled_function(function: Callable[..., Any], typechecker: Any) -> Callabl
         nonlocal full
         if count.turn != Turn.number:
             count.turn = Turn.number
-            count.left = FIRST if Turn.number > 0 else 0
-        if not count.left:
-            return function(*args, **kwargs)
+            count.left = FIRST if Turn.number > 0 else -1
         count.left -= 1
+        if count.left < 0 and (count.left % EVERY or Turn.number < 0):
+            return function(*args, **kwargs)
         if full is None:
             full = _real(function, typechecker=typechecker)
         return full(*args, **kwargs)
