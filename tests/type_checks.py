@@ -54,7 +54,7 @@ def sampled(thing: Any = None, *, typechecker: Any) -> Any:
         return functools.partial(sampled, typechecker=typechecker)
     if inspect.isclass(thing):
         if is_dataclass(thing) and not hasattr(thing.__init__, "is_sampled"):
-            thing.__init__ = _sampled_function(thing.__init__, typechecker)  # type: ignore[misc]
+            thing.__init__ = _sampled_function(thing.__init__, typechecker)
         return thing
     if isinstance(thing, (classmethod, staticmethod)):
         return type(thing)(sampled(thing.__func__, typechecker=typechecker))
@@ -67,20 +67,21 @@ def sampled(thing: Any = None, *, typechecker: Any) -> Any:
 class _Count:
     """Of a function's calls in this test: one for all functions that are made of the same code."""
 
-    __slots__ = ("left", "turn")
+    __slots__ = ("code", "left", "turn")
 
-    def __init__(self) -> None:
-        self.left, self.turn = FIRST, 0
+    def __init__(self, code: CodeType) -> None:
+        self.code, self.left, self.turn = code, FIRST, 0
 
 
-_counts: dict[CodeType, _Count] = {}
+_counts: dict[int, _Count] = {}
+"""By the code's identity: data classes with the same fields have equal code."""
 
 
 def _sampled_function(function: Callable[..., Any], typechecker: Any) -> Callable[..., Any]:
     code = getattr(inspect.unwrap(function), "__code__", None)
     if code is None or not getattr(function, "__annotations__", None):
         return function
-    count, full = _counts.setdefault(code, _Count()), None
+    count, full = _counts.setdefault(id(code), _Count(code)), None
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -95,5 +96,5 @@ def _sampled_function(function: Callable[..., Any], typechecker: Any) -> Callabl
             full = _real(function, typechecker=typechecker)
         return full(*args, **kwargs)
 
-    call.is_sampled = True  # type: ignore[attr-defined]
+    call.is_sampled = True
     return call

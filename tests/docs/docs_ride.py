@@ -29,7 +29,6 @@ COUNT, HZ, KITTI_HZ, BASELINE = 18, 30.0, 10.0, 0.12
 FEW = slice(1, None, 3)
 """Frames that are taken as photographs."""
 RIGHT_FROM_LEFT = Rigid3(np.eye(3), np.array([-BASELINE, 0.0, 0.0]))
-MILLIMETRES = 1000.0
 
 
 class Ride(NamedTuple):
