@@ -1,6 +1,9 @@
 """Units are done once, redone when stale, and never leave half a file."""
 
+import gc
 import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +100,27 @@ def test_a_place_that_cannot_be_written_says_so(tmp_path):
     with pytest.raises(WorkspaceError, match="cannot write"):
         store(tmp_path / "file" / "x.npz", "key", {})
     assert stored_key(tmp_path / "nothing.npz") == ""
+
+
+def test_many_threads_read_at_once(tmp_path):
+    """Also where something in Python runs while the collector looks for cycles, in the midst of a header."""
+    store(tmp_path / "unit.npz", "key", {"pixels": np.ones((5, 2)), "angles": np.ones(5)})
+    before = gc.get_threshold(), sys.getswitchinterval()
+
+    def busy(*_: object) -> None:
+        sum(range(20))
+
+    gc.callbacks.append(busy)
+    gc.set_threshold(10)
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            read = list(pool.map(lambda _: load(tmp_path / "unit.npz"), range(400)))
+    finally:
+        gc.set_threshold(*before[0])
+        sys.setswitchinterval(before[1])
+        gc.callbacks.remove(busy)
+    assert all(arrays["pixels"].shape == (5, 2) for arrays in read)
 
 
 def test_digests_tell_arrays_apart():

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
@@ -37,6 +38,9 @@ _DAMAGE = (
     *(SyntaxError, BadZipFile, TokenError, zlib.error),
 )
 """What zipfile and NumPy may raise on a damaged file."""
+_one_header_at_a_time = threading.Lock()
+"""NumPy reads the header of an array with Python's parser, which up to Python 3.12 counts its depth for all threads
+together and now and then takes that for an error (CPython issue 106905)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +160,11 @@ def _open_arrays(path: Path) -> NpzFile:
     return file
 
 
+def _array(file: NpzFile, name: str) -> np.ndarray:
+    with _one_header_at_a_time:
+        return np.asarray(file[name])
+
+
 def load(path: Path, *names: str) -> Arrays:
     """Read the arrays of these names from a unit's file; all of them if none is named.
 
@@ -164,7 +173,7 @@ def load(path: Path, *names: str) -> Arrays:
     """
     try:
         with _open_arrays(path) as file:
-            return {name: file[name] for name in names or file.files if name != "key"}
+            return {name: _array(file, name) for name in names or file.files if name != "key"}
     except _DAMAGE as error:
         raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
 
@@ -178,7 +187,7 @@ def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
         with _open_arrays(path) as file:
-            return str(file["key"])
+            return str(_array(file, "key"))
     except _DAMAGE:
         return ""
 
