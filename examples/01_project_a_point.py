@@ -58,7 +58,7 @@ assert np.allclose(
 # convert by themselves; numbers that are copied by hand need this call.
 
 colmap_params = np.array([500.0, 500.0, 320.0, 240.0])
-params = params_from_colmap(epipole.CameraModel.PINHOLE, colmap_params)
+params = params_from_colmap("PINHOLE", colmap_params)
 assert params.tolist() == [500.0, 500.0, 319.5, 239.5]
 
 # A pinhole that sees what the lens saw, for programs that know no distortion: the same ray has another pixel

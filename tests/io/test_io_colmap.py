@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from epipole.cameras import CameraModel
-from epipole.errors import ConfigError, EpipoleError, FileFormatError, WorkspaceError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io import params_from_colmap, params_to_colmap, read_colmap_model, write_colmap_model
 from epipole.scene import Rigs
@@ -83,6 +83,15 @@ def test_params_move_the_principal_point_alone(model: CameraModel) -> None:
     assert sorted(np.flatnonzero(moved)) == list(model.principal_point_indices)
     assert set(moved) <= {0.0, 0.5}
     np.testing.assert_array_equal(params_from_colmap(model, params_to_colmap(model, params)), params)
+
+
+def test_params_of_a_model_s_name() -> None:
+    assert params_from_colmap("PINHOLE", [500, 500, 320, 240]).tolist() == [500.0, 500.0, 319.5, 239.5]
+    for model, params in (("PINHOLE", [500, 320, 240]), ("PINHOLES", [500, 500, 320, 240]), (77, [1.0])):
+        with pytest.raises(ConfigError):
+            params_to_colmap(model, params)
+    with pytest.raises(ShapeError):
+        params_from_colmap("PINHOLE", "500,500,320,240")
 
 
 @pytest.mark.parametrize("text", [False, True])

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float64
+from numpy.typing import ArrayLike
 
-from epipole.cameras import Camera, CameraModel
+from epipole._checks import as_float_array
+from epipole.cameras import Camera, CameraModel, as_camera_model
 from epipole.errors import ConfigError
 
 HALF_PIXEL = 0.5
@@ -25,19 +27,32 @@ _OTHER_MODELS = {
 _MAX_SIZE = 2**31 - 1
 
 
-def params_from_colmap(model: CameraModel, params: np.ndarray) -> Float64[np.ndarray, " p"]:
-    """COLMAP's parameters with the principal point in epipole's pixels."""
+def params_from_colmap(model: CameraModel | str | int, params: ArrayLike) -> Float64[np.ndarray, " p"]:
+    """COLMAP's parameters, (p,), with the principal point in epipole's pixels.
+
+    Raises:
+        ConfigError: there is no such model, or it has another number of parameters.
+        ShapeError: the parameters are no numbers.
+    """
     return _shifted(model, params, -HALF_PIXEL)
 
 
-def params_to_colmap(model: CameraModel, params: np.ndarray) -> Float64[np.ndarray, " p"]:
-    """Parameters with the principal point in COLMAP's pixels."""
+def params_to_colmap(model: CameraModel | str | int, params: ArrayLike) -> Float64[np.ndarray, " p"]:
+    """Parameters, (p,), with the principal point in COLMAP's pixels.
+
+    Raises:
+        ConfigError: there is no such model, or it has another number of parameters.
+        ShapeError: the parameters are no numbers.
+    """
     return _shifted(model, params, HALF_PIXEL)
 
 
-def _shifted(model: CameraModel, params: np.ndarray, shift_px: float) -> np.ndarray:
-    out = np.array(params, np.float64)
-    out[list(model.principal_point_indices)] += shift_px
+def _shifted(model: CameraModel | str | int, params: ArrayLike, shift_px: float) -> np.ndarray:
+    known, out = as_camera_model(model), np.array(as_float_array(params, "params"))
+    if out.shape != (known.num_params,):
+        names = ", ".join(known.param_names)
+        raise ConfigError(f"{known.name} has {known.num_params} parameters ({names}), got {out.size}")
+    out[list(known.principal_point_indices)] += shift_px
     return out
 
 
