@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 from importlib import resources
 
 import numpy as np
@@ -9,6 +10,12 @@ import pytest
 from benchmarks.lesson_replays import failures, recorded
 
 RECORD = json.loads(resources.files("epipole.lesson").joinpath("assets", "failures.json").read_text())
+
+
+def stated(run, which):
+    """Places that were known: a camera that only turns, or has no map yet, has none."""
+    unknown = ("turning", "starting") if which == "place" else ("turning",)
+    return [None if state in unknown else place for place, state in zip(run[which], run["state"])]
 
 
 def rms_cm(places, truth):
@@ -27,13 +34,13 @@ def test_a_replay_shows_what_was_recorded(tab, failure):
         assert tab.page.locator("#frame").get_attribute("max") == str(count - 1)
         for k in (0, count // 3, count - 1):
             tab.set(frame=k)
-            shown, place = tab.shown(), run["place"][k]
+            shown, place = tab.shown(), stated(run, "place")[k]
             off = 100 * np.linalg.norm(np.subtract(place, run["truth"][k])) if place else np.nan
             wanted = {
                 "points": run["points"][k],
                 "off_now": off,
-                "final_off": rms_cm(run["final"], run["truth"]),
-                "placed": 100 * sum(p is not None for p in run["place"]) / count,
+                "final_off": rms_cm(stated(run, "final"), run["truth"]),
+                "placed": 100 * sum(p is not None for p in stated(run, "place")) / count,
             }
             for what, value in wanted.items():
                 np.testing.assert_allclose(shown[what], value, rtol=1e-9, atol=1e-9, err_msg=f"{name} {what}")
@@ -41,6 +48,17 @@ def test_a_replay_shows_what_was_recorded(tab, failure):
                 assert shown[id] == sum(loop == verdict for seen, loop in run["loops"] if seen <= k)
             assert tab.page.locator("#state").get_attribute("data-state") == run["state"][k]
             assert tab.page.locator("#reason").inner_text() == (run["reason"][k] or "–")
+
+
+def test_what_a_run_says_is_told_in_chinese_too(tab):
+    tab.open("09_failures.zh.html")
+    said = {
+        reason for runs in failures() for run in RECORD[runs].values() for reason in run["reason"] if reason
+    }
+    told = {reason: tab.page.evaluate("said => reasonOf(said)", reason) for reason in said}
+    for reason, words in told.items():
+        assert re.search("[\u4e00-\u9fff]", words) and not re.search("[a-z]", words), words
+        assert re.findall(r"[\d.]+", reason) == re.findall(r"[\d.]+", words)
 
 
 def test_it_plays_and_stops(tab):

@@ -150,7 +150,15 @@ def test_four_candidates(tab):
             close(row, nearest)
             left.remove(nearest)
         _, in_front, _ = choose_by_cheirality(candidates, rays1, rays2)
-        assert shown["count0"] == in_front.sum()
+        counts = [shown[f"count{k}"] for k in range(4)]
+        assert max(counts) == in_front.sum()
+        chosen = [tab.page.locator(f"#row{k}").get_attribute("class") == "best" for k in range(4)]
+        assert chosen == [count == max(counts) for count in counts]
+        # The true one is told, whichever wins.
+        true = [k for k in range(4) if tab.page.locator(f"#true{k}").inner_text()]
+        (k,) = true
+        close([shown[f"t{k}{a}"] for a in range(3)], motion.translation / np.linalg.norm(motion.translation))
+        close(shown[f"angle{k}"], abs(yaw))
 
 
 def test_the_pictures_know_no_size(tab):
@@ -161,6 +169,8 @@ def test_the_pictures_know_no_size(tab):
     ):
         tab.page.locator(f"input[value={anchor}]").check()
         tab.set(k=k, B=B, W=W)
+        disabled = [tab.page.locator(f"#{name}").is_disabled() for name in "BW"]
+        assert disabled == [anchor != "baseline", anchor != "width"]
         shown, corners = tab.shown(), house(5.0)
         motion = Rigid3(turned, np.array([1.0, 0.0, 0.0])).inverse()
         for name, where in (("u1", Rigid3.identity()), ("u2", motion)):
@@ -191,6 +201,10 @@ def test_points_and_their_ellipse(tab):
         spread = point_covariances(cams, CAMERA, truth[None], np.ones((2, 1), bool), s)[0]
         close(shown["angle"], np.rad2deg(ray_angles_rad(truth, np.zeros(3), np.array([B, 0.0, A]))))
         close([shown["sx"], shown["sz"]], np.sqrt(spread[[0, 2], [0, 2]]))
+        close([shown["short"], shown["long"]], np.sqrt(np.linalg.eigvalsh(spread[np.ix_([0, 2], [0, 2])])))
+        rays = CAMERA.unproject(pixels)
+        apart = np.cross(*rays)
+        close(shown["gap"], abs(np.array([B, 0.0, A]) @ apart) / np.linalg.norm(apart))
         for name, point in (("linear", first), ("best", best)):
             off = [CAMERA.project(cams[k].apply(point[None]))[0] - pixels[k] for k in range(2)]
             close(shown[name], np.linalg.norm(point - truth), Z)
@@ -235,7 +249,9 @@ def way(step, s, most):
     for k in range(step + 1):
         last = pixels[len(cameras)] if k % 2 else pixels[len(cameras) - 1]
         if k % 2:
-            rows = [j for j in known if not np.isnan(last[j, 0])][:most]
+            rows = [j for j in known if not np.isnan(last[j, 0])]
+            count = min(most, len(rows))
+            rows = [rows[k * len(rows) // count] for k in range(count)]
             start, places = cameras[-1][None], [known[j] for j in rows]
             cameras.append(adjusted(start, places, last[rows], camera_is_free=True).rig_from_world[0])
             used = len(rows)
@@ -262,7 +278,7 @@ def way(step, s, most):
 def test_a_camera_on_its_way(tab):
     tab.open("06_pnp.html")
     landmarks, _ = corridor()
-    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (7, 1.5, 12)):
+    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (7, 1.5, 20), (3, 2.0, 6)):
         tab.set(step=step, s=s, most=most)
         shown, (truth, cameras, known, used) = tab.shown(), way(step, s, most)
         last, right = cameras[-1], truth[len(cameras) - 1]

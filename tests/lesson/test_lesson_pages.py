@@ -35,6 +35,7 @@ def test_every_text_is_there_in_both_languages(name):
         en, zh = ({*re.findall(r"\{\w+\}|<[a-z/]+>", told[code])} for code in ("en", "zh"))
         assert en == zh, f"{place}: {en ^ zh}"
         assert re.search("[\u4e00-\u9fff]", told["zh"]) or told["zh"] == told["en"], place
+        assert not re.search("[\u4e00-\u9fff] ?[,:;?!]|[,:;?!] ?[\u4e00-\u9fff]", told["zh"]), place
 
 
 def test_pages_are_small_and_name_their_language():
@@ -89,6 +90,46 @@ def test_a_phone_shows_all_of_it(tab, name):
             .filter(e => e.checkVisibility() && e.getBoundingClientRect().height < 44).length"""
     )
     assert small == 0
+
+
+def test_arrow_keys_go_by_round_numbers(tab):
+    tab.open("01_disparity.html")
+    tab.page.locator("#Z").focus()
+    shown = []
+    for key in ("ArrowRight", "ArrowRight", "ArrowLeft", "ArrowDown", "End", "ArrowUp"):
+        tab.page.keyboard.press(key)
+        shown.append(float(tab.page.locator("#Z").input_value()))
+    assert shown == [2.5, 3.0, 2.5, 2.0, 40.0, 40.0]
+
+
+def test_what_changed_is_said_once(tab):
+    """Not every number at every move of a slider: one sentence when it rests."""
+    tab.open("01_disparity.html")
+    assert tab.page.locator("#said").get_attribute("role") == "status"
+    assert not tab.page.locator("[aria-live]").count()
+    tab.set(Z=10.0)
+    tab.page.wait_for_timeout(200)
+    assert tab.page.locator("#said").inner_text() == ""
+    tab.page.wait_for_timeout(1000)
+    assert "10.0 m ahead" in tab.page.locator("#said").text_content()
+
+
+def test_a_finger_scrolls_unless_it_begins_on_the_object(tab):
+    tab.open("01_disparity.html")
+    before = tab.shown()["back"]
+    press = """([x, y]) => {
+        const svg = document.getElementById("above"), at = svg.getBoundingClientRect();
+        const point = {clientX: at.left + x * at.width, clientY: at.top + y * at.height, pointerType: "touch", pointerId: 1, bubbles: true};
+        svg.setPointerCapture = () => {};
+        document.elementFromPoint(point.clientX, point.clientY).dispatchEvent(new PointerEvent("pointerdown", point));
+    }"""
+    tab.page.evaluate(press, [0.1, 0.2])
+    assert tab.shown()["back"] == before
+    object_at = tab.page.evaluate(
+        "(() => { const o = document.querySelector('#above .object'); return [o.cx.baseVal.value / 440, o.cy.baseVal.value / 330] })()"
+    )
+    tab.page.evaluate(press, [object_at[0], object_at[1] + 0.03])
+    assert tab.shown()["back"] != before
 
 
 def test_the_first_page_by_keyboard_alone(tab):

@@ -15,6 +15,7 @@ from epipole.report.frame import asset, render
 
 PACKAGE = "epipole.lesson"
 LANGUAGES = {"en": "English", "zh": "中文"}
+STOP, COLON = {"en": ".", "zh": "。"}, {"en": ":", "zh": "\uff1a"}
 
 
 class Page(NamedTuple):
@@ -81,6 +82,8 @@ def _rendered(page: Page, language: str, number: int) -> str:
         number=number,
         pages=all_pages,
         index=_file("index", language),
+        stop=STOP[language],
+        colon=COLON[language],
         style=Markup(asset("page.css") + own_asset("lesson.css")),
         script=Markup(script),
     )

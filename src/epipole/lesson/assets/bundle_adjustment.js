@@ -1,6 +1,7 @@
 /* Bundle adjustment by Levenberg and Marquardt, points eliminated (Triggs et al. 2000, section 6.1). */
 /* exported bundleOf, adjustmentSteps */
-const HELD = 0;
+const HELD = 0,
+  SETTLED = 1e-14;
 
 /* Observations that are in view, with noise, and where the adjustment begins; camera 0 begins where it is, and stays there. */
 function bundleOf({ visible, s, off }) {
@@ -41,7 +42,8 @@ const addTo = (sum, block) => block.forEach((row, i) => row.forEach((v, k) => (s
 const outer = (rows1, rows2) => times(transposed(rows1), rows2);
 const blank = (rows, columns) => Array.from({ length: rows }, () => new Array(columns).fill(0));
 const costOf = (observations, state) =>
-  0.5 * observations.reduce((sum, { c, j, pixel }) => {
+  0.5 *
+  observations.reduce((sum, { c, j, pixel }) => {
     const left = minus(pixel, project(moved(state.cameras[c], state.points[j])));
     return sum + dot(left, left);
   }, 0);
@@ -65,14 +67,17 @@ function normalEquations(observations, state) {
   return { U, a, V, b, W };
 }
 
-const damped = (block, damping) => block.map((row, i) => row.map((v, j) => (i === j ? v * (1 + damping) : v)));
+const damped = (block, damping) =>
+  block.map((row, i) => row.map((v, j) => (i === j ? v * (1 + damping) : v)));
 
 /* The step of (H + damping diag H) x = g: S = U - W V^-1 W^T for the free cameras first, then each point by itself. */
 function stepOf({ U, a, V, b, W }, damping) {
   const n = 6 * U.length,
     S = blank(n, n),
     right = a.flat();
-  U.forEach((block, c) => damped(block, damping).forEach((row, i) => row.forEach((v, k) => (S[6 * c + i][6 * c + k] = v))));
+  U.forEach((block, c) =>
+    damped(block, damping).forEach((row, i) => row.forEach((v, k) => (S[6 * c + i][6 * c + k] = v))),
+  );
   const inverses = V.map((block) => inverted(damped(block, damping)));
   W.forEach((seen, j) => {
     for (const one of seen) {
@@ -85,7 +90,10 @@ function stepOf({ U, a, V, b, W }, damping) {
     }
   });
   const free = S.map((_, k) => k).filter((k) => Math.floor(k / 6) !== HELD);
-  const found = solved(free.map((i) => free.map((k) => S[i][k])), free.map((i) => right[i]));
+  const found = solved(
+    free.map((i) => free.map((k) => S[i][k])),
+    free.map((i) => right[i]),
+  );
   const whole = new Array(n).fill(0);
   free.forEach((k, at) => (whole[k] = found[at]));
   const cameras = U.map((_, c) => whole.slice(6 * c, 6 * c + 6));
@@ -98,7 +106,14 @@ function stepOf({ U, a, V, b, W }, damping) {
 
 /* How much the linear model says that a step lowers the cost: half of x^T (damping diag H x + g). */
 function predictedFall({ U, a, V, b }, step, damping) {
-  const of = (x, block, right) => dot(x, plus(right, x.map((v, k) => damping * block[k][k] * v)));
+  const of = (x, block, right) =>
+    dot(
+      x,
+      plus(
+        right,
+        x.map((v, k) => damping * block[k][k] * v),
+      ),
+    );
   const cameras = step.cameras.reduce((sum, x, c) => sum + of(x, U[c], a[c]), 0);
   return 0.5 * (cameras + step.points.reduce((sum, x, j) => sum + of(x, V[j], b[j]), 0));
 }
@@ -118,8 +133,9 @@ function adjustmentSteps({ observations, start }, count) {
       points: state.points.map((point, j) => plus(point, step.points[j])),
     };
     const after = costOf(observations, candidate),
-      gain = (cost - after) / predictedFall(equations, step, damping),
-      accepted = after <= cost && gain > 0,
+      expected = predictedFall(equations, step, damping),
+      gain = (cost - after) / expected,
+      accepted = (after <= cost && gain > 0) || expected < SETTLED * cost, // at the end rounding says which is lower
       used = damping;
     if (accepted) {
       [state, cost] = [candidate, after];

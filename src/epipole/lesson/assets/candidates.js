@@ -10,7 +10,10 @@ function candidatesOf(E) {
   const cofactors = [cross(sized[1], sized[2]), cross(sized[2], sized[0]), cross(sized[0], sized[1])];
   const across = times(skew(t), sized);
   const turns = [-1, 1].map((sign) => cofactors.map((row, i) => plus(row, scaled(across[i], sign))));
-  return turns.flatMap((R) => [t, scaled(t, -1)].map((direction) => ({ R, t: direction })));
+  // In an order that stays while the motion changes: the smaller turn first, and of each the direction to the right first.
+  const right = t[0] < 0 ? scaled(t, -1) : t;
+  turns.sort((one, other) => angleOf(one) - angleOf(other));
+  return turns.flatMap((R) => [right, scaled(right, -1)].map((direction) => ({ R, t: direction })));
 }
 
 function candidateNumbers({ tx, tz, yaw, far, noise }) {
@@ -22,9 +25,27 @@ function candidateNumbers({ tx, tz, yaw, far, noise }) {
     rays2 = seen(truth, 1);
   const found = candidatesOf(times(skew(truth.t), truth.R)).map((motion) => {
     const points = rays1.map((ray, j) => triangulated(motion, ray, rays2[j]));
-    return { motion, points, count: points.filter((p) => p.along1 > 0 && p.along2 > 0).length };
+    const isTrue = angleOf(times(motion.R, transposed(truth.R))) < 1 && dot(motion.t, truth.t) > 0;
+    return { motion, points, isTrue, count: points.filter((p) => p.along1 > 0 && p.along2 > 0).length };
   });
-  return found.sort((one, other) => other.count - one.count);
+  const most = Math.max(...found.map(({ count }) => count));
+  return found.map((one) => ({ ...one, isChosen: one.count === most }));
+}
+
+/* A point, or at the rim an arrow to where it is. */
+function drawPoint(inside, [x, y], kind) {
+  if (!Number.isFinite(x)) return;
+  if (Math.abs(x) < 100 && Math.abs(y) < 205) {
+    add(inside, "circle", { class: kind, cx: x, cy: y, r: 5 });
+    return;
+  }
+  const shrink = Math.min(97 / Math.abs(x), 202 / Math.abs(y)),
+    turned = (Math.atan2(y, x) * 180) / Math.PI;
+  add(inside, "path", {
+    class: kind,
+    d: "M0,0 l-9,-5 v10 z",
+    transform: `translate(${shrink * x} ${shrink * y}) rotate(${turned})`,
+  });
 }
 
 function drawFour(found) {
@@ -32,19 +53,35 @@ function drawFour(found) {
     side = (width) => (width - 12) / inRow(width) - 12;
   const [svg, width] = fitted("four", (all) => (4 / inRow(all)) * (2 * side(all) + 34) + 12);
   const wide = side(width);
-  found.forEach(({ motion, points, count }, k) => {
+  found.forEach(({ motion, points, count, isTrue, isChosen }, k) => {
     const left = 12 + (wide + 12) * (k % inRow(width)),
       top = 34 + (2 * wide + 34) * Math.floor(k / inRow(width)),
-      inside = add(svg, "svg", { x: left, y: top, width: wide, height: 2 * wide, viewBox: "-105 -210 210 420" });
-    add(svg, "text", { class: "label", x: left, y: top - 8 }, `${WORDS.candidate} ${"ABCD"[k]}: ${count}`);
-    add(inside, "rect", { class: count === points.length ? "frame chosen" : "frame", x: -104, y: -209, width: 208, height: 418 });
+      inside = add(svg, "svg", {
+        x: left,
+        y: top,
+        width: wide,
+        height: 2 * wide,
+        viewBox: "-105 -210 210 420",
+      });
+    const truth = isTrue ? ` (${WORDS.true})` : "";
+    add(
+      svg,
+      "text",
+      { class: "label", x: left, y: top - 8 },
+      `${WORDS.candidate} ${"ABCD"[k]}: ${count}${truth}`,
+    );
+    add(inside, "rect", {
+      class: isChosen ? "frame chosen" : "frame",
+      x: -104,
+      y: -209,
+      width: 208,
+      height: 418,
+    });
     const reach = Math.max(...points.map(({ point }) => Math.abs(point[2])).filter((z) => z < 60), 3),
       scale = 195 / (reach + 1);
     const toPlace = ([x, , z]) => [scale * x, -scale * z];
-    for (const { point, along1, along2 } of points) {
-      const [x, y] = toPlace(point);
-      if (Number.isFinite(x)) add(inside, "circle", { class: along1 > 0 && along2 > 0 ? "object" : "behind", cx: x, cy: y, r: 5 });
-    }
+    for (const { point, along1, along2 } of points)
+      drawPoint(inside, toPlace(point), along1 > 0 && along2 > 0 ? "object" : "behind");
     drawCamera(inside, toPlace, HERE, "one");
     drawCamera(inside, toPlace, motion, "other");
   });
@@ -52,7 +89,9 @@ function drawFour(found) {
 
 watch(["tx", "tz", "yaw", "far", "noise"], (values) => {
   const found = candidateNumbers(values);
-  found.forEach(({ motion, count }, k) => {
+  found.forEach(({ motion, count, isTrue, isChosen }, k) => {
+    byId(`row${k}`).className = isChosen ? "best" : "";
+    byId(`true${k}`).textContent = isTrue ? WORDS.true : "";
     show(`angle${k}`, angleOf(motion.R), "°");
     motion.t.forEach((v, axis) => show(`t${k}${axis}`, v));
     show(`count${k}`, count, "", 1);

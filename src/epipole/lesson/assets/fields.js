@@ -4,7 +4,11 @@ const WAYS = ["nerf", "splat"];
 
 /* Samples of a ray: alpha = 1 - exp(-sigma delta); what is behind `least` of the light is not asked for (NeRF, Mildenhall et al. 2020, eq. 3). */
 function samplesOf({ nerf }) {
-  return nerf.distance.map((distance, k) => ({ distance, alpha: -Math.expm1(-nerf.thickness[k]), colour: nerf.colour[k] }));
+  return nerf.distance.map((distance, k) => ({
+    distance,
+    alpha: -Math.expm1(-nerf.thickness[k]),
+    colour: nerf.colour[k],
+  }));
 }
 
 /* Gaussians of a pixel: alpha = o exp(-d' A d / 2), at most 0.99; below 1/255 it changes nothing (Kerbl et al. 2023). */
@@ -38,7 +42,8 @@ function composited(way, pixel, upto) {
   return { parts, through, weights, depth, colour: colour.map((v) => v + through) };
 }
 
-const cssColour = (colour) => `rgb(${colour.map((v) => Math.round(255 * Math.min(1, Math.max(0, v)))).join(" ")})`;
+const cssColour = (colour) =>
+  `rgb(${colour.map((v) => Math.round(255 * Math.min(1, Math.max(0, v)))).join(" ")})`;
 
 function fieldNumbers({ upto }, name) {
   const pixel = RECORD.pixels[Number(name)],
@@ -67,11 +72,17 @@ function drawPictures(chosenPixel) {
   const shown = [["truth", RECORD.truth], ...WAYS.map((way) => [way, RECORD.pictures[way]])];
   shown.forEach(([name, data], k) => {
     const left = k * (side + 10);
-    add(svg, "text", { class: "label", x: left, y: 14 }, WORDS.pictures[name]);
+    const label = add(svg, "text", { class: "label", x: left, y: 14 }, WORDS.pictures[name]);
+    label.style.fontSize = `${Math.min(17, (13 * (3 * side + 20)) / (svg.clientWidth || 620))}px`; // as large as elsewhere
     add(svg, "image", { href: "data:image/webp;base64," + data, x: left, y: 24, width: side, height: side });
     RECORD.pixels.forEach(({ at: [x, y] }, which) => {
       const kind = String(which) === chosenPixel ? "ring chosen" : "ring";
-      add(svg, "circle", { class: kind, cx: left + x + 0.5, cy: 24.5 + y, r: String(which) === chosenPixel ? 7 : 4 });
+      add(svg, "circle", {
+        class: kind,
+        cx: left + x + 0.5,
+        cy: 24.5 + y,
+        r: String(which) === chosenPixel ? 7 : 4,
+      });
     });
   });
 }
@@ -80,7 +91,8 @@ function drawPictures(chosenPixel) {
 function drawRay(way, { parts, through }, upto) {
   const [svg, width] = fitted(`ray-${way}`, 220),
     box = { left: 44, top: 30, right: width - 14, bottom: 172 };
-  const toX = (distance) => box.left + ((box.right - box.left) * (distance - RECORD.near)) / (RECORD.far - RECORD.near),
+  const toX = (distance) =>
+      box.left + ((box.right - box.left) * (distance - RECORD.near)) / (RECORD.far - RECORD.near),
     toY = (v) => box.bottom - (box.bottom - box.top) * v;
   for (const y of [0, 0.5, 1]) {
     add(svg, "line", { class: "grid", x1: box.left, x2: box.right, y1: toY(y), y2: toY(y) });
@@ -88,37 +100,67 @@ function drawRay(way, { parts, through }, upto) {
   }
   for (let x = Math.ceil(2 * RECORD.near) / 2; x <= RECORD.far; x += 0.5)
     add(svg, "text", { class: "tick", x: toX(x), y: box.bottom + 24, "text-anchor": "middle" }, x.toFixed(1));
-  add(svg, "text", { class: "label", x: box.right, y: box.bottom + 42, "text-anchor": "end" }, WORDS.distance);
+  add(
+    svg,
+    "text",
+    { class: "label", x: box.right, y: box.bottom + 42, "text-anchor": "end" },
+    WORDS.distance,
+  );
   add(svg, "text", { class: "label", x: 8, y: 16 }, WORDS.ways[way]);
   const heaviest = Math.max(...parts.map(({ weight }) => weight));
   for (const { distance, weight, colour } of parts) {
-    add(svg, "line", { class: "query", x1: toX(distance), x2: toX(distance), y1: box.bottom + 2, y2: box.bottom + 8 });
+    add(svg, "line", {
+      class: "query",
+      x1: toX(distance),
+      x2: toX(distance),
+      y1: box.bottom + 2,
+      y2: box.bottom + 8,
+    });
     const top = toY((0.8 * weight) / heaviest);
-    add(svg, "rect", { class: "weight", x: toX(distance) - 2, width: 4, y: top, height: toY(0) - top, fill: cssColour(colour) });
+    add(svg, "rect", {
+      class: "weight",
+      x: toX(distance) - 2,
+      width: 4,
+      y: top,
+      height: toY(0) - top,
+      fill: cssColour(colour),
+    });
   }
   const steps = parts.map((part) => `H${toX(part.distance)} V${toY(part.through)}`);
   const end = Math.min(upto, RECORD.far);
-  add(svg, "path", { class: "ray one", d: `M${toX(RECORD.near)},${toY(1)} ${steps.join(" ")} V${toY(through)} H${toX(end)}` });
+  add(svg, "path", {
+    class: "ray one",
+    d: `M${toX(RECORD.near)},${toY(1)} ${steps.join(" ")} V${toY(through)} H${toX(end)}`,
+  });
   add(svg, "line", { class: "measure", x1: toX(end), x2: toX(end), y1: box.top, y2: box.bottom });
 }
 
 function drawColours({ pixel, found }) {
-  const [svg, width] = fitted("colours", 74),
-    part = (width - 20) / 4;
+  const inRow = (width) => (width < 600 ? 2 : 4),
+    [svg, width] = fitted("colours", (all) => (all < 600 ? 148 : 74)),
+    part = (width - 20) / inRow(width);
   const shown = WAYS.flatMap((way) => [
     [WORDS.colours.summed[way], found[way].colour],
     [WORDS.colours.drawn[way], pixel.drawn[way]],
   ]);
   shown.forEach(([name, colour], k) => {
-    add(svg, "rect", { class: "swatch", x: 6 + k * (part + 2), y: 4, width: part, height: 36, fill: cssColour(colour) });
-    add(svg, "text", { class: "tick", x: 6 + k * (part + 2), y: 58 }, name);
+    const x = 6 + (k % inRow(width)) * (part + 2),
+      y = 4 + 72 * Math.floor(k / inRow(width));
+    add(svg, "rect", { class: "swatch", x, y, width: part, height: 36, fill: cssColour(colour) });
+    add(svg, "text", { class: "tick", x, y: y + 54 }, name);
   });
 }
 
 const set = watch(["upto"], (values) => {
   const name = chosen("pixel"),
     { pixel, found, numbers } = fieldNumbers(values, name);
-  for (const [id, value] of Object.entries(numbers)) show(id, value, id.startsWith("depth") ? "m" : "", id.startsWith("used") ? Math.max(1, String(value).length) : 4);
+  for (const [id, value] of Object.entries(numbers))
+    show(
+      id,
+      value,
+      id.startsWith("depth") ? "m" : "",
+      id.startsWith("used") ? Math.max(1, String(value).length) : 4,
+    );
   drawPictures(name);
   for (const way of WAYS) {
     drawRay(way, found[way], values.upto);
@@ -139,7 +181,12 @@ byId("pictures").addEventListener("click", (event) => {
   set({});
 });
 for (const [way, row] of Object.entries(RECORD.rows))
-  for (const [name, unit] of [["psnr", "dB"], ["frames_s", ""], ["train_s", "s"]]) show(`${name}-${way}`, row[name], unit, 3);
+  for (const [name, unit] of [
+    ["psnr", "dB"],
+    ["frames_s", ""],
+    ["train_s", "s"],
+  ])
+    show(`${name}-${way}`, row[name], unit, 3);
 show("queries-nerf", RECORD.rows.nerf.queries, "", 3);
 show("evaluated-splat", RECORD.rows.splat.evaluated, "", 3);
 show("useful-splat", RECORD.rows.splat.useful, "", 3);

@@ -20,9 +20,11 @@ const median = (values) => {
   return sorted.length % 2 ? sorted[half] : (sorted[half - 1] + sorted[half]) / 2;
 };
 
-/* Place the next camera: it starts where the last one stands, and uses the first `most` points that are known. */
+/* Place the next camera: it starts where the last one stands, and uses `most` of the known points, spread over all. */
 function placeCamera(state, pixels, most) {
-  const known = [...state.points.keys()].filter((j) => pixels[state.cameras.length][j]).slice(0, most);
+  const all = [...state.points.keys()].filter((j) => pixels[state.cameras.length][j]),
+    count = Math.min(most, all.length),
+    known = Array.from({ length: count }, (_, k) => all[Math.floor((k * all.length) / count)]);
   const start = state.cameras.at(-1);
   state.cameras.push(
     refinedCamera(
@@ -90,6 +92,7 @@ function drawAbove(state) {
     add(svg, "circle", { class: "behind", cx: x, cy: y, r: 3.2 });
     if (!known) return;
     const [u, v] = toPlace(known);
+    add(svg, "line", { class: "thin", x1: x, y1: y, x2: u, y2: v });
     add(svg, "circle", { class: state.added.has(j) ? "other" : "one", cx: u, cy: v, r: 3.2 });
   });
   TRUE_PATH.forEach((motion) => drawCamera(svg, toPlace, motion, "true", 0.7));
@@ -103,7 +106,7 @@ watch(["step", "s", "most"], (values) => {
   const state = wayNumbers(values);
   for (const [name, value] of Object.entries(state.numbers)) {
     const unit = name.endsWith("_off") ? (name === "turn_off" ? "°" : "m") : "";
-    show(name, value, unit, Number.isInteger(value) ? String(value).length : 4);
+    show(name, value, unit, Number.isInteger(value) && value < 1e6 ? String(value).length : 4);
   }
   byId("what").textContent = values.step === 0 ? WORDS.begin : state.placed ? WORDS.pnp : WORDS.triangulation;
   drawAbove(state);

@@ -27,9 +27,14 @@ function drawPictures({ motion, corners }) {
   });
 }
 
+/* Scales of the drawing, metres from top to bottom; without an anchor it stays, so that what grows is seen to grow. */
+const REACHES = [3, 8, 22, 60, 160];
+
 function drawAbove({ drawn, baseline }, unit) {
+  const farthest = drawn * Math.max(...SCENE.corners.map(([, , z]) => z)),
+    enough = (reach) => reach >= 1.1 * farthest && (unit === "m" || reach >= 22);
   const [svg, width] = fitted("above", 420),
-    reach = 22,
+    reach = REACHES.find(enough) || REACHES.at(-1),
     size = 384 / reach;
   const toPlace = ([x, , z]) => [0.42 * width + size * x, 402 - size * z];
   for (const z of marks(reach, 4).slice(1)) {
@@ -53,6 +58,8 @@ watch(["k", "B", "W"], (values) => {
   const anchor = chosen("anchor"),
     found = scaleNumbers(values, anchor);
   const unit = anchor === "none" ? WORDS.unit : "m";
+  byId("B").disabled = anchor !== "baseline";
+  byId("W").disabled = anchor !== "width";
   for (const name of ["u1", "u2"]) show(name, found[name], WORDS.unit_px, 7);
   for (const name of ["baseline", "width", "distance"]) show(name, found[name], unit);
   show("metres", found.metres);

@@ -29,22 +29,32 @@ function pointNumbers({ B, A, Z, X, s, n }) {
   const motions = [HERE, motionOf({ tx: B, tz: A })],
     truth = [X, 0.2, Z];
   const found = SCENE.noise.map((noise) => {
-    const pixels = motions.map((motion, k) => plus(project(moved(motion, truth)), scaled(noise.slice(2 * k, 2 * k + 2), s)));
+    const pixels = motions.map((motion, k) =>
+      plus(project(moved(motion, truth)), scaled(noise.slice(2 * k, 2 * k + 2), s)),
+    );
     const linear = linearPoint(motions, pixels.map(rayOf));
     return { pixels, linear, best: refinedPoint(motions, pixels, linear) };
   });
   const { pixels, linear, best } = found[n];
   const covariance = covarianceOf(motions, truth, s);
-  const [one, other] = [truth, minus(truth, [B, 0, A])];
+  const [one, other] = [truth, minus(truth, [B, 0, A])],
+    flat = [0, 2].map((i) => [0, 2].map((k) => covariance[i][k])),
+    axes = eigenOf(flat),
+    seen = pixels.map((pixel, k) => unit(applied(transposed(motions[k].R), rayOf(pixel)))),
+    between = cross(...seen);
   return {
     motions,
     truth,
     linear,
     best,
-    covariance,
+    axes,
+    seen,
     others: found.map((case_) => case_.best),
     numbers: {
       angle: (Math.atan2(norm(cross(one, other)), dot(one, other)) * 180) / Math.PI,
+      gap: Math.abs(dot([B, 0, A], between)) / norm(between),
+      short: Math.sqrt(axes.values[0]),
+      long: Math.sqrt(axes.values[1]),
       sx: Math.sqrt(covariance[0][0]),
       sz: Math.sqrt(covariance[2][2]),
       linear: norm(minus(linear, truth)),
@@ -55,23 +65,26 @@ function pointNumbers({ B, A, Z, X, s, n }) {
   };
 }
 
-function drawAbove({ truth, linear, best, covariance, others, numbers }, centres) {
+/* The scale is a round number, so that a larger ellipse is drawn larger until the next one. */
+function roundUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [1, 2, 5, 10].map((k) => k * power).find((round) => round >= value);
+}
+
+function drawAbove({ truth, linear, best, axes, seen, others, numbers }, centres) {
   const [svg, width] = fitted("above", 440),
-    reach = 3.4 * Math.max(numbers.sz, numbers.sx),
+    reach = roundUp(2.8 * numbers.long),
     size = 200 / reach;
   const toPlace = ([x, , z]) => [width / 2 + size * (x - truth[0]), 220 - size * (z - truth[2])];
   centres.forEach(([x, z], k) => {
-    // The ray to the truth, as far as the drawing goes.
-    const way = unit(minus(truth, [x, truth[1], z]));
-    const ends = [-3, 3].map((along) => plus(truth, scaled(way, along * reach)));
+    // The ray of the noisy pixel, as far as the drawing goes.
+    const way = seen[k],
+      nearest = dot(minus(truth, [x, 0, z]), way);
+    const ends = [-3, 3].map((along) => plus([x, 0, z], scaled(way, nearest + along * reach)));
     const [a, b] = ends.map(toPlace);
     add(svg, "line", { class: "ray " + ["one", "other"][k], x1: a[0], y1: a[1], x2: b[0], y2: b[1] });
   });
-  const flat = [
-    [covariance[0][0], covariance[0][2]],
-    [covariance[2][0], covariance[2][2]],
-  ];
-  const { values, vectors } = eigenOf(flat);
+  const { values, vectors } = axes;
   const turned = (-Math.atan2(vectors[1][1], vectors[1][0]) * 180) / Math.PI;
   const [cx, cy] = toPlace(truth);
   add(svg, "ellipse", {
@@ -97,8 +110,16 @@ function drawAbove({ truth, linear, best, covariance, others, numbers }, centres
     add(svg, "text", { class: "label", x: 36, y: 28 + 22 * k }, name);
   });
   const step = marks(reach, 3)[1];
-  add(svg, "path", { class: "measure", d: `M${width - 16},420 h${-size * step} m0,-5 v10 M${width - 16},415 v10` });
-  add(svg, "text", { class: "tick", x: width - 16, y: 408, "text-anchor": "end" }, `${+step.toPrecision(3)} m`);
+  add(svg, "path", {
+    class: "measure",
+    d: `M${width - 16},420 h${-size * step} m0,-5 v10 M${width - 16},415 v10`,
+  });
+  add(
+    svg,
+    "text",
+    { class: "tick", x: width - 16, y: 408, "text-anchor": "end" },
+    `${+step.toPrecision(3)} m`,
+  );
 }
 
 watch(["B", "A", "Z", "X", "s", "n"], (values) => {

@@ -8,6 +8,7 @@ const SVG = "http://www.w3.org/2000/svg";
 /* A number as it is shown: so many digits that count, no exponent where none is needed. */
 function shownNumber(value, digits = 4) {
   if (value === Infinity) return WORDS.infinite || "∞";
+  if (value === -Infinity) return "−∞";
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
   if (size < 1e-9) return "0"; // rounding
@@ -26,15 +27,41 @@ function show(id, value, unit = "", digits = 4) {
 /* Which of some radio buttons is set. */
 const chosen = (name) => document.querySelector(`input[name=${name}]:checked`).value;
 
-/* A drawing in words, for who cannot see it. */
+/* A drawing in words, for who cannot see it; the first one of a page is also said aloud, once nothing moves any more. */
 function told(id, words, values) {
   byId(id).textContent = words.replace(/\{(\w+)\}/g, (_, name) => shownNumber(values[name], 3));
+}
+
+let saying = 0;
+
+function sayWhenStill() {
+  clearTimeout(saying);
+  saying = setTimeout(
+    () => (byId("said").textContent = document.querySelector("p.told[id]").textContent),
+    900,
+  );
+}
+
+/* Arrow keys go from one round number to the next, in about a hundred steps. */
+function goByKeys(input, moved) {
+  const [least, most] = [Number(input.min), Number(input.max)],
+    step = marks(most - least, 100)[1];
+  input.addEventListener("keydown", (event) => {
+    const way = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 }[event.key];
+    if (!way || input.step !== "any") return;
+    event.preventDefault();
+    const at = Number(input.value) / step,
+      next = way > 0 ? Math.floor(at + 1e-9) + 1 : Math.ceil(at - 1e-9) - 1;
+    input.value = String(Math.min(most, Math.max(least, Number((next * step).toPrecision(12)))));
+    moved();
+  });
 }
 
 /* Call `draw` with the numbers of all inputs, now and whenever one is moved or a button with numbers is pressed. */
 function watch(names, draw) {
   const inputs = names.map(byId);
-  const unitOf = (input) => (input.dataset.unit === "px" && WORDS.unit_px ? WORDS.unit_px : input.dataset.unit);
+  const unitOf = (input) =>
+    input.dataset.unit === "px" && WORDS.unit_px ? WORDS.unit_px : input.dataset.unit;
   function update() {
     const values = {};
     for (const input of inputs) {
@@ -50,10 +77,21 @@ function watch(names, draw) {
     for (const [name, value] of Object.entries(values)) byId(name).value = String(value);
     update();
   }
-  for (const input of inputs) input.addEventListener("input", update);
+  function changed() {
+    update();
+    sayWhenStill();
+  }
+  for (const input of inputs) {
+    input.addEventListener("input", changed);
+    goByKeys(input, changed);
+  }
   for (const button of document.querySelectorAll("button[data-preset]"))
-    button.addEventListener("click", () => set(JSON.parse(button.dataset.preset)));
-  for (const choice of document.querySelectorAll("input[type=radio]")) choice.addEventListener("change", update);
+    button.addEventListener("click", () => {
+      set(JSON.parse(button.dataset.preset));
+      sayWhenStill();
+    });
+  for (const choice of document.querySelectorAll("input[type=radio]"))
+    choice.addEventListener("change", changed);
   addEventListener("resize", update);
   update();
   return set;
@@ -88,10 +126,12 @@ function place(svg, event) {
   return [at.x, at.y];
 }
 
-/* Follow a pointer that is pressed on a drawing; `moved` gets its place in the drawing's units. */
+/* Follow a pointer that is pressed on a drawing; `moved` gets its place in the drawing's units. A finger scrolls the page
+   instead, unless it begins on what is a `handle`. */
 function drag(svg, moved, ended = () => {}) {
-  svg.classList.add("handle");
+  svg.classList.add("draggable");
   svg.addEventListener("pointerdown", (event) => {
+    if (event.pointerType === "touch" && !event.target.classList.contains("handle")) return;
     svg.setPointerCapture(event.pointerId);
     moved(...place(svg, event));
   });
@@ -117,11 +157,21 @@ function chartAxes(svg, box, most, names) {
   const toY = (y) => box.bottom - ((box.bottom - box.top) * y) / most[1];
   for (const x of marks(most[0], Math.min(8, (box.right - box.left) / 70))) {
     add(svg, "line", { class: "grid", x1: toX(x), x2: toX(x), y1: box.top, y2: box.bottom });
-    add(svg, "text", { class: "tick", x: toX(x), y: box.bottom + 16, "text-anchor": "middle" }, String(+x.toPrecision(6)));
+    add(
+      svg,
+      "text",
+      { class: "tick", x: toX(x), y: box.bottom + 16, "text-anchor": "middle" },
+      String(+x.toPrecision(6)),
+    );
   }
   for (const y of marks(most[1], 4)) {
     add(svg, "line", { class: "grid", x1: box.left, x2: box.right, y1: toY(y), y2: toY(y) });
-    add(svg, "text", { class: "tick", x: box.left - 7, y: toY(y) + 4, "text-anchor": "end" }, String(+y.toPrecision(6)));
+    add(
+      svg,
+      "text",
+      { class: "tick", x: box.left - 7, y: toY(y) + 4, "text-anchor": "end" },
+      String(+y.toPrecision(6)),
+    );
   }
   add(svg, "path", { class: "axis", d: `M${box.left},${box.top} V${box.bottom} H${box.right}` });
   add(svg, "text", { class: "label", x: box.right, y: box.bottom + 32, "text-anchor": "end" }, names[0]);
