@@ -187,6 +187,7 @@ def _cameras() -> Iterator[Row]:
     yield _row(LENS.unproject_with_jacobian, pixels=_some(5, 2))
     yield _row(LENS.scaled_to, width=32, height=24)
     yield _row(cameras.camera_model_named, name="opencv")
+    yield _row(cameras.as_camera_model, given="OPENCV")
     yield _row(CameraModel.OPENCV.initial_params, focal_px=50.0, width=64, height=48)
 
 

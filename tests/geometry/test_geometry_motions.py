@@ -57,6 +57,55 @@ def test_quaternions_of_any_length_and_nan() -> None:
     assert np.isnan(rotation[2]).all()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [np.ones((3, 3)), 2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), 1e200), np.zeros((3, 3))],
+    ids=["ones", "scaled", "mirror", "huge", "zero"],
+)
+def test_what_is_no_rotation_is_refused(wrong: np.ndarray) -> None:
+    both = np.stack([np.eye(3), wrong])
+    for make in (
+        lambda: Rotation3(wrong),
+        lambda: Rotation3(both),
+        lambda: Rigid3(wrong, np.zeros(3)),
+        lambda: Rigid3(both, np.zeros((2, 3))),
+        lambda: Similarity3(np.array(2.0), wrong, np.zeros(3)),
+        lambda: Rigid3.from_matrix(np.vstack([np.c_[wrong, np.zeros(3)], [0, 0, 0, 1]])),
+    ):
+        with pytest.raises(ShapeError, match="rotation matrices"):
+            make()
+
+
+def test_few_digits_are_a_rotation_and_nan_is_not_known(rng: np.random.Generator) -> None:
+    rotation = Rotation3.exp(rng.normal(size=(20, 3))).matrix
+    assert len(Rotation3(np.round(rotation, 4))) == len(Rotation3(np.float64(np.float32(rotation)))) == 20
+    rotation[3] = np.nan
+    assert np.isnan(Rotation3(rotation).matrix[3]).all()
+    assert repr(Rotation3(rotation[3])) == "Rotation3(not known)"
+
+
+def test_the_last_row_of_a_matrix_and_a_zero_quaternion_are_looked_at() -> None:
+    with pytest.raises(ShapeError, match="must end in the row"):
+        Rigid3.from_matrix(np.vstack([np.eye(3, 4), [0, 0, 1, 1]]))
+    with pytest.raises(ShapeError, match="length zero"):
+        Rotation3.from_quat_wxyz([[1.0, 0, 0, 0], [0, 0, 0, 0]])
+
+
+def test_single_ones_are_stacked(rng: np.random.Generator) -> None:
+    motions = [Rigid3.exp(xi) for xi in rng.normal(size=(3, 6))]
+    together = Rigid3.stack(motions)
+    assert together.batch_shape() == (3,)
+    for one, same in zip(motions, together):
+        np.testing.assert_array_equal(one.as_matrix(), same.as_matrix())
+    assert Rigid3.stack([together, together]).batch_shape() == (2, 3)
+    assert Similarity3.stack([Similarity3.identity()]).batch_shape() == (1,)
+    for wrong in ([], [motions[0], together]):
+        with pytest.raises(ShapeError):
+            Rigid3.stack(wrong)
+    with pytest.raises(ShapeError, match="a batch is needed"):
+        len(motions[0])
+
+
 def test_matrices_there_and_back(rng: np.random.Generator) -> None:
     motion = Rigid3.exp(rng.normal(size=(3, 2, 6)))
     for matrix in (motion.as_matrix(), motion.as_matrix()[..., :3, :]):
@@ -168,7 +217,7 @@ def test_a_single_one_has_no_length_and_no_rows(kind: type) -> None:
     single, three = kind.identity(), kind.identity(3)
     assert len(three) == 3 and len(list(three)) == 3 and three[1].batch_shape() == ()
     for wrong in (len, iter, list):
-        with pytest.raises(TypeError, match=f"a single {kind.__name__} has no length"):
+        with pytest.raises(TypeError, match=f"got a single {kind.__name__}"):
             wrong(single)
     for index in (0, slice(2), np.array([0])):
         with pytest.raises(IndexError):

@@ -76,12 +76,8 @@ def test_first_places_come_from_the_edges_alone(rng, kind):
     with pytest.raises(ShapeError):
         initialize_pose_graph(ring(Similarity3, rng)[1])
     huge = ring(Rigid3, rng)[1]
-    measured = replace(huge.first_from_second, rotation=np.full_like(huge.first_from_second.rotation, 1e308))
-    with (
-        np.errstate(all="ignore"),
-        pytest.raises(DegenerateGeometryError, match="rotations of the edges are none"),
-    ):
-        initialize_pose_graph(replace(huge, first_from_second=measured))
+    with pytest.raises(ShapeError, match="rotation matrices"):
+        replace(huge.first_from_second, rotation=np.full_like(huge.first_from_second.rotation, 1e308))
 
 
 @pytest.mark.parametrize("kind", list(KINDS))

@@ -114,6 +114,9 @@ def _instance(kind: type) -> Convert:
 
     def convert(value: Any, name: str, _sizes: Sizes) -> Any:
         if not isinstance(value, kind):
+            # Of rotations and motions a list will do: it is a batch.
+            if isinstance(value, list) and hasattr(kind, "stack") and any(isinstance(v, kind) for v in value):
+                return kind.stack(value)
             raise _wrong(name, f"{article} {kind.__name__}", value)
         return value
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -12,6 +12,12 @@ from epipole.errors import ShapeError
 
 Own = TypeVar("Own", bound="Batch")
 _DOUBLE = np.dtype(np.float64)
+MOST_OFF = 1e-3
+"""Of R R^T from the identity: four digits of a matrix that was copied by hand, or single precision, will do."""
+
+
+class NotABatchError(ShapeError, TypeError):
+    """A single one stands where many are needed; also what Python asks for of things without a length."""
 
 
 class Batch:
@@ -19,13 +25,45 @@ class Batch:
 
     __slots__: ClassVar[tuple[str, ...]] = ()
     _items: ClassVar[tuple[tuple[int, ...], ...]] = ()
+    _rotations: ClassVar[str | None] = None
+    """The field of rotation matrices, if there is one."""
 
     def __post_init__(self) -> None:
         """Check the fields; numbers of other types become double.
 
         Raises:
-            ShapeError: a field has other axes than its items', or the batches differ.
+            ShapeError: a field has other axes than its items', the batches differ, or a matrix is no rotation.
         """
+        self._check_shapes()
+        if self._rotations is not None:
+            check_rotations(getattr(self, self._rotations), self._rotations)
+
+    @classmethod
+    def stack(cls: type[Own], items: Iterable[Own]) -> Own:
+        """A batch of single ones, or of batches of one shape, along a new first axis.
+
+        Raises:
+            ShapeError: there is none, one is of another kind, or their shapes differ.
+        """
+        each = list(items)
+        wrong = [type(item).__name__ for item in each if not isinstance(item, cls)]
+        if not each or wrong:
+            raise ShapeError(f"items must be one {cls.__name__} or more, got {wrong[0] if wrong else 'none'}")
+        shapes = {item.batch_shape() for item in each}
+        if len(shapes) > 1:
+            raise ShapeError(f"items must have one batch shape, got {sorted(shapes)}")
+        return cls._of(*(np.stack([getattr(item, name) for item in each]) for name in cls.__slots__))
+
+    @classmethod
+    def _of(cls: type[Own], *fields: np.ndarray) -> Own:
+        """Made of fields that were computed from valid ones: matrices are not looked into again."""
+        out: Own = object.__new__(cls)
+        for name, value in zip(cls.__slots__, fields):
+            object.__setattr__(out, name, value)
+        out._check_shapes()
+        return out
+
+    def _check_shapes(self) -> None:
         batch: tuple[int, ...] | None = None
         for name, item in zip(self.__slots__, self._items):
             value = getattr(self, name)
@@ -65,11 +103,12 @@ class Batch:
         """Select from the batch."""
         if not self.batch_shape():
             np.empty(())[index]  # an array without axes knows which indices it has: None and ... alone
-        return type(self)(*(np.asarray(getattr(self, name)[index]) for name in self.__slots__))
+        return type(self)._of(*(np.asarray(getattr(self, name)[index]) for name in self.__slots__))
 
     def __len__(self) -> int:
         if not self.batch_shape():
-            raise TypeError(f"a single {type(self).__name__} has no length")
+            kind = type(self).__name__
+            raise NotABatchError(f"a batch is needed, as {kind}.stack([one, other]), got a single {kind}")
         return len(getattr(self, self.__slots__[-1]))
 
     def __iter__(self: Own) -> Iterator[Own]:
@@ -91,6 +130,29 @@ class Batch:
     def _in_words(self) -> str:
         """A single one's values, for people."""
         return ", ".join(f"{name} {in_words(getattr(self, name))}" for name in self.__slots__)
+
+
+def check_rotations(matrices: np.ndarray, name: str) -> None:
+    """Check (..., 3, 3) matrices: rows of length one at right angles, right-handed. What is NaN is not known, and stays.
+
+    Raises:
+        ShapeError: one is no rotation.
+    """
+    if matrices.ndim == 2:  # single ones are made often: plain numbers are quicker here than arrays
+        (a, b, c), (d, e, f), (g, h, i) = matrices.tolist()
+        sizes = a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0
+        angles = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+        off = max(*map(abs, sizes), *map(abs, angles))
+        is_mirror = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0
+    else:
+        with np.errstate(invalid="ignore", over="ignore"):
+            gram = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3))
+            along = np.sum(np.cross(matrices[..., 0, :], matrices[..., 1, :]) * matrices[..., 2, :], axis=-1)
+        off, is_mirror = float(np.max(gram, initial=0.0, where=~np.isnan(gram))), bool(np.any(along < 0.0))
+    if off > MOST_OFF or is_mirror:
+        reason = f"R R^T is off the identity by {off:.2g}" if off > MOST_OFF else "one mirrors"
+        hint = "Rotation3.nearest(matrix) gives the nearest one"
+        raise ShapeError(f"{name} must hold rotation matrices: {reason} ({hint})")
 
 
 def in_words(values: Any) -> str:

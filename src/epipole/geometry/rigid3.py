@@ -26,22 +26,25 @@ class Rigid3(Batch):
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
     _items = ((3, 3), (3,))
+    _rotations = "rotation"
 
     @staticmethod
     def identity(*batch: int) -> Rigid3:
         """The motion that changes nothing, repeated over the batch shape."""
-        return Rigid3(Rotation3.identity(*batch).matrix, np.zeros((*batch, 3)))
+        return Rigid3._of(Rotation3.identity(*batch).matrix, np.zeros((*batch, 3)))
 
     @staticmethod
     def from_matrix(matrix: Any) -> Rigid3:
         """From (..., 4, 4) or (..., 3, 4) matrices [R t].
 
         Raises:
-            ShapeError: they are neither.
+            ShapeError: they are neither, the last row of one is not (0, 0, 0, 1), or its R is no rotation.
         """
         m = as_float_array(matrix, "matrix")
         if m.shape[-2:] not in ((4, 4), (3, 4)):
             raise ShapeError(f"matrix must have shape (..., 4, 4) or (..., 3, 4), got {m.shape}")
+        if m.shape[-2] == 4 and not (np.abs(m[..., 3, :] - [0.0, 0.0, 0.0, 1.0]) < 1e-6).all():
+            raise ShapeError("matrix must end in the row (0, 0, 0, 1), or have three rows")
         return Rigid3(np.ascontiguousarray(m[..., :3, :3]), np.ascontiguousarray(m[..., :3, 3]))
 
     def as_matrix(self) -> Float64[np.ndarray, "*batch 4 4"]:
@@ -63,28 +66,28 @@ class Rigid3(Batch):
         xi = as_float_array(xi, "xi", 6)
         rho, phi = xi[..., :3], np.ascontiguousarray(xi[..., 3:])
         translation = (left_jacobian(phi) @ rho[..., None])[..., 0]
-        return Rigid3(Rotation3.exp(phi).matrix, translation)
+        return Rigid3._of(Rotation3.exp(phi).matrix, translation)
 
     def log(self) -> Float64[np.ndarray, "*batch 6"]:
         """The twist (rho, phi) with exp(log(T)) = T."""
-        phi = Rotation3(self.rotation).log()
+        phi = Rotation3._of(self.rotation).log()
         rho = np.linalg.solve(left_jacobian(phi), self.translation[..., None])[..., 0]
         return np.concatenate([rho, phi], axis=-1)
 
     def inverse(self) -> Rigid3:
         """source_from_target."""
-        back = Rotation3(self.rotation).inverse()
-        return Rigid3(back.matrix, -back.apply(self.translation))
+        back = Rotation3._of(self.rotation).inverse()
+        return Rigid3._of(back.matrix, -back.apply(self.translation))
 
     @checked
     def __matmul__(self, other: Rigid3) -> Rigid3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
         self.check_fits(other.batch_shape(), "the other's motions")
-        return Rigid3(self.rotation @ other.rotation, self.apply(other.translation))
+        return Rigid3._of(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
-        return Rotation3(self.rotation).apply(points) + self.translation
+        return Rotation3._of(self.rotation).apply(points) + self.translation
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
         """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, [t]x R], [0, R]]."""
@@ -94,7 +97,7 @@ class Rigid3(Batch):
         return out
 
     def _in_words(self) -> str:
-        return f"{Rotation3(self.rotation)._in_words()}, translation {in_words(self.translation)}"
+        return f"{Rotation3._of(self.rotation)._in_words()}, translation {in_words(self.translation)}"
 
     def centers(self) -> Float64[np.ndarray, "*batch 3"]:
         """The target's origin in source coordinates: the camera centres, for cam_from_world."""

@@ -28,11 +28,12 @@ class Rotation3(Batch):
 
     matrix: Float64[np.ndarray, "*batch 3 3"]
     _items = ((3, 3),)
+    _rotations = "matrix"
 
     @staticmethod
     def identity(*batch: int) -> Rotation3:
         """The rotation that changes nothing, repeated over the batch shape."""
-        return Rotation3(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy())
+        return Rotation3._of(np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy())
 
     @staticmethod
     def exp(phi_rad: Any) -> Rotation3:
@@ -43,7 +44,7 @@ class Rotation3(Batch):
         first = np.sinc(angle / np.pi)
         second = 0.5 * np.sinc(angle / (2 * np.pi)) ** 2
         cross = skew(phi)
-        return Rotation3(np.eye(3) + first * cross + second * (cross @ cross))
+        return Rotation3._of(np.eye(3) + first * cross + second * (cross @ cross))
 
     def log(self) -> Float64[np.ndarray, "*batch 3"]:
         """The rotation vector in radians, |phi| <= pi; through the quaternion, which is stable near 0 and pi."""
@@ -55,15 +56,22 @@ class Rotation3(Batch):
 
     @staticmethod
     def from_quat_wxyz(quat_wxyz: Any) -> Rotation3:
-        """From quaternions (w, x, y, z) of any non-zero length."""
+        """From quaternions (w, x, y, z) of any non-zero length.
+
+        Raises:
+            ShapeError: they are not four numbers each, or one is zero.
+        """
         q = as_float_array(quat_wxyz, "quat_wxyz", 4)
-        w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+        size = np.linalg.norm(q, axis=-1, keepdims=True)
+        if (size == 0.0).any():
+            raise ShapeError("quat_wxyz must not be zero: a quaternion of length zero is no rotation")
+        w, x, y, z = np.moveaxis(q / size, -1, 0)
         rows = [
             *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
             *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
             *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
         ]
-        return Rotation3(np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3))
+        return Rotation3._of(np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3))
 
     def as_quat_wxyz(self) -> Float64[np.ndarray, "*batch 4"]:
         """Unit quaternions (w, x, y, z), w >= 0.
@@ -114,13 +122,13 @@ class Rotation3(Batch):
 
     def inverse(self) -> Rotation3:
         """source_from_target."""
-        return Rotation3(np.ascontiguousarray(np.swapaxes(self.matrix, -1, -2)))
+        return Rotation3._of(np.ascontiguousarray(np.swapaxes(self.matrix, -1, -2)))
 
     @checked
     def __matmul__(self, other: Rotation3) -> Rotation3:
         """Composition: c_from_b @ b_from_a = c_from_a."""
         self.check_fits(other.batch_shape(), "the other's rotations")
-        return Rotation3(self.matrix @ other.matrix)
+        return Rotation3._of(self.matrix @ other.matrix)
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Rotate points (..., 3); the batch shapes broadcast."""

@@ -29,6 +29,7 @@ class Similarity3(Batch):
     rotation: Float64[np.ndarray, "*batch 3 3"]
     translation: Float64[np.ndarray, "*batch 3"]
     _items = ((), (3, 3), (3,))
+    _rotations = "rotation"
 
     @staticmethod
     def identity(*batch: int) -> Similarity3:
@@ -45,13 +46,13 @@ class Similarity3(Batch):
 
     def log(self) -> Float64[np.ndarray, "*batch 7"]:
         """The tangent (rho, phi, sigma) with exp(log(S)) = S."""
-        phi, sigma = Rotation3(self.rotation).log(), np.asarray(np.log(self.scale))
+        phi, sigma = Rotation3._of(self.rotation).log(), np.asarray(np.log(self.scale))
         rho = np.linalg.solve(_translation_jacobian(phi, sigma), self.translation[..., None])[..., 0]
         return np.concatenate([rho, phi, sigma[..., None]], axis=-1)
 
     def inverse(self) -> Similarity3:
         """source_from_target."""
-        back = Rotation3(self.rotation).inverse()
+        back = Rotation3._of(self.rotation).inverse()
         translation = -back.apply(self.translation) / self.scale[..., None]
         return Similarity3(1.0 / self.scale, back.matrix, translation)
 
@@ -65,7 +66,7 @@ class Similarity3(Batch):
 
     def apply(self, points: Any) -> Float64[np.ndarray, "*batch 3"]:
         """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
-        return self.scale[..., None] * Rotation3(self.rotation).apply(points) + self.translation
+        return self.scale[..., None] * Rotation3._of(self.rotation).apply(points) + self.translation
 
     def adjoint(self) -> Float64[np.ndarray, "*batch 7 7"]:
         """Ad with S exp(xi) S^-1 = exp(Ad xi): [[sR, [t]x R, -t], [0, R, 0], [0, 0, 1]]."""
@@ -78,7 +79,7 @@ class Similarity3(Batch):
         return out
 
     def _in_words(self) -> str:
-        return f"scale {in_words(self.scale)}, {Rigid3(self.rotation, self.translation)._in_words()}"
+        return f"scale {in_words(self.scale)}, {Rigid3._of(self.rotation, self.translation)._in_words()}"
 
     @checked
     def move_cam_from_source(self, cam_from_source: Rigid3) -> Rigid3:

@@ -17,7 +17,7 @@ import yaml
 from jaxtyping import Float64
 
 from epipole.cameras import Camera, CameraModel, camera_model_named
-from epipole.errors import EpipoleError, FileFormatError
+from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
@@ -68,13 +68,18 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     files = [Path(p) for p in paths]
     if len(files) not in (1, 2):
         raise FileFormatError(files[0] if files else "calibration", "give one or two files")
-    found = _read(files, size)
+    try:
+        found = _read(files, size)
+    except ShapeError as error:
+        raise FileFormatError(
+            files[-1], f"the place of a camera is no motion: R R^T is not 1 ({error})"
+        ) from error
     for k, (rotation, translation) in enumerate(
         zip(found.cam_from_rig.rotation, found.cam_from_rig.translation)
     ):
         if not (np.isfinite(translation).all() and is_rotation(rotation)):
             raise FileFormatError(
-                files[-1], f"the place of camera {k} is no motion: not finite, or R R^T is not 1"
+                files[-1], f"the place of a camera is no motion: that of camera {k} is not finite, or R R^T is not 1"
             )
     return found
 

@@ -167,7 +167,6 @@ def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
 
     Raises:
         ShapeError: the graph is one of similarities.
-        DegenerateGeometryError: what the edges hold are no rotations.
     """
     if isinstance(graph.world_from_body, Similarity3):
         raise ShapeError("chordal initialisation is for motions without scale")
@@ -375,10 +374,5 @@ def _least_squares(system: Any, target: np.ndarray) -> np.ndarray:
     if system.shape[1] == 0:
         return np.zeros((0, target.shape[1]))
     normal = (system.T @ system).tocsc()
-    try:
-        factors = splu(
-            normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError as error:
-        raise DegenerateGeometryError("the measured rotations of the edges are none") from error
+    factors = splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return factors.solve(np.ascontiguousarray(system.T @ target))
