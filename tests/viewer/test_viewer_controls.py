@@ -55,6 +55,25 @@ def pixel_of(tab: Opened, place: np.ndarray) -> tuple[float, float]:
     return x, y
 
 
+def test_the_keyboard_resets_all_that_the_button_does(tab: Opened) -> None:
+    for key in ("r", "R"):
+        tab.page.click("#next-camera")
+        assert tab.page.locator("#camera-name").inner_text().startswith("1 of 2")
+        tab.page.locator("#space").focus()
+        tab.page.keyboard.press(key)
+        assert tab.page.locator("#camera-name").inner_text() == ""
+
+
+def test_places_and_lengths_have_the_digits_that_they_are_worth(tab: Opened) -> None:
+    say = "([value, radius]) => placeInWords(value, radius)"
+    assert tab.page.evaluate(say, [5400000.12346, 2.7]) == "5400000.1235"  # a map in metres, far from zero
+    assert tab.page.evaluate(say, [0.123456789, 0.002]) == "0.1234568"
+    assert tab.page.evaluate(say, [-1234.56, 5000.0]) == "-1234.6"
+    say = "([length, sigma]) => lengthInWords({ length, sigma }, 'm', '', '')"
+    assert tab.page.evaluate(say, [0.742912, 0.00033]).startswith("0.74291 \u00b1 0.00033 m")
+    assert tab.page.evaluate(say, [1234.567, 12.3]).startswith("1235 \u00b1 12 m")
+
+
 def test_layers_limits_and_sections_take_away_what_they_say(tab: Opened) -> None:
     everything = lit(tab.drawn())
     tab.page.click("summary:has-text('Layers')")
@@ -117,7 +136,7 @@ def test_the_distance_of_two_points_and_its_deviation(browser: Any) -> None:
     sigma = np.sqrt(along @ layer.covariances.sum(axis=0) @ along)
     assert float(told.get_attribute("data-length")) == pytest.approx(length, rel=1e-6)
     assert float(told.get_attribute("data-sigma")) == pytest.approx(sigma, rel=1e-5)
-    assert told.inner_text().startswith("3 ± ") and " m, one standard deviation" in told.inner_text()
+    assert told.inner_text().startswith("3.0 ± ") and " m, one standard deviation" in told.inner_text()
     tab.page.keyboard.press("Escape")
     tab.close()
     handle.stop()

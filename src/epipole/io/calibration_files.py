@@ -79,7 +79,8 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     ):
         if not (np.isfinite(translation).all() and is_rotation(rotation)):
             raise FileFormatError(
-                files[-1], f"the place of a camera is no motion: that of camera {k} is not finite, or R R^T is not 1"
+                files[-1],
+                f"the place of a camera is no motion: that of camera {k} is not finite, or R R^T is not 1",
             )
     return found
 

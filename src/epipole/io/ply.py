@@ -25,6 +25,8 @@ _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _EDGE = np.dtype([("vertices", "<i4", 2), ("rgb", "u1", 3)])
 _VERTEX_HEADER = ("float x", "float y", "float z", "uchar red", "uchar green", "uchar blue")
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
+SCENE_COMMENT = "comment epipole scene, +z up: points, then five corners and eight edges of each camera"
+"""Of `write_scene_ply`: a viewer of ours draws the cameras as such."""
 # Vertex 0 is the centre, 1 to 4 the corners of the picture in turn.
 _FRUSTUM_EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1)])
 
@@ -79,7 +81,22 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     edges = np.empty(len(corners) * len(_FRUSTUM_EDGES), _EDGE)
     edges["vertices"] = (first[:, None, None] + _FRUSTUM_EDGES).reshape(-1, 2)
     edges["rgb"] = CAMERA_RGB
-    _write(Path(path), vertices, edges)
+    _write(Path(path), vertices, edges, SCENE_COMMENT)
+
+
+def num_cameras_of_scene(path: str | Path) -> int | None:
+    """How many cameras a file of `write_scene_ply` holds; None of other files."""
+    with Path(path).open("rb") as stream:
+        head = stream.read(_MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace").splitlines()
+    if SCENE_COMMENT not in head:
+        return None
+    edges = next((line.split()[-1] for line in head if line.startswith("element edge ")), "0")
+    return int(edges) // len(_FRUSTUM_EDGES) if edges.isdigit() else 0
+
+
+def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarray, "m 2 3"]:
+    """The lines of drawn cameras, from their centres and the corners of their pictures."""
+    return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
 def _vertices(xyz: Any, rgb: Any) -> np.ndarray:
@@ -122,8 +139,9 @@ def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float
     return 1.0
 
 
-def _write(path: Path, vertices: np.ndarray, edges: np.ndarray) -> None:
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+def _write(path: Path, vertices: np.ndarray, edges: np.ndarray, comment: str = "") -> None:
+    lines = ["ply", "format binary_little_endian 1.0", *filter(None, [comment])]
+    lines.append(f"element vertex {len(vertices)}")
     lines += [f"property {line}" for line in _VERTEX_HEADER]
     if len(edges):
         lines += [f"element edge {len(edges)}", *(f"property {line}" for line in _EDGE_HEADER)]

@@ -20,6 +20,8 @@ from epipole._version import __version__
 from epipole.report.markup import bytes_block, count, escape, json_block, number, plural, seconds
 
 _PACKAGE = "epipole.report"
+GENERATOR = 'name="generator" content="epipole"'
+"""Stands in the head of every page that is made from `frame/base.html.jinja`."""
 
 
 def render(package: str, template: str, *, title: str, **values: object) -> str:
@@ -58,6 +60,7 @@ def _environment(package: str) -> Environment:
     for function in (*words, json_block, bytes_block, joined_assets, content_hash):
         environment.globals[function.__name__] = function
     environment.globals["version"] = __version__
+    environment.globals["generator"] = Markup(GENERATOR)
     return environment
 
 

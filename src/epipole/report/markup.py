@@ -11,13 +11,17 @@ from typing import Any
 import markupsafe
 from markupsafe import Markup
 
-_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff]")
+_TURNING = "\u202a-\u202e\u2066-\u2069"
+"""Characters that turn the direction of what follows: a name with them reads as another."""
+_UNPRINTABLE = re.compile(f"[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff{_TURNING}]")
+_TURNING_IN_JSON = re.compile(r"\\u(202[a-e]|206[6-9])")
 
 
 def escape(value: object) -> Markup:
     """Text for HTML content and quoted attributes; a piece that is marked as `Markup` stays markup.
 
-    What no HTML page may hold (control characters, lone surrogates) becomes U+FFFD in either.
+    What no HTML page may hold (control characters, lone surrogates), and what turns the direction of text, becomes
+    U+FFFD in either.
     """
     return Markup(_UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", markupsafe.escape(value)))
 
@@ -30,6 +34,7 @@ def data_uri(data: bytes, media_type: str) -> str:
 def json_block(element_id: str, data: Any) -> Markup:
     """Data for the page's script. `<` is written as an escape, so that no name can end the element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    text = _TURNING_IN_JSON.sub(r"\\ufffd", text)
     text = text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
     return Markup(f'<script type="application/json" id="{escape(element_id)}">{text}</script>')
 

@@ -61,9 +61,8 @@ def space_data(
     extent = _extent(scene)
     # Gaussians are told as their file has them.
     origin = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
-    view = scene.view or FirstView(
-        extent.focus + extent.radius * FROM_A_CORNER, extent.focus, np.array([0.0, 0.0, 1.0])
-    )
+    turn = np.eye(3) if scene.upright_from_world is None else scene.upright_from_world
+    view = scene.view or FirstView(extent.focus + extent.radius * FROM_A_CORNER @ turn, extent.focus, turn[2])
     numbers: dict[str, Any] = {
         "title": scene.title,
         "unit": scene.unit,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from epipole.report.markup import count, number
+from epipole.report.markup import number, plural
 from epipole.report.space_scene import (
     CameraLayer,
     LoadPicture,
@@ -36,6 +36,7 @@ def scene_of_model(
     cameras: str = "Cameras",
     curves: Sequence[Curve] = (),
     load_picture: LoadPicture | None = None,
+    num_given: int | None = None,
 ) -> SpaceScene:
     """Points with their errors, cameras and lines.
 
@@ -46,9 +47,13 @@ def scene_of_model(
         cameras: what the cameras are called.
         curves: lines with pieces.
         load_picture: of an image's name.
+        num_given: how many pictures there were, placed or not; None: a model's files do not tell.
     """
     num_placed = int(model.is_registered().sum())
-    words = f"{num_placed} of {len(model.images)} pictures placed, {count(len(model.points))} points"
+    pictures = (
+        plural(num_placed, "picture") if num_given is None else f"{num_placed} of {num_given} pictures placed"
+    )
+    words = f"{pictures}, {plural(len(model.points), 'point')}"
     return SpaceScene(
         title=title,
         words=words,

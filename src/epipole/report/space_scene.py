@@ -106,7 +106,9 @@ class SpaceScene:
     mesh: MeshLayer | None = None
     gaussians: GaussianCloud | None = None
     view: FirstView | None = None
-    """None: from a corner above, +z up."""
+    """None: from a corner above."""
+    upright_from_world: Float64[np.ndarray, "3 3"] | None = None
+    """The turn after which +z is up and the corner is behind what looks along +y; None: that is the world as it is."""
     background: float | None = None
     """A grey value from 0 to 1; None: dark, as the page's."""
 

@@ -30,7 +30,7 @@ FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
 MOST_SHOWN = 800_000
 """Gaussians of a grid."""
 BACKGROUNDS = {"white": 1.0, "black": 0.0}
-UNIT = "units of the cameras"
+UNIT, UNIT_OF_FILE = "units of the cameras", "units of the file"
 """Metres only where these are metric."""
 
 
@@ -59,10 +59,12 @@ def scene(path: Path) -> SpaceScene:
     shots: list[Shot] = []
     if is_result and (folder / CAMERAS).is_file():
         shots = shots_of_model(folder / CAMERAS, RenderJob())
+    is_field = kind_in(path) is not None and not (path / SPLAT).is_file()
+    stands_for = " that stand for a radiance field, a coarse likeness of it" if is_field else ""
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(len(cloud), 'Gaussian')}; {colours_in_words(cloud.sh_degree)}",
-        unit=UNIT,
+        words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
+        unit=UNIT if shots else UNIT_OF_FILE,
         cameras=_cameras(shots) if shots else None,
         gaussians=cloud,
         view=view,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,19 +26,36 @@ def scene(path: Path) -> SpaceScene:
     Raises:
         FileFormatError: there is no model.
     """
-    unit = METRES if _is_metric(path) else NO_UNIT
-    return scene_of_model(
-        read_model(path), title=path.resolve().name, unit=unit, load_picture=picture_loader(path / "images")
+    summary, model = _summary(path), read_model(path)
+    num_given = summary.get("num_images")
+    found = scene_of_model(
+        model,
+        title=_title(path),
+        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        load_picture=picture_loader(path / "images"),
+        num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
+    )
+    others = [other for other in sorted((path / "sparse").glob("[0-9]*")) if other.is_dir()][1:]
+    if not others:
+        return found
+    return replace(
+        found, words=f"{found.words}; the first of {len(others) + 1} models: {others[0]} is another"
     )
 
 
-def _is_metric(path: Path) -> bool:
-    """Whether a workspace's summary tells that lengths are metres."""
+def _title(path: Path) -> str:
+    """A folder's name; of OUT/sparse/0 all three."""
+    whole = path.resolve()
+    return "/".join(whole.parts[-3:]) if whole.parent.name == "sparse" else whole.name
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    """A workspace's; empty where there is none."""
     try:
         summary = read_json(path / "summary.json")
     except FileFormatError:
-        return False
-    return isinstance(summary, dict) and summary.get("is_metric") is True
+        return {}
+    return summary if isinstance(summary, dict) else {}
 
 
 def picture_loader(folder: Path) -> Callable[[str], np.ndarray | None]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from epipole.errors import EpipoleError, FileFormatError
-from epipole.geometry import Rigid3, Similarity3
 from epipole.image import color_map
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
@@ -35,6 +35,7 @@ from epipole.runs.folder import read_mark
 TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
 PICTURE_PX = 640
 UNIT_OF_FILE = "units of the file"
+MANY_PLACES = 300
 
 
 def is_mine(path: Path) -> bool:
@@ -60,15 +61,15 @@ def scene(path: Path) -> SpaceScene:
         path_curve(CAUSAL, causal, CAUSAL_RGB, is_shown=False),
         loops,
     )
-    upright = upright_from_world(final.world_from_body)
-    return scene_of_model(
-        model.transformed(upright),
+    found = scene_of_model(
+        model,
         title=path.resolve().name,
         unit=METRES if summary.get("is_metric") is True else NO_UNIT,
         cameras="Keyframes",
         load_picture=picture_loader(path),
-        curves=[curve.transformed(upright) for curve in curves],
+        curves=curves,
     )
+    return replace(found, upright_from_world=upright_from_world(final.world_from_body).rotation)
 
 
 def is_trajectory(path: Path) -> bool:
@@ -83,7 +84,10 @@ def is_trajectory(path: Path) -> bool:
 
 
 def scene_of_trajectory(path: Path) -> SpaceScene:
-    """A path alone, upright, with its places in the colours of their times.
+    """A path alone, with its places in the colours of their times.
+
+    A world that begins at the first body is seen upright by the bodies, taken to be cameras; in any other, a map's or a
+    survey's, +z is up.
 
     Raises:
         FileFormatError: the file is damaged, or holds no place.
@@ -91,27 +95,31 @@ def scene_of_trajectory(path: Path) -> SpaceScene:
     found = read_trajectory(path)
     if not len(found):
         raise FileFormatError(path, "holds no place")
-    upright = upright_from_world(found.world_from_body)
-    places = upright.apply(found.world_from_body.translation)
+    begins_at_first = np.abs(found.world_from_body[0].as_matrix() - np.eye(4)).max() < 1e-3
+    upright = upright_from_world(found.world_from_body).rotation if begins_at_first else None
     covariances = None
     if found.covariance is not None:
-        turned = upright.rotation @ found.world_from_body.rotation
+        turned = found.world_from_body.rotation
         covariances = turned @ found.covariance[:, :3, :3] @ np.swapaxes(turned, 1, 2)
     times = found.timestamp_s - found.timestamp_s[0]
+    has_times = trajectory_format(path) != "kitti"  # its lines are numbered alone
     instants = PointLayer(
         "Places",
-        places,
+        found.world_from_body.translation,
         color_map(times),
-        (PointMeasure("time", times, "s"),),
+        (PointMeasure("time", times, "s") if has_times else PointMeasure("number", times),),
         covariances,
         "as the file tells",
     )
+    over = f" over {times[-1]:.1f} s" if has_times else ""
     return SpaceScene(
         title=path.resolve().name,
-        words=f"{plural(len(found), 'place')} over {times[-1]:.1f} s, a way of {found.path_length():.4g}",
+        words=f"{plural(len(found), 'place')}{over}, a way of {found.path_length():.4g}",
         unit=UNIT_OF_FILE,
         points=(instants,),
-        curves=(path_curve("path", found, FINAL_RGB).transformed(upright),),
+        # Many places are a line by themselves, in their colours, which one drawn over them would hide.
+        curves=(path_curve("path", found, FINAL_RGB, is_shown=len(found) < MANY_PLACES),),
+        upright_from_world=upright,
     )
 
 
@@ -127,8 +135,8 @@ def scene_of_map(path: Path) -> SpaceScene:
         FileFormatError: it is no map, or damaged.
     """
     found = sketch_of_map(path)
-    upright = upright_from_world(found.cams_from_world.inverse())
-    points = upright.apply(found.xyz_in_world)
+    upright = upright_from_world(found.cams_from_world.inverse()).rotation
+    points = found.xyz_in_world
     rgb = np.full((len(points), 3), 200, np.uint8)
     agreed = PointMeasure("keyframes that agree", found.num_agreed.astype(np.float64), "", is_at_least=True)
     pictures = dict(zip(found.names, found.grey))
@@ -136,21 +144,15 @@ def scene_of_map(path: Path) -> SpaceScene:
     keyframes = CameraLayer(
         "Keyframes",
         found.names,
-        _cameras_after(upright, found.cams_from_world),
+        found.cams_from_world,
         np.broadcast_to(found.camera.K, (n, 3, 3)).copy(),
         np.broadcast_to([found.camera.width, found.camera.height], (n, 2)).copy(),
         lambda name: np.repeat(pictures[name][..., None], 3, axis=2),
     )
     words = f"A map of {plural(n, 'keyframe')} and {plural(len(points), 'point')}"
     unit = METRES if found.is_metric else NO_UNIT
-    return SpaceScene(
-        path.resolve().name, words, unit, (PointLayer("Points", points, rgb, (agreed,)),), keyframes
-    )
-
-
-def _cameras_after(upright: Similarity3, cams_from_world: Rigid3) -> Rigid3:
-    """Cameras of a world that was turned."""
-    return cams_from_world @ Rigid3(upright.rotation, upright.translation).inverse()
+    layers = (PointLayer("Points", points, rgb, (agreed,)),)
+    return SpaceScene(path.resolve().name, words, unit, layers, keyframes, upright_from_world=upright)
 
 
 def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:

@@ -9,14 +9,15 @@ import numpy as np
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.image import color_map
-from epipole.io.depth_maps import read_pfm, read_png16
+from epipole.io.depth_maps import PNG_SCALE, read_pfm, read_png16
 from epipole.io.mesh_ply import read_mesh_ply
+from epipole.io.ply import CAMERA_RGB, frustum_segments, num_cameras_of_scene
 from epipole.pipelines.stereo.scene import points_of_depths, view_of_depths
 from epipole.report.markup import plural
 from epipole.report.space_scene import CameraLayer, FirstView, MeshLayer, PointLayer, SpaceScene
-from epipole.scene import extent_of
+from epipole.scene import Curve, extent_of
 
-UNIT = "units of the file"
+UNIT, FARTHEST = "units of the file", 1e30
 GREY = 190
 WIDTH_DEG = 60.0
 """Taken to be across a depth map's picture, where no lens is told."""
@@ -35,8 +36,13 @@ def scene_of_ply(path: Path) -> SpaceScene:
     """
     found = read_mesh_ply(path)
     xyz, n = found.xyz, len(found.xyz)
-    if not np.isfinite(xyz).all(axis=1).any():
-        raise FileFormatError(path, "holds no point that is finite")
+    drawn = np.isfinite(xyz).all(axis=1) & (np.abs(xyz) < FARTHEST).all(axis=1)
+    if not drawn.any():
+        raise FileFormatError(path, "holds no point that can be drawn: finite, and nearer than 1e30")
+    xyz = np.where(drawn[:, None], xyz, np.nan)
+    num_cameras = num_cameras_of_scene(path)
+    if num_cameras is not None and 5 * num_cameras <= n and found.rgb is not None:
+        return _scene_of_model(path, xyz, found.rgb, num_cameras)
     rgb = found.rgb if found.rgb is not None else np.full((n, 3), GREY, np.uint8)
     extent = extent_of(xyz[:: max(1, n // 200_000)], np.zeros((0, 3)), 95.0)
     # Most such files are of a camera's world, y down; a model of one's own may stand otherwise.
@@ -50,6 +56,15 @@ def scene_of_ply(path: Path) -> SpaceScene:
     return SpaceScene(title, plural(n, "point"), UNIT, (PointLayer("Points", xyz, rgb),), view=view)
 
 
+def _scene_of_model(path: Path, xyz: np.ndarray, rgb: np.ndarray, num_cameras: int) -> SpaceScene:
+    """A model that was written as PLY: its cameras are lines, and no points; +z is up."""
+    n = len(xyz) - 5 * num_cameras
+    lines = Curve("Cameras", frustum_segments(xyz[n:].reshape(-1, 5, 3)), CAMERA_RGB)
+    words = f"{plural(n, 'point')} and {plural(num_cameras, 'camera')}"
+    points = PointLayer("Points", xyz[:n], rgb[:n])
+    return SpaceScene(path.resolve().name, words, UNIT, (points,), curves=(lines,) if num_cameras else ())
+
+
 def is_depth_map(path: Path) -> bool:
     """Whether a path is that of a PFM or a 16-bit PNG."""
     return path.suffix.lower() in (".pfm", ".png") and path.is_file()
@@ -61,7 +76,11 @@ def scene_of_depth_map(path: Path) -> SpaceScene:
     Raises:
         FileFormatError: the file is damaged, or no pixel has a depth.
     """
-    depths = (read_pfm if path.suffix.lower() == ".pfm" else read_png16)(path)
+    if "disparity" in path.stem.lower():
+        hint = "`epipole stereo` with --focal-px and --baseline, or --calibration, gives depths"
+        raise FileFormatError(path, f"holds disparities by its name, and no depths: {hint}")
+    is_png = path.suffix.lower() == ".png"
+    depths = (read_png16 if is_png else read_pfm)(path)
     depths = np.where(np.isfinite(depths) & (depths > 0), depths, np.nan)
     if not np.isfinite(depths).any():
         raise FileFormatError(path, "no pixel has a depth")
@@ -71,7 +90,8 @@ def scene_of_depth_map(path: Path) -> SpaceScene:
     layer = points_of_depths(depths, None, K, color_map(np.log(depths)))
     camera = CameraLayer("Camera", ("camera",), Rigid3.identity(1), K[None], np.array([[width, height]]))
     words = (
-        f"{plural(len(layer.xyz_in_world), 'pixel')} of {width} x {height}, its values taken as depths; "
+        f"{plural(len(layer.xyz_in_world), 'pixel')} of {width} x {height}, its values "
+        f"{f'divided by {PNG_SCALE:g}, as KITTI stores them, ' if is_png else ''}taken as depths; "
         f"its lens is not told: drawn as if it were {WIDTH_DEG:.0f} degrees wide"
     )
     return SpaceScene(

@@ -39,7 +39,7 @@ function eyeAt(frame, { o, f, r, dist, spread }) {
 
 /* An eye is { focus, yaw, pitch, roll, dist, spread }: spread is half the shorter side at distance 1. `frame` holds
    three axes of the world, the third of them up. Of `basis`, r is right, d down, f ahead and o where the eye is. */
-function orbitEye(canvas, { start, radius, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways }) {
+function orbitEye(canvas, { start, radius, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways, reset }) {
   const fingers = new Map();
   let eye = start(),
     moved = 0,
@@ -167,9 +167,10 @@ function orbitEye(canvas, { start, radius, redraw, frame = WORLD, hover, click, 
       "+": () => zoomBy(0.85),
       "-": () => zoomBy(1.18),
     }[event.key];
-    if (!act && event.key !== "r") return;
+    if (!act && event.key.toLowerCase() !== "r") return;
     event.preventDefault();
     if (act) byHand(act);
+    else if (reset) reset();
     else flyTo(start());
   });
   return { basis, focal, flyTo, jumpTo, eye: () => eye };

@@ -67,6 +67,7 @@ async function spaceView(canvas, data) {
     redraw,
     frame,
     wheelAlways: canvas.dataset.whole === "yes",
+    reset,
     hover(event) {
       const found = cameraAt(event);
       if (found !== hovered) {
@@ -254,6 +255,11 @@ async function spaceView(canvas, data) {
     const spread = (0.5 * side) / (scale * data.cameras.focals[k]);
     view.flyTo(eyeAt(frame, { o, f, r, dist: Math.max(depth, 0.3 * radius), spread }));
   }
+  function reset() {
+    chosen = -1;
+    tools.showCamera(-1);
+    view.flyTo(start());
+  }
   function showPicture(k) {
     const address = (data.cameras.pictures || [])[k];
     drawn.picture.of = -1;
@@ -334,11 +340,7 @@ async function spaceView(canvas, data) {
     redraw,
     placeAt,
     stepCamera,
-    reset() {
-      chosen = -1;
-      tools.showCamera(-1);
-      view.flyTo(start());
-    },
+    reset,
     above() {
       const o = data.lookAt.map((v, k) => v + 3 * radius * frame[2][k]);
       view.flyTo(

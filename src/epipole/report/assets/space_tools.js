@@ -13,12 +13,22 @@ function inDigits(value, digits) {
   if (!Number.isFinite(value)) return "\u221e";
   return Number(value.toPrecision(digits)).toString();
 }
+/* A coordinate to a ten-thousandth of the scene, however far from zero that lies. */
+function placeInWords(value, radius) {
+  const places = Math.min(12, Math.max(0, 4 - Math.floor(Math.log10(radius))));
+  return String(Number(value.toFixed(places)));
+}
+/* A length with as many decimals as its deviation has, of two digits. */
+function besideItsError(length, sigma) {
+  const places = 1 - Math.floor(Math.log10(sigma));
+  return places < 0 || places > 12 ? inDigits(length, 4) : length.toFixed(places);
+}
 function lengthInWords({ length, sigma }, unit, scale, errorWords) {
   const named = unit ? ` ${unit}` : "";
   if (sigma === null) return `${inDigits(length, 4)}${named}${scale}; how exact is not known here`;
   if (sigma === Infinity) return `${inDigits(length, 4)}${named}${scale}; the pictures do not hold it fast`;
   const why = errorWords ? ` (${errorWords})` : "";
-  return `${inDigits(length, 4)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
+  return `${besideItsError(length, sigma)} \u00b1 ${inDigits(sigma, 2)}${named}${scale}, one standard deviation${why}`;
 }
 
 function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, above, snapshot }) {
@@ -67,7 +77,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     take();
   });
 
-  /* Twelve hundred steps a side, of the middle of the scene; the ends of a slider leave nothing out. */
+  /* A thousand steps a side, of the middle of the scene; the ends of a slider leave nothing out. */
   function takeSection() {
     const box = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
     each(".section-side", (slider) => {
@@ -77,7 +87,9 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
         isLow = slider.dataset.side === "low";
       if (isLow ? t > 0 : t < 1) box[slider.dataset.side][axis] = value;
       const isAll = isLow ? t === 0 : t === 1;
-      slider.setAttribute("aria-valuetext", isAll ? "all" : inDigits(value + data.origin[axis], 4));
+      const told = isAll ? "all" : placeInWords(value + data.origin[axis], 100 * data.radius);
+      slider.setAttribute("aria-valuetext", told);
+      slider.parentElement.querySelector("output").textContent = told;
     });
     look.box = box;
     redraw();
@@ -105,7 +117,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     }
     ends = ends.length === 2 ? [hit] : [...ends, hit];
     if (ends.length === 1) {
-      const place = hit.place.map((v, k) => inDigits(v + data.origin[k], 6)).join(", ");
+      const place = hit.place.map((v, k) => placeInWords(v + data.origin[k], data.radius)).join(", ");
       measured.textContent = `From (${place}) to \u2026`;
     } else {
       const found = distanceBetween(...ends);
@@ -148,7 +160,7 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   /* The axes in a corner, and what is being measured. Two drawings: to draw the whole anew is slow in software. */
   function mark({ basis, focal, near }) {
     const axes = AXES.flatMap(([label, colour], k) => {
-      const [x, y, dx, dy] = [34, 34, 22 * basis.r[k], 22 * basis.d[k]];
+      const [x, y, dx, dy] = [38, 38, 22 * basis.r[k], 22 * basis.d[k]];
       const text = element("text", { x: x + 1.4 * dx, y: y + 1.4 * dy + 4 });
       text.textContent = label;
       text.style.fill = colour; // before the style of the page's other drawings
