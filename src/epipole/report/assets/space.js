@@ -60,7 +60,13 @@ async function spaceView(canvas, data) {
     sorted = "",
     chosen = -1,
     hovered = -1;
-  const start = () => lookingAt(data.position, data.lookAt, data.up, SPREAD);
+  /* On a narrow screen from farther away, so that as much is seen across as on one of 4 : 3. */
+  function start() {
+    const across = Math.max(1, canvas.clientWidth / canvas.clientHeight),
+      farther = data.gaussians ? 1 : Math.max(1, 4 / 3 / across);
+    const position = data.lookAt.map((v, k) => v + farther * (data.position[k] - v));
+    return lookingAt(position, data.lookAt, data.up, SPREAD);
+  }
   const view = orbitEye(canvas, {
     start,
     radius,
