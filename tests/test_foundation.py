@@ -113,7 +113,7 @@ def test_known_intrinsics_that_are_no_numbers_are_shown() -> None:
     ids=["type", "translation", "rotation", "batches", "list"],
 )
 def test_this_run_checks_the_arrays_of_data(rotation: object, translation: object) -> None:
-    assert len(Rigid3(np.zeros((2, 3, 3)), np.zeros((2, 3)))) == 2
+    assert len(Rigid3(np.full((2, 3, 3), np.nan), np.zeros((2, 3)))) == 2
     with pytest.raises(Exception, match=r"(?i)type-check error"):
         Rigid3(rotation, translation)  # type: ignore[arg-type]
 

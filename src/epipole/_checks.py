@@ -48,6 +48,8 @@ def as_points(array: Any, name: str, dim: int, *, finite: bool = False) -> np.nd
     out = as_float_array(array, name, finite=finite)
     if out.ndim != 2 or out.shape[1] != dim:
         hint = "; transpose?" if out.ndim == 2 and out.shape[0] == dim else ""
+        if out.ndim == 3 and out.shape[2] == dim and 1 in out.shape[:2]:
+            hint = f"; OpenCV's points? .reshape(-1, {dim})"
         raise ShapeError(f"{name} must be (n, {dim}), got {out.shape}{hint}")
     return out
 

@@ -120,7 +120,7 @@ def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
 def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
     done = share(result.out, tmp_path / "page.html")
     count = f"{len(seen_gaussians(result.out)[0]):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
-    assert done.shown.startswith(f"{count} Gaussians;")
+    assert done.shown.startswith(f"{count} Gaussians that stand for a radiance field")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "as trained" in page and "next-camera" in page
     told = json.loads(re.search(r'id="space-data">(.*?)</script>', page)[1])

@@ -82,6 +82,9 @@ def test_few_digits_are_a_rotation_and_nan_is_not_known(rng: np.random.Generator
     rotation[3] = np.nan
     assert np.isnan(Rotation3(rotation).matrix[3]).all()
     assert repr(Rotation3(rotation[3])) == "Rotation3(not known)"
+    filled = Rigid3(rotation, np.ones((20, 3))).or_identity()
+    np.testing.assert_array_equal(filled[3].as_matrix(), np.eye(4))
+    np.testing.assert_array_equal(np.delete(filled.rotation, 3, axis=0), np.delete(rotation, 3, axis=0))
 
 
 def test_the_last_row_of_a_matrix_and_a_zero_quaternion_are_looked_at() -> None:

@@ -9,6 +9,7 @@ from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error, associate, drift_per_length, relative_error, score_trajectory
+from epipole.metrics.numbered_truth import at_numbers_of_pictures
 from epipole.scene import Trajectory
 
 
@@ -116,3 +117,22 @@ def test_scores_of_another_scale_are_told_with_it(places):
     few = Trajectory(np.array([0.0, 1.0, 7.5]), places[:3])
     with pytest.raises(DegenerateGeometryError, match="2 of 3 instants"):
         score_trajectory(few, truth)
+
+
+def test_a_truth_of_picture_numbers_gets_the_pictures_times() -> None:
+    poses = Rigid3(np.broadcast_to(np.eye(3), (50, 3, 3)).copy(), np.linspace(0, [1, 0, 0], 50))
+    truth = Trajectory(np.arange(50.0), poses)
+    names = [f"frame-{2 * n:06d}.color.jpg" for n in range(25)]
+    times = 100.0 + np.arange(25) / 15
+    times[3] = np.nan
+    found = at_numbers_of_pictures(truth, [n.replace(".color", "") for n in names], times, 0.01)
+    assert found is not None and len(found) == 24
+    np.testing.assert_array_equal(found.timestamp_s, np.delete(times, 3))
+    np.testing.assert_array_equal(
+        found.world_from_body.translation, np.delete(poses.translation[::2], 3, axis=0)
+    )
+    # What are times indeed, or numbers of other pictures, stays as it is.
+    timed = Trajectory(times[~np.isnan(times)], poses[np.arange(24)])
+    assert at_numbers_of_pictures(timed, names, times, 0.01) is None
+    assert at_numbers_of_pictures(truth, [f"{n + 1000}.png" for n in range(25)], times, 0.01) is None
+    assert at_numbers_of_pictures(truth, [], np.zeros(0), 0.01) is None

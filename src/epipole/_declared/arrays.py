@@ -29,7 +29,8 @@ def as_array(value: Any, name: str, dtype: np.dtype[Any]) -> np.ndarray:
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ShapeError(f"{name} must be an array of {_WORDS[dtype.kind]}: {error}") from error
     if given.dtype.kind not in _ALLOWED[dtype.kind] and not (given.size == 0 and given.dtype.kind in "biuf"):
-        raise ShapeError(f"{name} must be an array of {_WORDS[dtype.kind]}, got {given.dtype}")
+        came = given.dtype if given.dtype.kind != "O" or given.ndim else _one_thing(value, name)
+        raise ShapeError(f"{name} must be an array of {_WORDS[dtype.kind]}, got {came}")
     if dtype.kind in "iu" and given.dtype != dtype and given.size:
         low, high = int(given.min()), int(given.max())
         limits = np.iinfo(dtype)
@@ -37,6 +38,13 @@ def as_array(value: Any, name: str, dtype: np.dtype[Any]) -> np.ndarray:
             raise ShapeError(f"{name} must be within {limits.min} and {limits.max}, got {low} to {high}")
     with np.errstate(over="ignore"):  # a double beyond single precision is infinite there
         return np.require(given, dtype, ["C", "A", "W"])
+
+
+def _one_thing(value: Any, name: str) -> str:
+    """What was given instead of an array; where it has one of the argument's name, that one is meant."""
+    own = name.rstrip("0123456789")
+    kind = type(value).__name__
+    return f"{kind}: give its .{own}" if hasattr(value, own) else kind
 
 
 def array_converter(annotation: Any) -> Convert:
@@ -53,12 +61,21 @@ def array_converter(annotation: Any) -> Convert:
         if variadic is not None and len(shape) >= len(axes) - 1:
             named = [*axes[:variadic], *["_"] * (len(shape) - len(axes) + 1), *axes[variadic + 1 :]]
         if len(shape) != len(named):
-            raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}")
+            raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}{_hint(axes, shape)}")
         for axis, length in zip(named, shape):
             _check_axis(axis, length, name, axes, shape, sizes)
         return array
 
     return convert
+
+
+def _hint(axes: list[str], shape: tuple[int, ...]) -> str:
+    """What is usually meant by one axis too many: a colour picture, or OpenCV's points."""
+    if axes == ["h", "w"] and len(shape) == 3:
+        return "; a colour picture? cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) makes it grey"
+    if len(axes) == 2 and len(shape) == 3 and 1 in shape[:2]:
+        return f"; OpenCV's points? .reshape(-1, {shape[2]})"
+    return ""
 
 
 def _check_axis(

@@ -89,6 +89,14 @@ class Rigid3(Batch):
         """Move points (..., 3) from source to target coordinates; the batch shapes broadcast."""
         return Rotation3._of(self.rotation).apply(points) + self.translation
 
+    def or_identity(self) -> Rigid3:
+        """The same motions, and the identity for those that are not known (NaN)."""
+        is_known = np.isfinite(self.rotation).all(axis=(-2, -1)) & np.isfinite(self.translation).all(axis=-1)
+        return Rigid3._of(
+            np.where(is_known[..., None, None], self.rotation, np.eye(3)),
+            np.where(is_known[..., None], self.translation, 0.0),
+        )
+
     def adjoint(self) -> Float64[np.ndarray, "*batch 6 6"]:
         """Ad with T exp(xi) T^-1 = exp(Ad xi): [[R, [t]x R], [0, R]]."""
         out = np.zeros((*self.translation.shape[:-1], 6, 6))

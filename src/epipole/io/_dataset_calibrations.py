@@ -76,7 +76,7 @@ def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
     rotation = body_from_cam[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise FileFormatError(path, "T_BS holds no rotation")
-    return Rigid3.from_matrix(body_from_cam)
+    return Rigid3.from_matrix(body_from_cam[:3])
 
 
 def kitti_cameras(

@@ -360,7 +360,7 @@ def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         cameras.append(camera_of_words(path, size, numbers_of(path, own, "intrinsics", 4), model, words, d))
         if k:
             places.append(numbers_of(path, own, "T_cn_cnm1", 4, 4) @ places[-1])
-    return CalibrationFile(tuple(cameras), Rigid3.from_matrix(np.stack(places)))
+    return CalibrationFile(tuple(cameras), Rigid3.from_matrix(np.stack(places)[:, :3]))
 
 
 def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:

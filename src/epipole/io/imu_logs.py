@@ -63,13 +63,13 @@ def read_camera_from_imu(path: str | Path) -> Rigid3:
         return read_body_from_camera(path).inverse()
     try:
         matrix = np.asarray(own["T_cam_imu"], np.float64).reshape(4, 4)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise FileFormatError(path, "T_cam_imu is not 4 x 4 numbers") from error
     rotation = matrix[:3, :3]
     is_rotation = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-4
     if not is_rotation or np.linalg.det(rotation) < 0:
         raise FileFormatError(path, "T_cam_imu holds no rotation")
-    return Rigid3.from_matrix(matrix)
+    return Rigid3.from_matrix(matrix[:3])
 
 
 def _table(path: Path) -> np.ndarray:

@@ -139,7 +139,7 @@ def _text_corners(path: Path, data: bytes, header: PlyHeader) -> list[np.ndarray
             k = numbers[0]
         except (ValueError, IndexError) as error:
             raise FileFormatError(path, f"a face cannot be understood: {line[:60]!r}") from error
-        if k < 0 or len(numbers) < k + 1:
+        if k < 0 or len(numbers) < k + 1 or max(map(abs, numbers)) >= 2**63:
             raise FileFormatError(path, f"a face cannot be understood: {line[:60]!r}")
         by_size.setdefault(k, []).append(numbers[1 : k + 1])
     if sum(map(len, by_size.values())) < header.num_faces:

@@ -239,7 +239,10 @@ def _timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:
         if not words[0] or words[0].startswith("#"):
             continue
         try:
-            out.append((int(words[0]), path_inside(folder / "data", words[1])))
+            nanoseconds = int(words[0])
+            if abs(nanoseconds) >= 2**63:
+                raise ValueError("no clock counts so far")
+            out.append((nanoseconds, path_inside(folder / "data", words[1])))
         except (ValueError, IndexError) as error:
             problem = f"line {number}: a whole number of nanoseconds and a file's name expected"
             raise FileFormatError(folder / "data.csv", problem) from error

@@ -125,7 +125,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
             cameras.append(camera)
         camera_rows.append(row_of[key])
         names.append(name.removeprefix(image_folder.rstrip("/") + "/"))
-    cams_from_world = Rigid3.from_matrix(np.array(worlds_from_cams).reshape(-1, 4, 4)).inverse()
+    cams_from_world = Rigid3.from_matrix(np.array(worlds_from_cams).reshape(-1, 4, 4)[:, :3]).inverse()
     return model_of_cameras(names, cameras, camera_rows, cams_from_world, _points(path, content))
 
 

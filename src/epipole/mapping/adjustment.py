@@ -113,7 +113,7 @@ def _adjust(
     params_free = free_params_of(model.cameras, freedom)
     serves_others = model.camera_of_image[np.setdiff1d(np.flatnonzero(model.registered), free_images)]
     params_free[np.unique(serves_others)] = 0.0
-    places = Rigid3(np.nan_to_num(model.motion[:, :9]).reshape(-1, 3, 3), np.nan_to_num(model.motion[:, 9:]))
+    places = Rigid3(model.motion[:, :9].reshape(-1, 3, 3), model.motion[:, 9:]).or_identity()
     expected, sigma = expected_params(model)
     problem = BundleProblem(
         places,

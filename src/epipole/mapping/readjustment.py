@@ -35,7 +35,7 @@ def bundle_problem_of(
     image = model.tracks.image
     places = model.frames.rig_from_world
     return BundleProblem(
-        rig_from_world=Rigid3(np.nan_to_num(places.rotation), np.nan_to_num(places.translation)),
+        rig_from_world=places.or_identity(),
         cam_from_rig=model.rigs.cam_from_rig,
         camera_model=model.cameras.model,
         camera_params=model.cameras.params,

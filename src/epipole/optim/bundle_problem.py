@@ -126,7 +126,11 @@ class BundlePriors(Declared):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BundleProblem:
-    """What is adjusted. Observations are grouped by point: those of point j are offsets[j] to offsets[j + 1]."""
+    """What is adjusted: f frames, s sensors of their rig, c cameras, p points, k observations.
+
+    Observations are grouped by point: those of point j are rows offsets[j] to offsets[j + 1]. Each names its frame (the
+    instant, which has a place), its sensor (where on the rig) and its camera (which lens); without rigs there is one sensor.
+    """
 
     rig_from_world: Rigid3
     """One row per frame."""
@@ -134,8 +138,10 @@ class BundleProblem:
     """One row per sensor; identity for a single camera."""
     camera_model: Int32[np.ndarray, " c"]
     camera_params: Float64[np.ndarray, "c 12"]
+    """Zeros after the model's own: `Camera.padded_params`."""
     points_in_world: Float64[np.ndarray, "p 3"]
     offsets: Int64[np.ndarray, " p1"]
+    """p + 1 numbers that rise from 0 to k."""
     frame: Int32[np.ndarray, " k"]
     sensor: Int32[np.ndarray, " k"]
     camera: Int32[np.ndarray, " k"]

@@ -15,7 +15,7 @@ from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
 from epipole.scene import Curve
 
 CALIBRATION = "calibration.json"
-UNIT = "units of the calibration"
+UNIT = "the unit of the calibration"
 """Metres where the board was told in metres."""
 LINES, STEPS = 9, 32
 """Of the grid of a picture's pixels: lines each way, and pieces of a line."""

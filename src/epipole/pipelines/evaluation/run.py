@@ -14,6 +14,8 @@ from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 
+TRAJECTORY_SUFFIXES = (".txt", ".csv", ".tum", ".kitti")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
@@ -39,16 +41,25 @@ class Evaluation:
 
 
 def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
-    """Compare a model's cameras with known ones.
+    """Compare a model's cameras with known ones; paths of moving cameras are for `evaluate_trajectory`.
 
     Args:
         out: a workspace or a COLMAP model.
-        truth: a COLMAP model, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
+        truth: a COLMAP model, a transforms.json, a folder of Strecha `.camera` files or a Middlebury `_par.txt` file.
 
     Raises:
-        FileFormatError: one of them cannot be read, or they share no pictures.
+        FileFormatError: one of them cannot be read, is a trajectory, or they share no pictures.
         DegenerateGeometryError: fewer than two known cameras are registered.
     """
+    for path in (as_path(out), as_path(truth)):
+        if (
+            path.suffix.lower() in TRAJECTORY_SUFFIXES
+            and path.is_file()
+            and not path.name.endswith("_par.txt")
+        ):
+            raise FileFormatError(
+                path, "is no model: trajectories are compared by evaluate_trajectory(path, truth)"
+            )
     model, known = read_colmap_model(find_model(as_path(out))), read_truth(as_path(truth))
     row = {name: i for i, name in enumerate(model.images.name)}
     cams_from_world, is_registered = model.cams_from_world(), model.is_registered()

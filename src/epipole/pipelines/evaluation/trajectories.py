@@ -8,10 +8,11 @@ import numpy as np
 
 from epipole._checks import as_path
 from epipole.errors import FileFormatError
-from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
+from epipole.io.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
 from epipole.io.trajectories import read_trajectory, trajectory_format
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory
+from epipole.metrics.numbered_truth import at_numbers_of_pictures
 from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
@@ -47,7 +48,8 @@ def evaluate_trajectory(
 ) -> TrajectoryEvaluation:
     """Compare a trajectory with a known one.
 
-    Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs.
+    Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs. A truth
+    whose times are numbers of pictures (7-Scenes) is known by the names in that table.
 
     Args:
         estimate: TUM, KITTI or EuRoC file.
@@ -61,11 +63,14 @@ def evaluate_trajectory(
     estimate, truth = as_path(estimate), as_path(truth)
     found, known = read_trajectory(estimate), read_trajectory(truth)
     is_timed, is_truth_timed = (trajectory_format(path) != "kitti" for path in (estimate, truth))
+    table = _table_beside(estimate)
+    if is_timed and is_truth_timed and table is not None:
+        numbered = at_numbers_of_pictures(known, table.picture, table.timestamp_s, max_difference_s)
+        known = known if numbered is None else numbered
     if is_timed != is_truth_timed:
-        times = _times_of_rows(estimate) if is_timed else None
-        if times is not None and len(times) == len(known):
-            told = np.flatnonzero(np.isfinite(times))
-            known = Trajectory(times[told], known.world_from_body[told])
+        if is_timed and table is not None and len(table.picture) == len(known):
+            told = np.flatnonzero(np.isfinite(table.timestamp_s))
+            known = Trajectory(table.timestamp_s[told], known.world_from_body[told])
         elif len(found) == len(known):
             known = Trajectory(found.timestamp_s, known.world_from_body)
         else:
@@ -78,7 +83,7 @@ def evaluate_trajectory(
     return score_trajectory(found, known, max_difference_s)
 
 
-def _times_of_rows(estimate: Path) -> np.ndarray | None:
+def _table_beside(estimate: Path) -> FrameTable | None:
     """Of all frames that a trajectory of `epipole slam` was made from, those without a place too; None for another."""
     table = estimate.with_name(FRAME_TABLE)
-    return read_frame_table(table).timestamp_s if table.is_file() else None
+    return read_frame_table(table) if table.is_file() else None

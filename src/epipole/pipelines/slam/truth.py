@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,13 +15,12 @@ from epipole.io.calibration_files import read_body_from_camera
 from epipole.io.sequences import SequenceKind, read_sequence
 from epipole.io.trajectories import read_pose_matrix, read_trajectory, trajectory_format
 from epipole.metrics import absolute_error, associate, score_trajectory
+from epipole.metrics.numbered_truth import at_numbers_of_pictures
 from epipole.pipelines.slam.record import FrameRecord
 from epipole.scene import Trajectory
 
 MAX_DIFFERENCE_S = 0.01
 """Frames and truth further apart in time are not compared."""
-MOST_NAMED = 0.9
-"""Share of the pictures whose numbers the truth's first column holds, where it is no time."""
 LEAST_COVERAGE = 0.2
 """Share of the frames, or of the truth where that has fewer rows, below which no error is told."""
 FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
@@ -102,7 +100,9 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
         ConfigError: there are not as many rows, and the pictures are not named by the rows' numbers either.
     """
     if truth.has_times:
-        return _by_numbers(truth, records) or truth.trajectory
+        times = np.array([r.answer.timestamp_s if r.answer else np.nan for r in records])
+        names = [record.name for record in records]
+        return at_numbers_of_pictures(truth.trajectory, names, times, MAX_DIFFERENCE_S) or truth.trajectory
     rows = np.array([record.number for record in records])
     if len(truth.trajectory) != len(records):
         stems = [Path(record.name).stem for record in records]
@@ -115,26 +115,6 @@ def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
     told = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
     places = truth.trajectory.world_from_body[np.array([row for row, _ in told], np.int64)]
     return Trajectory(np.array([time for _, time in told], np.float64), places)
-
-
-def _by_numbers(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory | None:
-    """With the frames' times, where the truth's are the numbers of the pictures; None where they are times."""
-    told, numbers = truth.trajectory.timestamp_s, []
-    for record in records:
-        found = re.findall(r"\d+", Path(record.name).stem)
-        numbers.append(float(found[-1]) if found else np.nan)
-    named, frames = (
-        np.array(numbers),
-        np.array([r.answer.timestamp_s if r.answer else np.nan for r in records]),
-    )
-    row = np.searchsorted(told, named).clip(0, len(told) - 1)
-    meets = (told[row] == named) & np.isfinite(frames)
-    after = np.searchsorted(told, frames)
-    sides = np.stack([told[(after - side).clip(0, len(told) - 1)] for side in (0, 1)])
-    near = np.abs(sides - frames).min(axis=0) <= MAX_DIFFERENCE_S
-    if not (told == np.rint(told)).all() or 2 * near.sum() >= len(records) or meets.mean() < MOST_NAMED:
-        return None
-    return Trajectory(frames[meets], truth.trajectory.world_from_body[row[meets]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from epipole.report.markup import count
 from epipole.report.space_scene import CameraLayer, FirstView, PointLayer, PointMeasure, SpaceScene
 from epipole.scene import DepthMap, RectifiedRig, depth_map_to_point_cloud
 
-UNIT = "units of the baseline"
+UNIT = "the unit of the baseline"
 """Metres where that was told in metres."""
 
 

@@ -1,0 +1,47 @@
+"""A known path whose rows are told by the numbers of pictures, not by times."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from epipole.scene import Trajectory
+
+MOST_NAMED = 0.9
+"""Share of the pictures whose numbers the truth's first column holds, where it is no time."""
+
+
+def at_numbers_of_pictures(
+    truth: Trajectory,
+    pictures: Sequence[str],
+    timestamp_s: Float64[np.ndarray, " n"],
+    max_difference_s: float,
+) -> Trajectory | None:
+    """The truth with the pictures' times, where its own are the last numbers in the pictures' names (7-Scenes).
+
+    Args:
+        truth: what a file's first column calls times may be numbers.
+        pictures: file names.
+        timestamp_s: of each; NaN where it has no time.
+        max_difference_s: instants nearer than that to most pictures' are times indeed.
+
+    Returns:
+        None where its times are times.
+    """
+    told = truth.timestamp_s
+    if not len(told) or not len(pictures):
+        return None
+    numbers = [re.findall(r"\d+", Path(name).stem) for name in pictures]
+    named = np.array([float(found[-1]) if found else np.nan for found in numbers])
+    row = np.searchsorted(told, named).clip(0, len(told) - 1)
+    meets = (told[row] == named) & np.isfinite(timestamp_s)
+    after = np.searchsorted(told, timestamp_s)
+    sides = np.stack([told[(after - side).clip(0, len(told) - 1)] for side in (0, 1)])
+    near = np.abs(sides - timestamp_s).min(axis=0) <= max_difference_s
+    if not (told == np.rint(told)).all() or 2 * near.sum() >= len(pictures) or meets.mean() < MOST_NAMED:
+        return None
+    return Trajectory(timestamp_s[meets], truth.world_from_body[row[meets]])
