@@ -91,3 +91,15 @@ def test_folders_that_are_none(tmp_path, data_dir):
     shutil.rmtree(tmp_path / "cam0" / "data")
     with pytest.raises(FileFormatError, match="none of its pictures is there"):
         read_sequence(tmp_path)
+
+
+def test_sequences_beside_each_other_are_not_one(tmp_path):
+    for name in ("seq-01", "seq-02"):
+        (tmp_path / name).mkdir()
+        for n in range(2):
+            cv2.imwrite(str(tmp_path / name / f"frame-{n:06d}.color.png"), np.zeros((48, 64), np.uint8))
+    with pytest.raises(
+        FileFormatError, match=r"holds 2 sequences \(seq-01, seq-02\): choose one, .*seq-01 for one"
+    ):
+        read_sequence(tmp_path)
+    assert len(read_sequence(tmp_path / "seq-01").frames) == 2

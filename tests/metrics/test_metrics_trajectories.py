@@ -127,6 +127,8 @@ def test_a_truth_of_picture_numbers_gets_the_pictures_times() -> None:
     times[3] = np.nan
     found = at_numbers_of_pictures(truth, [n.replace(".color", "") for n in names], times, 0.01)
     assert found is not None and len(found) == 24
+    every_third = np.where(np.arange(25) % 3, np.nan, times)  # frames that were passed over have no times
+    assert len(at_numbers_of_pictures(truth, names, every_third, 0.01)) == np.isfinite(every_third).sum()
     np.testing.assert_array_equal(found.timestamp_s, np.delete(times, 3))
     np.testing.assert_array_equal(
         found.world_from_body.translation, np.delete(poses.translation[::2], 3, axis=0)

@@ -194,6 +194,8 @@ def find_model(path: str | Path) -> Path:
             return folder
     if not path.exists():
         raise FileFormatError(path, "there is no such folder")
-    pictures = path.is_dir() and any(p.suffix.lower() in (".jpg", ".jpeg", ".png") for p in path.iterdir())
+    pictures = any(
+        p.suffix.lower() in (".jpg", ".jpeg", ".png") for at in (path, path / "images") for p in at.glob("*")
+    )
     hint = "; it holds pictures: `epipole reconstruct` makes a model of them" if pictures else ""
     raise FileFormatError(path, f"holds no model (no cameras.bin or cameras.txt, nor sparse/0){hint}")

@@ -127,12 +127,35 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     for left, right in _STEREO_FOLDERS:
         if (folder / left).is_dir() and (folder / right).is_dir():
             return _kitti(folder, folder / left, folder / right)
+    _refuse_several(folder)
     names = list_photographs(folder).names
     if any(_SEVEN_SCENES.fullmatch(name) for name in names):
         return _seven_scenes(folder, names)
     if (folder / "image_0").is_dir():
         return _kitti(folder, folder / "image_0", None)
     return _pictures(folder, names, fps)
+
+
+def _refuse_several(folder: Path) -> None:
+    """Sequences beside each other are not one, though their pictures could be read as one."""
+    inside = [sub for sub in sorted(folder.iterdir()) if sub.is_dir() and _is_sequence(sub)]
+    if len(inside) > 1:
+        names = ", ".join(sub.name for sub in inside[:4]) + (", ..." if len(inside) > 4 else "")
+        raise FileFormatError(
+            folder, f"holds {len(inside)} sequences ({names}): choose one, {inside[0]} for one"
+        )
+
+
+def _is_sequence(folder: Path) -> bool:
+    """Whether a folder has a layout of its own, other than pictures alone."""
+    if (
+        (folder / "mav0").is_dir()
+        or (folder / "cam0" / "data.csv").is_file()
+        or (folder / "rgb.txt").is_file()
+    ):
+        return True
+    pairs = any((folder / left).is_dir() and (folder / right).is_dir() for left, right in _STEREO_FOLDERS)
+    return pairs or (folder / "image_0").is_dir() or any(folder.glob("frame-*.color.*"))
 
 
 def _seven_scenes(folder: Path, names: tuple[str, ...]) -> ImageSequence:

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from epipole.scene import Trajectory
 
 MOST_NAMED = 0.9
-"""Share of the pictures whose numbers the truth's first column holds, where it is no time."""
+"""Share of the pictures with times whose numbers the truth's first column holds, where it is no time."""
 
 
 def at_numbers_of_pictures(
@@ -33,7 +33,8 @@ def at_numbers_of_pictures(
         None where its times are times.
     """
     told = truth.timestamp_s
-    if not len(told) or not len(pictures):
+    num_timed = int(np.isfinite(timestamp_s).sum())
+    if not len(told) or not num_timed:
         return None
     numbers = [re.findall(r"\d+", Path(name).stem) for name in pictures]
     named = np.array([float(found[-1]) if found else np.nan for found in numbers])
@@ -42,6 +43,7 @@ def at_numbers_of_pictures(
     after = np.searchsorted(told, timestamp_s)
     sides = np.stack([told[(after - side).clip(0, len(told) - 1)] for side in (0, 1)])
     near = np.abs(sides - timestamp_s).min(axis=0) <= max_difference_s
-    if not (told == np.rint(told)).all() or 2 * near.sum() >= len(pictures) or meets.mean() < MOST_NAMED:
+    are_whole = bool((told == np.rint(told)).all())
+    if not are_whole or 2 * near.sum() >= num_timed or meets.sum() < MOST_NAMED * num_timed:
         return None
     return Trajectory(timestamp_s[meets], truth.world_from_body[row[meets]])

@@ -53,7 +53,8 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
     """Pictures and models that are apart; the report says the same in its own words."""
     out, mapped, images = [], solution.mapped, solution.images
     if reasons:
-        out.append(f"{len(reasons)} of {len(images) + len(images.left_out)} pictures are in no model")
+        of_all = f"{len(reasons)} of {len(images) + len(images.left_out)} pictures"
+        out.append(f"{of_all} {'is' if len(reasons) == 1 else 'are'} in no model")
     if len(mapped.models) > 1:
         counts = ", ".join(str(int(m.is_registered().sum())) for m in mapped.models)
         out.append(
