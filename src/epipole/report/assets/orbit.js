@@ -39,7 +39,10 @@ function eyeAt(frame, { o, f, r, dist, spread }) {
 
 /* An eye is { focus, yaw, pitch, roll, dist, spread }: spread is half the shorter side at distance 1. `frame` holds
    three axes of the world, the third of them up. Of `basis`, r is right, d down, f ahead and o where the eye is. */
-function orbitEye(canvas, { start, radius, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways, reset }) {
+function orbitEye(
+  canvas,
+  { start, radius, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways, reset },
+) {
   const fingers = new Map();
   let eye = start(),
     moved = 0,
