@@ -143,6 +143,8 @@ def test_shifts_along_rows_are_found_and_what_repeats_has_a_rival(picture, pixel
     shift = 17
     right = np.roll(picture, -shift, axis=1)
     found, score, rival = find_along_rows(picture, right, pixels, 40)
+    whole, more = (find_along_rows(picture, right, pixels, shift) for shift in (picture.shape[1], 2**62))
+    np.testing.assert_array_equal(whole, more)  # beyond the picture there is nothing to find
     inside = (pixels > [shift + 6, 6]).all(axis=1) & (pixels < [314, 234]).all(axis=1)
     assert inside.sum() > 20
     assert (found[inside] == shift).all() and (score[inside] > 0.999).all()

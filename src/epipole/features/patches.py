@@ -135,6 +135,7 @@ def find_along_rows(
         raise ConfigError(
             f"max_shift must not be negative and half_px from 2 to 20, got {max_shift} and {half_px}"
         )
+    max_shift = min(max_shift, first.shape[1])  # farther left there is no picture
     out = np.full((len(pixels), 3), np.nan)
     at = np.where(np.isfinite(pixels).all(axis=1, keepdims=True), pixels, -1.0)
     _parallel.map_chunks(
