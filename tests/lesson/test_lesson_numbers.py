@@ -1,6 +1,7 @@
 """What pages show against what the library says, over grids of inputs."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -229,7 +230,10 @@ def adjusted(cams_from_world, points, pixels, *, camera_is_free):
         params_free=np.zeros((1, 12)),
         point_free=np.full(n, float(not camera_is_free)),
     )
-    return adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
+    found = adjust_bundle(problem, BundleConfig(function_tolerance=0.0))
+    # Once more from there: the cost tells its minimum to half of the digits only.
+    again = replace(problem, rig_from_world=found.rig_from_world, points_in_world=found.points_in_world)
+    return adjust_bundle(again, BundleConfig(function_tolerance=0.0))
 
 
 def way(step, s, most):
@@ -278,7 +282,15 @@ def way(step, s, most):
 def test_a_camera_on_its_way(tab):
     tab.open("06_pnp.html")
     landmarks, _ = corridor()
-    for step, s, most in ((0, 1.0, 30), (1, 4.0, 4), (6, 0.0, 30), (13, 1.0, 60), (7, 1.5, 20), (3, 2.0, 6)):
+    for step, s, most in (
+        (0, 1.0, 30),
+        (1, 4.0, 4),
+        (6, 0.0, 30),
+        (13, 1.0, 60),
+        (7, 1.5, 12),
+        (7, 1.5, 20),
+        (3, 2.0, 6),
+    ):
         tab.set(step=step, s=s, most=most)
         shown, (truth, cameras, known, used) = tab.shown(), way(step, s, most)
         last, right = cameras[-1], truth[len(cameras) - 1]
