@@ -589,7 +589,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)
     yield _row(mapping.Freedom, focal=True, principal_point=False, distortion=True)
-    priors = mapping.PositionPriors(_some(4, 3), 1.0)
+    priors = mapping.PositionPriors(_some(4, 3), np.ones((4, 3)))
     yield _row(free_params_of, cameras=model.cameras, freedom=freedom)
     yield _row(expected_params, model=builder)
     yield _row(mapping.adjust_all, model=builder, config=quick, freedom=freedom, priors=priors)

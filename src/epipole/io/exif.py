@@ -13,6 +13,7 @@ side):
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Mapping
 from datetime import datetime
@@ -34,6 +35,9 @@ _DATE_TIME_ORIGINAL, _SUBSECOND_ORIGINAL, _FOCAL_LENGTH = 0x9003, 0x9291, 0x920A
 _PIXEL_WIDTH, _PIXEL_HEIGHT, _FOCAL_35MM = 0xA002, 0xA003, 0xA405
 _FOCAL_PLANE_X_RESOLUTION, _FOCAL_PLANE_UNIT = 0xA20E, 0xA210
 _LAT_REF, _LAT, _LON_REF, _LON, _ALT_REF, _ALT, _GPS_STATUS = 1, 2, 3, 4, 5, 6, 9
+
+_GIMBAL_ANGLE = re.compile(r"Gimbal(Pitch|Roll)Degree\s*(?:=\s*[\"']|>)\s*([+-]?\d{1,3}(?:\.\d{1,9})?)\b")
+_MAX_XMP_CHARACTERS = 100_000
 
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FILM_WIDTH_MM = 36.0
@@ -110,6 +114,23 @@ def gps_of(exif: Image.Exif) -> GpsPosition | None:
     if alt_m is not None and block.get(_ALT_REF) in (1, b"\x01", "\x01"):
         alt_m = -abs(alt_m)
     return GpsPosition(lat_deg, lon_deg, alt_m)
+
+
+def gimbal_up_of(xmp: object) -> tuple[float, float, float] | None:
+    """Direction of up in camera coordinates (x right, y down, z forward) from a drone's XMP block; None without one.
+
+    With pitch p (-90 degrees looks straight down) and roll r of the gimbal, up is
+    (-sin r cos p, -cos r cos p, sin p). Read are `GimbalPitchDegree` and `GimbalRollDegree`, as DJI writes them.
+    """
+    text = xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else xmp
+    if not isinstance(text, str):
+        return None
+    found = {name: float(value) for name, value in _GIMBAL_ANGLE.findall(text[:_MAX_XMP_CHARACTERS])}
+    pitch_deg, roll_deg = found.get("Pitch"), found.get("Roll", 0.0)
+    if pitch_deg is None or abs(pitch_deg) > 180.0 or abs(roll_deg) > 360.0:
+        return None
+    p, r = math.radians(pitch_deg), math.radians(roll_deg)
+    return (-math.sin(r) * math.cos(p), -math.cos(r) * math.cos(p), math.sin(p))
 
 
 def capture_time_of(exif: Image.Exif) -> datetime | None:

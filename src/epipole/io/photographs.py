@@ -53,6 +53,7 @@ from epipole.io.exif import (
     camera_of,
     capture_time_of,
     focal_of,
+    gimbal_up_of,
     gps_of,
     new_exif,
     orientation_of,
@@ -119,6 +120,8 @@ class PhotographHeader:
     """Local time on the camera's clock."""
     is_deep_grey_png: bool = False
     """A PNG of one channel of 16 bits, as depth is stored."""
+    up_in_camera: tuple[float, float, float] | None = None
+    """Direction of up in camera coordinates, as a gimbal measured it; None where the XMP block has none."""
 
 
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
@@ -182,6 +185,7 @@ def read_header(path: Path | str) -> PhotographHeader:
         gps_of(exif),
         capture_time_of(exif),
         is_deep_grey_png,
+        gimbal_up_of(image.info.get("xmp")) if orientation == 1 else None,
     )
 
 

@@ -102,10 +102,10 @@ def page_content(
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
         inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
     rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
-    residuals, scale = solution.mapped.gps_residuals_m[0], solution.mapped.scale
+    gps, scale = solution.mapped.gps[0], solution.mapped.scale
     scale_note = UP_TO_SCALE if scale is None else scale.in_words()
-    if residuals is not None:
-        scale_note += f"; median distance of the cameras from their GPS fixes {np.nanmedian(residuals):.2f} m"
+    if gps is not None:
+        scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
     return ReportContent(
         title=title_of(run.job.inputs[0]),
         reconstruction=model,

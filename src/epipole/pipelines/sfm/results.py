@@ -87,5 +87,11 @@ def database_contents(solution: Solution) -> DatabaseContents:
         [descriptors if descriptors.shape[1] == 128 else None for descriptors in stored],
         load_putative(solution.matches),
         solution.view_graph,
-        images.lat_lon_alt,
+        np.where(_lacks_altitude(images.lat_lon_alt), 0.0, images.lat_lon_alt),
     )
+
+
+def _lacks_altitude(lat_lon_alt: np.ndarray) -> np.ndarray:
+    """(n, 3) mask of unknown altitudes: COLMAP's table takes numbers only, and COLMAP itself writes 0."""
+    is_located = np.isfinite(lat_lon_alt[:, :2]).all(axis=1, keepdims=True)
+    return is_located & ~np.isfinite(lat_lon_alt)
