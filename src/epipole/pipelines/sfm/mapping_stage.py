@@ -28,6 +28,8 @@ from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 GPS_OUTLIER_SIGMAS = 5.0
 UNKNOWN_ALTITUDE_SIGMA_M = 1e4
+VAGUE_UP_RAD = np.deg2rad(8.0)
+"""Standard deviation above which the direction of up is an assumption that is worth a warning."""
 NUM_NAMED = 3
 FEW_FEATURES = 30
 
@@ -161,7 +163,7 @@ def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfi
         )
         more = f" and {len(far) - NUM_NAMED} more" if len(far) > NUM_NAMED else ""
         out.append(f"GPS positions that contradict the model are not used: {named}{more}")
-    if not gps.is_up_from_gps:
+    if gps.up_sigma_rad > VAGUE_UP_RAD:
         out.append(
             "the GPS positions lie nearly on a line and do not determine which way is up: "
             "the model is upright as its cameras were held"

@@ -30,8 +30,6 @@ MAX_PRIOR_DEVIATIONS = 3.0
 """A direction of up that is farther off than this has no further say."""
 TO_SIGMA = 1.4826
 """From the median absolute value of a normal distribution to its standard deviation."""
-VAGUE_UP_RAD = np.deg2rad(10.0)
-"""Where the positions leave up less certain than this, it comes from the cameras."""
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
@@ -42,8 +40,8 @@ class GpsAlignment:
     enu_from_world: Similarity3
     residuals_m: np.ndarray
     """(n,) distance of each image from its GPS position, horizontal where no altitude is known; NaN where there is none."""
-    is_up_from_gps: bool
-    """Whether the positions determine which way is up; otherwise it comes from the cameras."""
+    up_sigma_rad: float
+    """Standard deviation of the direction of up, from the positions and the cameras together."""
 
     @property
     def median_m(self) -> float:
@@ -79,7 +77,7 @@ def align_to_gps(
     if not evidence_of(centers_in_world, up_directions, positions_enu, seed).is_convincing:
         return None
     source, target = centers_in_world[usable], positions_enu[usable]
-    found: list[tuple[float, bool, Similarity3]] = []
+    found: list[tuple[float, float, Similarity3]] = []
     for start in _starts(source, target, up_directions, max_error_m, seed):
         refined = _refine(start, source, target, up_directions, sigma_m)
         if refined is not None:
@@ -88,9 +86,9 @@ def align_to_gps(
             found.append(refined if again is None else (refined[0], again[1], again[2]))
     if not found:
         return None
-    _, is_up_from_gps, enu_from_world = min(found, key=lambda f: f[0])
+    _, up_sigma_rad, enu_from_world = min(found, key=lambda f: f[0])
     residuals_m = gps_distances(enu_from_world.apply(centers_in_world), positions_enu)
-    return GpsAlignment(enu_from_world, residuals_m, is_up_from_gps)
+    return GpsAlignment(enu_from_world, residuals_m, up_sigma_rad)
 
 
 def gps_distances(centers_enu: np.ndarray, positions_enu: np.ndarray) -> np.ndarray:
@@ -149,8 +147,8 @@ def _refine(
     target: np.ndarray,
     up_directions: Sequence[UpDirection],
     sigma_m: float,
-) -> tuple[float, bool, Similarity3] | None:
-    """The cost, whether GPS determines up, and the refined similarity; None where the model shrinks to a point."""
+) -> tuple[float, float, Similarity3] | None:
+    """The cost, the standard deviation of up, and the refined similarity; None where the model shrinks to a point."""
     from scipy.optimize import least_squares  # a tenth of a second to import, for sets with GPS only
 
     has_value = np.isfinite(target)
@@ -175,8 +173,7 @@ def _refine(
     reach_m = float(result.scale) * float(np.linalg.norm(source - middle, axis=1).max())
     if not np.isfinite(found.cost) or reach_m <= sigma[0]:
         return None
-    is_up_from_gps = bool(_tilt_sigma_rad(found.jac[: has_value.size]) <= VAGUE_UP_RAD)
-    return float(found.cost) + penalty, is_up_from_gps, result
+    return float(found.cost) + penalty, _tilt_sigma_rad(found.jac), result
 
 
 def _without_outliers(off: np.ndarray, target: np.ndarray, max_error_m: float) -> np.ndarray:
