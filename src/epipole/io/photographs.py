@@ -246,8 +246,15 @@ def read_mask(
         FileFormatError: the mask is damaged or not of the picture's size.
     """
     path = mask_of(mask_folder, name)
-    if path is None:
-        return None
+    return None if path is None else read_mask_file(path, name, size=size)
+
+
+def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
+    """Read a mask whose file is known; as `read_mask`.
+
+    Raises:
+        FileFormatError: the mask is missing, damaged or not of the picture's size.
+    """
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
