@@ -15,7 +15,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rotation3
 from epipole.io._colmap_cameras import HALF_PIXEL
 from epipole.io._photograph_pixels import PILLOW_ERRORS
-from epipole.io._transforms_keys import spherical_refusal
+from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 from epipole.io.files import open_file
 from epipole.io.names import path_inside
 
@@ -40,7 +40,6 @@ _FISHEYE = {
     "SIMPLE_RADIAL_FISHEYE": ("k1",),
     "SIMPLE_FISHEYE": (),
 }
-_SPHERICAL = ("EQUIRECT", "SPHERICAL", "LATLONG", "PANORAM", "OMNIDIRECTIONALSTEREO", "VR180")
 _FOCAL_KEYS = {axis: (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}") for axis in "xy"}
 _NUMBERS = ("w", "h", "cx", "cy", *_FOCAL_KEYS["x"], *_FOCAL_KEYS["y"], *_RATIONAL_KEYS)
 _SAME_FOCAL = 0.01
@@ -87,8 +86,8 @@ def _model_of(content: Mapping[str, Any], frame: Mapping[str, Any]) -> tuple[str
         return ("OPENCV_FISHEYE", True) if flag else ("OPENCV", False)
     given = values["camera_model"]
     name = given.strip().upper() if isinstance(given, str) else ""
-    if any(word in name for word in _SPHERICAL):
-        raise ConfigError(f"camera_model {given}: {spherical_refusal()}")
+    if is_spherical_word(name):
+        raise ConfigError(f"camera_model {given}: {SPHERICAL_REFUSAL}")
     if name not in _PERSPECTIVE and name not in _FISHEYE:
         known = ", ".join((*_PERSPECTIVE, *_FISHEYE))
         raise ConfigError(f"unknown camera_model {str(given)[:40]!r}; known are {known}")

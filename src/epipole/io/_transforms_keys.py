@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from epipole.errors import ConfigError
+from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 
 SPLIT_KEYS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}
 """nerfstudio's lists of images by the name of the split."""
@@ -45,7 +46,6 @@ _NOT_USED = {
     "rolling_shutter_time": "each image has one pose",
     "fisheye_crop_radius": "the whole image is used",
 }
-_SPHERICAL = ("equirectangular", "latlong", "spherical")
 _GEOMETRY = re.compile(
     r"[kpsb]\d+|f[xyl]|[cf]l?_?[xy]|xi|alpha|beta|gamma\w*|omega\w*|tau\w*|skew\w*|shear\w*|ftheta\w*|from_na|[wh]2?c2?[wh]?"
     r"|(\w*_)?(shift|crop|fov|focal|pixel_aspect|width|height|resolution)(_\w+)?"
@@ -65,8 +65,8 @@ def require_known_keys(values: Mapping[str, Any]) -> None:
     for key, value in values.items():
         if key in _USED or key in _WITHOUT_EFFECT or key in _NOT_USED or _says_nothing(value):
             continue
-        if any(word in key.lower() for word in _SPHERICAL):
-            raise ConfigError(f"{key}: {spherical_refusal()}")
+        if is_spherical_word(key):
+            raise ConfigError(f"{key}: {SPHERICAL_REFUSAL}")
         if _GEOMETRY.fullmatch(key):
             shown = repr(value)[:40]
             raise ConfigError(
@@ -92,11 +92,6 @@ def key_warnings(values: Mapping[str, Any], frames: Iterable[Mapping[str, Any]])
         named = ", ".join(key[:40] for key in list(unknown)[:_MOST_NAMED])
         out.append(f"unknown keys are not used: {named}{more}")
     return out
-
-
-def spherical_refusal() -> str:
-    """Why spherical images are refused, and what to do."""
-    return "spherical (equirectangular) images are not supported; render perspective views of them first"
 
 
 def _says_nothing(value: Any) -> bool:

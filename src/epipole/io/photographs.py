@@ -45,6 +45,7 @@ from epipole.io._photograph_pixels import (
     stored_size,
     turn,
 )
+from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
 from epipole.io.exif import (
     EXIF_ERRORS,
@@ -164,6 +165,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     with open_file(path) as stream:
         file_format = format_of(path, stream.read(64))
         image = open_with_pillow(path, stream, file_format)
+        refuse_panorama(path, image)
         exif = exif_of(image)
         orientation = orientation_of(exif)
         width, height = stored_size(image)
