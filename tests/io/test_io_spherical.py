@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
 
-import epipole
 from epipole.cameras import CameraModel
 from epipole.errors import FileFormatError, NoModelError
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.photographs import read_grey, read_header, read_rgb
 from epipole.io.rgba_pictures import read_rgba
+from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.photographs import read_image_set
 from io_models import small_model
 
 FAULTS = Path(__file__).parents[2].parent / "shared" / "data" / "faults"
@@ -58,7 +59,9 @@ def test_a_reconstruction_of_spherical_images_says_so(tmp_path) -> None:
     for k in range(3):
         write_image(tmp_path / "photos" / f"{k}.jpg", ATTRIBUTE.format("equirectangular"))
     with pytest.raises(NoModelError, match="spherical"):
-        epipole.reconstruct(tmp_path / "photos", tmp_path / "out")
+        read_image_set(
+            tmp_path / "photos", ReconstructConfig(), tmp_path / "memory", progress=lambda progress: None
+        )
 
 
 @pytest.mark.parametrize("name", ["SPHERICAL", "EQUIRECTANGULAR"])

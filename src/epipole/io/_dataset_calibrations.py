@@ -12,7 +12,7 @@ import numpy as np
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io._lens_coefficients import camera_of_words
+from epipole.io._camera_chains import camera_of_intrinsics
 from epipole.io._named_numbers import numbers_of, size_of
 
 _KITTI = re.compile(r"(?:P|P_rect_)(\d{1,2})")
@@ -57,12 +57,7 @@ def euroc_cameras(
     cameras, cams_from_body = [], []
     for path, content in zip(files, contents):
         size = size_of(path, *numbers_of(path, content, "resolution", 2))
-        words = str(content.get("distortion_model", "none"))
-        d = np.zeros(4) if words == "none" else numbers_of(path, content, "distortion_coefficients", 4)
-        model = str(content.get("camera_model", "pinhole"))
-        cameras.append(
-            camera_of_words(path, size, numbers_of(path, content, "intrinsics", 4), model, words, d)
-        )
+        cameras.append(camera_of_intrinsics(path, size, content, "distortion_coefficients"))
         cams_from_body.append(body_from_camera(path, content).inverse())
     places = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
     return tuple(cameras), Rigid3(

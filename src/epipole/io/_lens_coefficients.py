@@ -10,6 +10,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 
 _PLAIN, _RATIONAL = 4, 8
+_LENGTHS = (0, 4, 5, 8, 12, 14)
 
 
 def coefficients_of_camera(camera: Camera) -> tuple[str, np.ndarray]:
@@ -31,6 +32,8 @@ def camera_of_coefficients(
         FileFormatError: there is skew, thin prism or tilt, or the numbers make no camera.
     """
     d = np.asarray(coefficients, np.float64).ravel()
+    if not is_fisheye and len(d) not in _LENGTHS:
+        raise FileFormatError(path, f"it has {len(d)} distortion coefficients, not 4, 5, 8, 12 or 14")
     if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
         raise FileFormatError(path, "the camera matrix has skew, which is not supported")
     if d[_PLAIN if is_fisheye else _RATIONAL :].any():
@@ -50,25 +53,3 @@ def camera_of_coefficients(
         return Camera(model, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *rest]))
     except ConfigError as error:
         raise FileFormatError(path, str(error)) from error
-
-
-def camera_of_words(
-    path: Path,
-    size: tuple[int, int],
-    intrinsics: np.ndarray,
-    model: str,
-    distortion: str,
-    coefficients: np.ndarray,
-) -> Camera:
-    """The camera of Kalibr's and EuRoC's words: a model, (fx, fy, cx, cy), a distortion and its coefficients.
-
-    Raises:
-        FileFormatError: one of the words is not known, or the numbers make no camera.
-    """
-    if model != "pinhole":
-        raise FileFormatError(path, f"the model {model} is not known")
-    if distortion not in ("radtan", "radial-tangential", "equidistant", "none"):
-        raise FileFormatError(path, f"the distortion {distortion} is not known")
-    fx, fy, cx, cy = intrinsics
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=distortion == "equidistant")
