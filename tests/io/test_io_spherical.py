@@ -12,6 +12,8 @@ from epipole.errors import FileFormatError, NoModelError
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.photographs import read_grey, read_header, read_rgb
 from epipole.io.rgba_pictures import read_rgba
+from epipole.io.video import frame_size
+from epipole.io.video_files import write_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from io_models import small_model
@@ -90,6 +92,40 @@ def test_a_rig_with_more_words_than_sensors_is_refused(tmp_path) -> None:
     (tmp_path / "rigs.txt").write_text(f"{text} CAMERA 9 0\n")
     with pytest.raises(FileFormatError, match="not a rig"):
         read_colmap_model(tmp_path)
+
+
+def box(kind: bytes, content: bytes, *, is_long: bool = False) -> bytes:
+    size = len(content) + (16 if is_long else 8)
+    return (
+        (1).to_bytes(4, "big") + kind + size.to_bytes(8, "big") + content
+        if is_long
+        else size.to_bytes(4, "big") + kind + content
+    )
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        box(
+            b"uuid",
+            b"<rdf:SphericalVideo><GSpherical:Spherical>true</GSpherical:Spherical></rdf:SphericalVideo>",
+        ),
+        box(b"sv3d", box(b"svhd", b"maker") + box(b"proj", box(b"equi", bytes(20)))),
+    ],
+    ids=["version 1", "version 2"],
+)
+@pytest.mark.parametrize("is_long", [True, False])
+def test_spherical_videos_are_refused(tmp_path, metadata, is_long) -> None:
+    write_video(tmp_path / "plain.mp4", [np.zeros((48, 96, 3), np.uint8)] * 3, 10.0)
+    assert frame_size(tmp_path / "plain.mp4") == (96, 48)
+    file = box(b"ftyp", b"isom") + box(b"mdat", bytes(100), is_long=is_long)
+    (tmp_path / "a.mp4").write_bytes(file + box(b"moov", box(b"trak", metadata), is_long=is_long))
+    with pytest.raises(FileFormatError, match="the video is spherical"):
+        frame_size(tmp_path / "a.mp4")
+    for other in (file + metadata, file + bytes(50), b"\x1a\x45\xdf\xa3" + metadata):
+        (tmp_path / "b.mp4").write_bytes(other)  # no index: OpenCV says what is wrong
+        with pytest.raises(FileFormatError, match="not a video that can be read"):
+            frame_size(tmp_path / "b.mp4")
 
 
 def write_fisheye_model(folder: Path) -> None:
