@@ -182,6 +182,17 @@ def test_opencvs_xml_with_words(tmp_path) -> None:
         read_calibration(written(tmp_path, text.format("fov"), "c.xml"))
 
 
+def test_a_key_that_is_there_twice_is_refused(tmp_path) -> None:
+    text = yaml.safe_dump(ros()) + "distortion_model: plumb_bob\ndistortion_model: fisheye\n"
+    with pytest.raises(FileFormatError, match="the key distortion_model is there twice"):
+        read_calibration(written(tmp_path, text))
+    text = "<?xml version='1.0'?><opencv_storage><a>1</a><a>2</a></opencv_storage>"
+    with pytest.raises(FileFormatError, match="the key a is there twice"):
+        read_calibration(written(tmp_path, text, "c.xml"))
+    merged = "base: &base {k: 1}\nboth:\n  <<: *base\n  m: 2\n" + yaml.safe_dump(ros())
+    assert read_calibration(written(tmp_path, merged)).cameras[0].width == 640
+
+
 # Chains of cameras.
 
 LINK = {
