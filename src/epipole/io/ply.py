@@ -261,8 +261,8 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
                 face_types.append(tuple(PLY_TYPES[kind] for kind in kinds))
             elif words[:1] == ["property"]:
                 is_orphan |= not elements
-            elif words and words[0] not in _IGNORED_LINES:
-                raise _HeaderError("a line of no known kind")
+            else:
+                _require_ignorable(words)
         except _HeaderError as error:
             problem = f"line {number}: cannot be understood: {line[:60]!r} ({error})"
             raise FileFormatError(path, problem) from error
@@ -290,6 +290,11 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
 
 class _HeaderError(ValueError):
     """Why a line of a header cannot be understood."""
+
+
+def _require_ignorable(words: list[str]) -> None:
+    if words and words[0] not in _IGNORED_LINES:
+        raise _HeaderError("a line of no known kind")
 
 
 def _add_element(elements: list[tuple[str, int]], words: list[str]) -> None:
