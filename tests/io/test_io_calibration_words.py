@@ -65,6 +65,8 @@ FISHEYE_WORDS = (
     {"camera_model": "fisheye", "distortion_model": "equidistant"},
     {"fisheye_model": 1},
     {"camera_type": "fisheye"},
+    {"model": "Fisheye"},
+    {"distortion": "equidistant", "model": "D435"},
 )
 PLANE_WORDS = (
     {},
@@ -135,6 +137,9 @@ def test_no_distortion(tmp_path, words) -> None:
         ({"camera_model": "equirectangular"}, r"spherical \(equirectangular\)"),
         ({"camera_model": "fisheye", "distortion_model": "plumb_bob"}, "contradicts distortion_model plumb_bob"),
         ({"fisheye_model": 1, "distortion_model": "plumb_bob"}, "contradicts"),
+        ({"fisheye_model": 0, "distortion_model": "fisheye"}, "contradicts"),
+        ({"model": "omni"}, "the model omni is not known"),
+        ({"projection": "equirectangular"}, "spherical"),
         ({"xi": 1.2}, "xi is of an omnidirectional camera"),
         ({"binning_x": 2}, "binning_x = 2 is not supported"),
         ({"roi": {"x_offset": 0, "y_offset": 4, "height": 10, "width": 10}}, "y_offset = 4"),
@@ -157,6 +162,24 @@ def test_words_that_are_not_known_are_refused_by_name(tmp_path, own, message) ->
     if next(iter(own)) not in ("distortion_coefficients", "binning_x", "roi"):
         with pytest.raises(FileFormatError, match=message):
             read_calibration(written(tmp_path, pair | own), size=(640, 480))
+
+
+@pytest.mark.parametrize("entry", [(0, 1), (1, 0), (2, 0), (2, 2)])
+def test_camera_matrices_with_other_numbers_are_refused(tmp_path, entry) -> None:
+    bent = K.copy()
+    bent[entry] += 3.0
+    with pytest.raises(FileFormatError, match="camera matrix"):
+        read_calibration(written(tmp_path, ros(camera_matrix=matrix(bent))))
+    one = (
+        " ".join(map(str, bent.ravel()[:3])),
+        " ".join(map(str, bent.ravel()[3:6])),
+        " ".join(map(str, bent.ravel()[6:])),
+    )
+    text = (
+        "\n".join(f"cam{k}=[{'; '.join(one)}]" for k in range(2)) + "\nbaseline=0.1\nwidth=640\nheight=480\n"
+    )
+    with pytest.raises(FileFormatError, match="camera matrix"):
+        read_calibration(written(tmp_path, text, "calib.txt"))
 
 
 def test_a_ros_pair_of_fisheyes(tmp_path) -> None:
@@ -319,6 +342,10 @@ def test_eurocs_coefficients_need_their_model(tmp_path) -> None:
         read_calibration(written(tmp_path, own))
     camera = read_calibration(written(tmp_path, own | {"distortion_model": "equidistant"})).cameras[0]
     np.testing.assert_allclose(camera.project(POINTS), opencv_fisheye(), atol=1e-9)
+    moved = np.eye(4)
+    moved[3, 0] = 0.1
+    with pytest.raises(FileFormatError, match="last row"):
+        read_calibration(written(tmp_path, own | {"distortion_model": "radtan", "T_BS": matrix(moved)}))
     with pytest.raises(FileFormatError, match="camera_model omni"):
         read_calibration(written(tmp_path, own | {"camera_model": "omni", "intrinsics": [1, 2, 3, 4, 5]}))
 

@@ -108,6 +108,9 @@ def test_known_camera_models(tmp_path, name, coefficients, model, expected) -> N
         ({"from_na": True}, "the key from_na"),
         ({"intrinsic_matrix": [[1, 0], [0, 1]]}, "the key intrinsic_matrix"),
         ({"transform_matrix_start": EYE}, "the key transform_matrix_start"),
+        ({"camera_convention": "OpenCV"}, "the key camera_convention"),
+        ({"crop_x": 10}, "the key crop_x"),
+        ({"width": 320}, "w = 640 contradicts width = 320"),
     ],
 )  # fmt: skip
 def test_coefficients_and_keys_that_are_not_understood_are_refused(tmp_path, own, words) -> None:
@@ -121,15 +124,18 @@ def test_keys_of_exporters_are_accepted_silently(tmp_path: Path) -> None:
     change = {
         "aabb_scale": 16, "scale": 1.0, "offset": [0.5, 0.5, 0.5], "orientation_override": "none", "is_fisheye": False,
         "applied_transform": np.eye(4)[:3].tolist(), "applied_scale": 0.5, "auto_scale_poses_override": False,
-        "rolling_shutter": [0, 0, 0, 0], "k1": 0, "camera_model": "OPENCV", "integer_depth_scale": 0.001,
+        "rolling_shutter": [0, 0, 0, 0], "width": 640, "image_height": 480, "n_frames": 1, "coordinate_system": "OpenGL", "k1": 0, "camera_model": "OPENCV", "integer_depth_scale": 0.001,
     }  # fmt: skip
     assert scene_of(tmp_path, change, frame).warnings == ()
 
 
 def test_keys_without_use_are_named_in_a_warning(tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, {"weather": "sunny", "ply_file_path": "no.ply"}, {"depth_file_path": "d.png"})
+    scene = scene_of(
+        tmp_path, {"weather": "sunny", "n_frames": 9, "ply_file_path": "no.ply"}, {"depth_file_path": "d.png"}
+    )
     words = "\n".join(scene.warnings)
     assert "depth_file_path is not used" in words and "unknown keys are not used: weather" in words
+    assert "n_frames is not used (all frames are read)" in words
     assert "ply_file_path names no.ply, which is not there" in words
     with pytest.warns(RuntimeWarning, match="weather"):
         read_transforms(tmp_path / "transforms.json")

@@ -13,6 +13,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io._camera_chains import camera_of_intrinsics
+from epipole.io._lens_coefficients import require_plain
 from epipole.io._named_numbers import numbers_of, size_of
 
 _KITTI = re.compile(r"(?:P|P_rect_)(\d{1,2})")
@@ -71,6 +72,8 @@ def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
     rotation = body_from_cam[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise FileFormatError(path, "T_BS holds no rotation")
+    if (body_from_cam[3] != [0, 0, 0, 1]).any():
+        raise FileFormatError(path, f"T_BS has the last row {body_from_cam[3].tolist()}, not 0 0 0 1")
     return Rigid3.from_matrix(body_from_cam[:3])
 
 
@@ -118,6 +121,7 @@ def _matrices(content: Mapping[str, Any]) -> list[str]:
 
 
 def _pinhole(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
+    require_plain(path, K)
     try:
         return Camera(CameraModel.PINHOLE, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]))
     except EpipoleError as error:

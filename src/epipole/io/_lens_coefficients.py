@@ -10,6 +10,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 
 _PLAIN, _RATIONAL = 4, 8
+_SAME = 1e-6
 _LENGTHS = (0, 4, 5, 8, 12, 14)
 
 
@@ -31,11 +32,10 @@ def camera_of_coefficients(
     Raises:
         FileFormatError: there is skew, thin prism or tilt, or the numbers make no camera.
     """
+    require_plain(path, K)
     d = np.asarray(coefficients, np.float64).ravel()
     if not is_fisheye and len(d) not in _LENGTHS:
         raise FileFormatError(path, f"it has {len(d)} distortion coefficients, not 4, 5, 8, 12 or 14")
-    if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
-        raise FileFormatError(path, "the camera matrix has skew, which is not supported")
     if d[_PLAIN if is_fisheye else _RATIONAL :].any():
         raise FileFormatError(
             path,
@@ -53,3 +53,15 @@ def camera_of_coefficients(
         return Camera(model, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *rest]))
     except ConfigError as error:
         raise FileFormatError(path, str(error)) from error
+
+
+def require_plain(path: Path, K: np.ndarray) -> None:
+    """Check that a camera matrix has no other numbers than fx, fy, cx and cy.
+
+    Raises:
+        FileFormatError: it has skew, or is scaled.
+    """
+    if abs(K[0, 1]) > _SAME * abs(K[0, 0]):
+        raise FileFormatError(path, "the camera matrix has skew, which is not supported")
+    if abs(K[1, 0]) > _SAME * abs(K[0, 0]) or np.abs(K[2] - [0.0, 0.0, 1.0]).max() > _SAME:
+        raise FileFormatError(path, "the camera matrix is not (fx 0 cx, 0 fy cy, 0 0 1)")

@@ -16,6 +16,7 @@ from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 _KEY = re.compile(
     r"(distortion|camera|lens|projection)_?(model|type)(_?[a-z0-9]{1,5})?|model_type", re.IGNORECASE
 )
+_LOOSE_KEY = re.compile(r"model|type|projection|lens|distortion", re.IGNORECASE)
 _FLAG = re.compile(r"(is_)?fisheye(_model)?", re.IGNORECASE)
 _OMNIDIRECTIONAL = re.compile(r"xi\d?|mirror_parameters", re.IGNORECASE)
 _NEUTRAL = frozenset(("pinhole", "perspective", "camera", "opencv"))
@@ -44,6 +45,26 @@ _FISHEYE = frozenset(
     )
 )
 _WITHOUT = frozenset(("none", "no_distortion", "null", "undistorted", "rectified"))
+# Models of other programs, which are refused under any key.
+_OTHERS = frozenset(
+    (
+        "omni",
+        "omnidir",
+        "omnidirectional",
+        "mei",
+        "ds",
+        "double_sphere",
+        "eucm",
+        "ucm",
+        "fov",
+        "atan",
+        "scaramuzza",
+        "ocam",
+    )
+)
+_MODEL_WORDS = (
+    _PERSPECTIVE | _FISHEYE | _WITHOUT | _OTHERS | {"equirectangular", "spherical", "thin_prism_fisheye"}
+)
 
 
 class LensWords(NamedTuple):
@@ -69,10 +90,11 @@ def lens_words(path: Path, content: Mapping[str, Any]) -> LensWords:
         if _FLAG.fullmatch(key):
             if isinstance(value, str):
                 raise FileFormatError(path, f"{key} is 0 or 1, got {value[:40]!r}")
-            if value:
-                kinds[f"{key} = {value}"] = "fisheye"
+            kinds[f"{key} = {value}"] = "fisheye" if value else "perspective"
             continue
-        if _KEY.fullmatch(key):
+        if _LOOSE_KEY.fullmatch(key) and _normal(value) not in _MODEL_WORDS:
+            continue  # the name of a product, or anything else
+        if _KEY.fullmatch(key) or _LOOSE_KEY.fullmatch(key):
             for kind in _kinds_of(path, key, value):
                 kinds[f"{key} {value}"] = kind
     found = set(kinds.values())
@@ -112,7 +134,7 @@ def _kinds_of(path: Path, key: str, value: Any) -> list[str]:
     """Of one word, or of two that a hyphen joins (pinhole-radtan): fisheye, perspective, none; nothing of a pinhole."""
     if value is None or value == "":
         return []
-    word = re.sub(r"[-\s]+", "_", str(value).strip().lower())
+    word = _normal(value)
     if is_spherical_word(word):
         raise FileFormatError(path, f"the {key} {value}: {SPHERICAL_REFUSAL}")
     projection, _, rest = word.partition("_")
@@ -133,6 +155,10 @@ def _kinds_of(path: Path, key: str, value: Any) -> list[str]:
             known = "pinhole, plumb_bob, rational_polynomial, radtan, fisheye, equidistant and none"
             raise FileFormatError(path, f"the {key} {str(value)[:60]} is not known; known are {known}")
     return kinds
+
+
+def _normal(value: Any) -> str:
+    return re.sub(r"[-\s]+", "_", str(value).strip().lower())
 
 
 def _is_zero(value: Any) -> bool:

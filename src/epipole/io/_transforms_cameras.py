@@ -42,6 +42,7 @@ _FISHEYE = {
 }
 _FOCAL_KEYS = {axis: (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}") for axis in "xy"}
 _NUMBERS = ("w", "h", "cx", "cy", *_FOCAL_KEYS["x"], *_FOCAL_KEYS["y"], *_RATIONAL_KEYS)
+_SIZE_KEYS = (("w", "width", "image_width"), ("h", "height", "image_height"))
 _SAME_FOCAL = 0.01
 """Relative difference up to which two values of a focal length agree: files hold rounded angles."""
 _EXACT_ROTATION, _MOST_SCALE = 1e-3, 0.02 + 1e-9
@@ -173,14 +174,20 @@ def _require_agreement(focals: Mapping[str, float]) -> None:
 
 def _size(path: Path, values: Mapping[str, Any], name: str) -> tuple[int, int]:
     """Width and height; what is not given is read from the image."""
-    given = {key: _pixels(values, key) for key in ("w", "h") if key in values}
-    if len(given) == 2:
-        return given["w"], given["h"]
-    of_image = dict(zip(("w", "h"), _image_size(path_inside(path.parent, name))))
-    for key, value in given.items():
-        if value != of_image[key]:
-            raise ConfigError(f"{key} is {value}, but the image has {of_image[key]} pixels")
-    return of_image["w"], of_image["h"]
+    sides: list[int | None] = []
+    for keys in _SIZE_KEYS:
+        given = {key: _pixels(values, key) for key in keys if key in values}
+        if len(set(given.values())) > 1:
+            raise ConfigError(" contradicts ".join(f"{key} = {value}" for key, value in given.items()))
+        sides.append(next(iter(given.values()), None))
+    width, height = sides
+    if width is not None and height is not None:
+        return width, height
+    of_image = _image_size(path_inside(path.parent, name))
+    for side, value, pixels in zip("wh", sides, of_image):
+        if value is not None and value != pixels:
+            raise ConfigError(f"{side} is {value}, but the image has {pixels} pixels")
+    return of_image
 
 
 def _pixels(values: Mapping[str, Any], key: str) -> int:

@@ -6,7 +6,7 @@ A key is used, changes nothing here, or is named in a warning. A key that may ch
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from epipole.errors import ConfigError
@@ -16,7 +16,7 @@ SPLIT_KEYS = {"train": "train_filenames", "val": "val_filenames", "test": "test_
 """nerfstudio's lists of images by the name of the split."""
 
 _USED_WORDS = (
-    "camera_model is_fisheye w h fl_x fl_y cx cy k1 k2 k3 k4 k5 k6 p1 p2 camera_angle_x camera_angle_y x_fov y_fov "
+    "camera_model is_fisheye w h width height image_width image_height fl_x fl_y cx cy k1 k2 k3 k4 k5 k6 p1 p2 camera_angle_x camera_angle_y x_fov y_fov "
     "frames ply_file_path file_path transform_matrix mask_path is_bad applied_transform applied_scale "
     "train_filenames val_filenames test_filenames"
 )
@@ -47,12 +47,13 @@ _NOT_USED = {
     "fisheye_crop_radius": "the whole image is used",
 }
 _GEOMETRY = re.compile(
-    r"[kpsb]\d+|f[xyl]|[cf]l?_?[xy]|xi|alpha|beta|gamma\w*|omega\w*|tau\w*|skew\w*|shear\w*|ftheta\w*|from_na|[wh]2?c2?[wh]?"
-    r"|(\w*_)?(shift|crop|fov|focal|pixel_aspect|width|height|resolution)(_\w+)?"
-    r"|\w*(distort|lens|fisheye|equirect|latlong|spherical|panoram|orthogra|projection|intrinsic|extrinsic|camera_model"
-    r"|camera_type|camera_angle|shutter|transform|principal|convention|coordinate|to_world|world_to|_from_)\w*",
+    r"[kpsb]\d+|xi|alpha|beta|gamma\w*|omega\w*|tau\w*|skew\w*|shear\w*|ftheta\w*|from_na|crop_\w+|(\w+_)?shift_[xy]"
+    r"|\w*(distort|lens|fisheye|orthogra|projection|intrinsic|camera_model|camera_type|shutter|transform|principal|pixel_aspect"
+    r"|convention|coordinate)\w*",
     re.IGNORECASE,
 )
+# Names of the axes that this format has.
+_AXES = ("opengl", "blender", "nerf", "nerfstudio")
 _MOST_NAMED = 6
 
 
@@ -67,24 +68,24 @@ def require_known_keys(values: Mapping[str, Any]) -> None:
             continue
         if is_spherical_word(key):
             raise ConfigError(f"{key}: {SPHERICAL_REFUSAL}")
-        if _GEOMETRY.fullmatch(key):
+        if _GEOMETRY.fullmatch(key) and str(value).lower() not in _AXES:
             shown = repr(value)[:40]
             raise ConfigError(
                 f"the key {key} = {shown} is not understood, and may change the camera or its pose (remove it if it does not)"
             )
 
 
-def key_warnings(values: Mapping[str, Any], frames: Iterable[Mapping[str, Any]]) -> list[str]:
+def key_warnings(values: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> list[str]:
     """What is left out of a file whose keys `require_known_keys` accepts."""
     unused: dict[str, None] = {}
     unknown: dict[str, None] = {}
     for part in (values, *frames):
         for key, value in part.items():
-            if _says_nothing(value):
+            if _says_nothing(value) or (key == "n_frames" and value == len(frames)):
                 continue
             if key in _NOT_USED:
                 unused[key] = None
-            elif key not in _USED and key not in _WITHOUT_EFFECT:
+            elif key not in _USED and key not in _WITHOUT_EFFECT and not _GEOMETRY.fullmatch(key):
                 unknown[str(key)] = None
     out = [f"{key} is not used ({_NOT_USED[key]})" for key in unused]
     if unknown:
