@@ -107,8 +107,9 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
 
 def _with_fixed(path: Path, found: G2oFile, fixed: dict[int, int]) -> G2oFile:
     """The graph with the vertices that are fixed, by the lines that name them."""
+    known = set(found.ids.tolist())
     for name, number in fixed.items():
-        if name not in found.ids:
+        if name not in known:
             raise FileFormatError(path, f"line {number}: FIX names vertex {name}, which is not there")
     rows = np.searchsorted(found.ids, np.array(sorted(fixed), np.int64)).astype(np.int64)
     return replace(found, graph=replace(found.graph, fixed=rows))
