@@ -48,7 +48,7 @@ def split(found: FieldPictures) -> tuple[list[str], list[str]]:
             {key: names(*k) for key, k in (("train_filenames", (0, 1, 2)), ("val_filenames", (3,)), ("test_filenames", (4,)))},
             (0, 1, 2), (4,), "2 images are in no split that is used (images/3.png)",
         ),
-        ({"train_filenames": names(0, 1, 2), "test_filenames": names(2, 3, 4, 5)}, (0, 1, 2), (2, 3, 4, 5), "1 images are trained on and held out"),
+        ({"train_filenames": names(0, 1, 2), "test_filenames": names(2, 3, 4, 5)}, (0, 1, 2), (2, 3, 4, 5), "1 images are both trained on and held out"),
         ({"train_filenames": names(0, 2)}, (0, 2), (), "4 images are in no split"),
     ],
 )  # fmt: skip

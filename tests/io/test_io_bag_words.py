@@ -55,6 +55,7 @@ def test_known_words(own, model) -> None:
         ({"binning_y": 4}, "binning_y = 4 is not supported"),
         ({"roi": SimpleNamespace(x_offset=16, y_offset=0, width=100, height=100)}, "x_offset = 16"),
         ({"k": K + np.array([0, 5.0, 0, 0, 0, 0, 0, 0, 0])}, "skew"),
+        ({"k": 2 * K, "d": np.zeros(5)}, "the camera matrix is not"),
     ],
 )
 def test_what_changes_the_camera_and_is_not_understood(own, message) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Float32, UInt8
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io._lens_coefficients import camera_of_coefficients
+from epipole.io._lens_coefficients import camera_of_coefficients, require_plain
 from epipole.io._lens_words import lens_words, refuse_binning, require_coefficients
 from epipole.io._photograph_pixels import decode_bytes
 from epipole.io.depth_maps import png16_in
@@ -125,6 +125,7 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
     )
     if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
         raise FileFormatError(path, "a number of a CameraInfo is not finite")
+    require_plain(path, K)
     require_coefficients(path, lens, coefficients)
     if not lens.is_fisheye and not coefficients.any():
         return _pinhole(path, size, K)

@@ -182,7 +182,7 @@ class _Frames:
 
     def __init__(self, path: Path, content: dict[str, Any], image_folder: str) -> None:
         self._path, self._content = path, content
-        self._prefix = image_folder.rstrip("/") + "/"
+        self._prefix = f"{image_folder.rstrip('/')}/" if image_folder else ""
         self.names: list[str] = []
         self.masks: dict[str, str] = {}
         self.left_out: list[str] = []
