@@ -136,7 +136,7 @@ def _split_of_file(
     wanted = set(splits.get("train", others))
     if both := sorted(wanted & held):
         problems.append(
-            f"{len(both)} images are trained on and held out ({both[0]}): their scores are too good"
+            f"{len(both)} images are both trained on and held out ({both[0]}), so their scores are too high"
         )
     if unused := sorted({view.name for view in views} - wanted - held):
         problems.append(f"{len(unused)} images are in no split that is used ({unused[0]})")
