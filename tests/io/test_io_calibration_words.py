@@ -75,6 +75,7 @@ PLANE_WORDS = (
     {"camera_model": "pinhole"},
     {"camera_model": "pinhole", "distortion_model": "radtan", "fisheye_model": 0},
     {"camera_model": "pinhole-radtan"},
+    {"camera_type": "color", "model": "C920", "lens": "wide", "camera_model_name": "C920", "type": "usb"},
 )
 
 
@@ -139,6 +140,8 @@ def test_no_distortion(tmp_path, words) -> None:
         ({"fisheye_model": 1, "distortion_model": "plumb_bob"}, "contradicts"),
         ({"fisheye_model": 0, "distortion_model": "fisheye"}, "contradicts"),
         ({"model": "omni"}, "the model omni is not known"),
+        ({"camera_type": "ds"}, "the camera_type ds is not known"),
+        ({"distortion_model_left": "fov"}, "the distortion_model_left fov is not known"),
         ({"projection": "equirectangular"}, "spherical"),
         ({"xi": 1.2}, "xi is of an omnidirectional camera"),
         ({"binning_x": 2}, "binning_x = 2 is not supported"),

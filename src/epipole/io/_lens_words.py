@@ -13,10 +13,12 @@ from epipole.errors import FileFormatError
 from epipole.io._named_numbers import numbers_of
 from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 
+_SIDE = r"(_?(left|right|[lr]|\d))?"
 _KEY = re.compile(
-    r"(distortion|camera|lens|projection)_?(model|type)(_?[a-z0-9]{1,5})?|model_type", re.IGNORECASE
+    rf"(distortion|lens|projection)_?(model|type){_SIDE}|camera_?model{_SIDE}|model_type", re.IGNORECASE
 )
-_LOOSE_KEY = re.compile(r"model|type|projection|lens|distortion", re.IGNORECASE)
+# What stands under these may as well be the name of a product.
+_LOOSE_KEY = re.compile(r"model|type|camera_?type|projection|lens|distortion", re.IGNORECASE)
 _FLAG = re.compile(r"(is_)?fisheye(_model)?", re.IGNORECASE)
 _OMNIDIRECTIONAL = re.compile(r"xi\d?|mirror_parameters", re.IGNORECASE)
 _NEUTRAL = frozenset(("pinhole", "perspective", "camera", "opencv"))
