@@ -16,6 +16,8 @@ from epipole.io.video import frame_size
 from epipole.io.video_files import write_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
+from epipole.pipelines.slam.config import CameraOptions, JobOptions
+from epipole.pipelines.slam.found_camera import find_camera
 from io_models import small_model
 
 FAULTS = Path(__file__).parents[2].parent / "shared" / "data" / "faults"
@@ -64,6 +66,13 @@ def test_a_reconstruction_of_spherical_images_says_so(tmp_path) -> None:
         read_image_set(
             tmp_path / "photos", ReconstructConfig(), tmp_path / "memory", progress=lambda progress: None
         )
+
+
+def test_a_sequence_of_spherical_images_says_so(tmp_path) -> None:
+    for k in range(3):
+        write_image(tmp_path / f"{k}.jpg", ATTRIBUTE.format("equirectangular"))
+    with pytest.raises(FileFormatError, match="spherical"):
+        find_camera(tmp_path, JobOptions(fps=10.0), CameraOptions(), lambda progress: None)
 
 
 @pytest.mark.parametrize("name", ["SPHERICAL", "EQUIRECTANGULAR"])
