@@ -275,6 +275,13 @@ def test_a_linked_folder_of_images_is_refused_as_a_link(tmp_path: Path) -> None:
         scene_of(tmp_path / "scene", {"w": ..., "h": ...})
 
 
+def test_a_key_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    text = json.dumps(content_of({}))
+    (tmp_path / "t.json").write_text(text.replace('"fl_x"', '"fl_x": 400.0, "fl_x"', 1))
+    with pytest.raises(FileFormatError, match="the key 'fl_x' is there twice"):
+        read_transforms(tmp_path / "t.json")
+
+
 def test_a_sound_file_warns_of_nothing(tmp_path: Path) -> None:
     (tmp_path / "t.json").write_text(json.dumps(content_of({"camera_model": "OPENCV"})))
     with warnings.catch_warnings():
