@@ -331,7 +331,8 @@ def _graph(kind: type) -> PoseGraph:
     size = {Rigid2: 3, Rigid3: 6, Similarity3: 7}[kind]
     steps, first = kind.exp(0.1 * _some(6, size)), np.array([0, 1, 2, 3, 0, 1])
     second = np.array([1, 2, 3, 4, 4, 3])
-    return PoseGraph(kind.exp(0.1 * _some(5, size)), first, second, steps, np.tile(np.eye(size), (6, 1, 1)))
+    information, fixed = np.tile(np.eye(size), (6, 1, 1)), np.array([2])
+    return PoseGraph(kind.exp(0.1 * _some(5, size)), first, second, steps, information, fixed)
 
 
 def _optimized(**fields: Any) -> Any:

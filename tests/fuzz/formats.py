@@ -16,7 +16,19 @@ import yaml
 from bag_writing import Recorded
 from PIL import Image, features
 from test_io_colmap_database import PAIRS, make_contents
-from test_io_hostile_calibrations import EUROC, KALIBR, KITTI, KITTI_ROWS, LENS, MIDDLEBURY, PAIR, XML
+from test_io_hostile_calibrations import (
+    CAMODOCAL,
+    EUROC,
+    KALIBR,
+    KITTI,
+    KITTI_ROWS,
+    LENS,
+    MIDDLEBURY,
+    MRCAL,
+    OPENVINS,
+    PAIR,
+    XML,
+)
 from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, graph_of, transforms_text
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
@@ -609,12 +621,23 @@ FORMATS: dict[str, Format] = {
     ),
     **{
         f"transforms-{known}": Format(
-            *(_transforms_file(known), "transforms.json", "json", _transforms, ("read_transforms",))
+            *(
+                _transforms_file(known),
+                "transforms.json",
+                "json",
+                _transforms,
+                ("read_transforms", "read_transforms_scene"),
+            )
         )
         for known in ("all", "size", "nothing")
     },
     "transforms-points": Format(
-        _transforms_file("all"), "points.ply", "ply", _transforms, ("read_transforms",), must_name=False
+        _transforms_file("all"),
+        "points.ply",
+        "ply",
+        _transforms,
+        ("read_transforms", "read_transforms_scene"),
+        must_name=False,
     ),
     "convert": Format(
         *(lambda folder: write_colmap_model(small_model(), folder), "images.bin", "binary", _converted),
@@ -730,6 +753,9 @@ FORMATS: dict[str, Format] = {
     "calibration-opencv": _calibrated("yaml", lambda f: write_opencv_yaml(f / "a.yml", PAIR), "a.yml"),
     "calibration-opencv-two": _calibrated("yaml", _opencv_sample, "intrinsics.yml", "extrinsics.yml"),
     "calibration-ros": _calibrated("yaml", _ros, "left.yaml", "right.yaml"),
+    "calibration-openvins": _calibrated("yaml", _put("a.yaml", OPENVINS), "a.yaml"),
+    "calibration-camodocal": _calibrated("yaml", _put("a.yaml", CAMODOCAL), "a.yaml"),
+    "calibration-mrcal": _calibrated("text", _put("a.cameramodel", MRCAL), "a.cameramodel"),
     "calibration-kalibr": _calibrated("yaml", _put("a.yaml", yaml.safe_dump(KALIBR).encode()), "a.yaml"),
     "calibration-euroc": _calibrated("yaml", _euroc_pair, "a.yaml", "b.yaml"),
     "calibration-euroc-body": Format(
@@ -752,7 +778,9 @@ FORMATS: dict[str, Format] = {
     **{f"picture-{kind}": _pictured(kind, "png") for kind in ("PNG", "APNG", "PNG-deep")},
     **{f"picture-{kind}": _pictured(kind, "jpeg") for kind in ("JPEG", "progressive")},
     **({"picture-AVIF": _pictured("AVIF")} if features.check("avif") else {}),
-    "mask": Format(_put("a.jpg.png", _picture("PNG")), "a.jpg.png", "png", _mask, ("read_mask",)),
+    "mask": Format(
+        _put("a.jpg.png", _picture("PNG")), "a.jpg.png", "png", _mask, ("read_mask", "read_mask_file")
+    ),
     "video": Format(_video, "video.avi", "binary", _frames, ("extract_frames", "frame_size"), weight=0.3),
     "video-pairs": Format(_video, "video.avi", "binary", _pairs_of_video, ("extract_pairs",), weight=0.3),
     "video-list": Format(_listed, "frames/frames.json", "json", _frames, ("extract_frames",), weight=0.3),

@@ -187,6 +187,7 @@ def test_pose_graphs(tmp_path: Path, graph, data: st.DataObject) -> None:
     assert_same_motions(found.graph.world_from_body, graph.world_from_body)
     assert_same_motions(found.graph.first_from_second, graph.first_from_second)
     np.testing.assert_array_equal(found.graph.information, graph.information)
+    np.testing.assert_array_equal(found.graph.fixed, graph.fixed)
 
 
 @given(values=maps(-(2.0**100), 2.0**100))

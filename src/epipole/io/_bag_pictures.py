@@ -12,7 +12,8 @@ from jaxtyping import Float32, UInt8
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io._lens_coefficients import camera_of_coefficients
+from epipole.io._lens_coefficients import camera_of_coefficients, require_plain
+from epipole.io._lens_words import lens_words, refuse_binning, require_coefficients
 from epipole.io._photograph_pixels import decode_bytes
 from epipole.io.depth_maps import png16_in
 
@@ -115,14 +116,20 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
         words = "plumb_bob"
     if not K[0, 0]:
         return None
-    if words not in ("", "none", "plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
-        raise FileFormatError(path, f"the distortion_model {words[:60]} is not known")
+    lens = lens_words(path, {"distortion_model": words})
+    roi = getattr(message, "roi", None)
+    refuse_binning(
+        path,
+        {name: getattr(message, name, 0) for name in ("binning_x", "binning_y")}
+        | {"roi": {name: getattr(roi, name, 0) for name in ("x_offset", "y_offset")}},
+    )
     if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
         raise FileFormatError(path, "a number of a CameraInfo is not finite")
-    is_fisheye = words in ("equidistant", "fisheye")
-    if not is_fisheye and not coefficients.any():
+    require_plain(path, K)
+    require_coefficients(path, lens, coefficients)
+    if not lens.is_fisheye and not coefficients.any():
         return _pinhole(path, size, K)
-    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=is_fisheye)
+    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=lens.is_fisheye)
 
 
 def _pinhole(path: Path, size: tuple[int, int], K: np.ndarray) -> Camera:

@@ -23,6 +23,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from epipole.errors import FileFormatError, MissingDependencyError
+from epipole.io._spherical import refuse_panorama
 from epipole.io.exif import EXIF_ERRORS, orientation_of
 from epipole.io.files import file_bytes
 
@@ -194,6 +195,7 @@ def decode_bytes(
     """As `decode`, of bytes that stand in some file."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
+    refuse_panorama(path, image)
     if isinstance(image, JpegImageFile):
         orientation = orientation_of(exif_of(image))
         full_size = image.size

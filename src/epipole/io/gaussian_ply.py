@@ -13,6 +13,20 @@ from epipole.io.ply import ply_columns
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 
 _FIRST = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2")
+_WITHOUT_EFFECT = (
+    "red",
+    "green",
+    "blue",
+    "alpha",
+    "label",
+    "id",
+    "class",
+    "segment",
+    "segment_id",
+    "object_id",
+    "instance_id",
+)
+"""Previews and labels beside the properties of a Gaussian."""
 _LAST = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 
 
@@ -39,8 +53,10 @@ def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
 def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     """Read Gaussians; those with a number that is not finite are left out.
 
+    Normals, labels and previews of colors beside them are not read, nor are elements behind the vertices.
+
     Raises:
-        FileFormatError: it is no PLY file of Gaussians, is cut short, or holds none that is finite.
+        FileFormatError: it is no PLY file of Gaussians, has properties that are not understood (such as filter_3D), is cut short, or holds none that is finite.
     """
     path = Path(path)
     columns = ply_columns(path)
@@ -52,6 +68,14 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     rest = [f"f_rest_{k}" for k in range(higher)]
     if higher % 3 or higher // 3 + 1 not in NUM_SH or any(name not in columns for name in rest):
         raise FileFormatError(path, f"{higher} coefficients f_rest are those of no degree (0, 9, 24 or 45)")
+    unknown = [
+        name for name in columns if name not in {*_FIRST, *_LAST, *_WITHOUT_EFFECT} and name[:7] != "f_rest_"
+    ]
+    if unknown:
+        raise FileFormatError(
+            path,
+            f"the property {', '.join(unknown[:4])} of its Gaussians is not understood, and may change the render: export plain 3D Gaussians",
+        )
 
     def table(*names: str) -> np.ndarray:
         rows = [columns[name].astype(np.float32) for name in names]

@@ -15,6 +15,8 @@ from epipole.io.files import file_bytes
 from epipole.io.ply import PlyHeader, ply_header, points_of_ply
 
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+_NO_SURFACE = ("vertex", "edge", "camera", "material")
+"""Elements without triangles."""
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
@@ -67,12 +69,28 @@ def read_mesh_ply(path: str | Path) -> PlyMesh:
     path = Path(path)
     data = file_bytes(path)
     header = ply_header(path, data)
+    _require_no_other_surface(path, header)
     points = points_of_ply(path, data, header)
     corners = _corners(path, data, header)
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(polygons) for polygons in corners)])
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(points)):
         raise FileFormatError(path, "a face names a vertex that is not there")
     return PlyMesh(points.xyz, points.rgb, faces)
+
+
+def _require_no_other_surface(path: Path, header: PlyHeader) -> None:
+    """Check that no surface is left out: strips of triangles, and faces that do not follow the vertices, are not read.
+
+    Raises:
+        FileFormatError: the file has some.
+    """
+    for name, count in header.elements:
+        if count == 0 or name in _NO_SURFACE or (name == "face" and header.num_faces):
+            continue
+        problem = (
+            "the faces must follow the vertices" if name == "face" else f"the element {name} is not read"
+        )
+        raise FileFormatError(path, f"{problem}: save the mesh as vertices and faces alone")
 
 
 def _fans(polygons: np.ndarray) -> np.ndarray:

@@ -45,6 +45,7 @@ from epipole.io._photograph_pixels import (
     stored_size,
     turn,
 )
+from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
 from epipole.io.exif import (
     EXIF_ERRORS,
@@ -167,6 +168,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     with open_file(path) as stream:
         file_format = format_of(path, stream.read(64))
         image = open_with_pillow(path, stream, file_format)
+        refuse_panorama(path, image)
         exif = exif_of(image)
         orientation = orientation_of(exif)
         width, height = stored_size(image)
@@ -250,8 +252,15 @@ def read_mask(
         FileFormatError: the mask is damaged or not of the picture's size.
     """
     path = mask_of(mask_folder, name)
-    if path is None:
-        return None
+    return None if path is None else read_mask_file(path, name, size=size)
+
+
+def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
+    """Read a mask whose file is known; as `read_mask`.
+
+    Raises:
+        FileFormatError: the mask is missing, damaged or not of the picture's size.
+    """
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)

@@ -37,6 +37,7 @@ PLY_TYPES = {
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _COLOUR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_IGNORED_LINES = ("comment", "obj_info", "ply")
 _MAX_HEADER = 1 << 16
 
 
@@ -166,6 +167,8 @@ class PlyHeader:
     face_types: tuple[tuple[str, ...], ...]
     """Of each property of a face: one type, or of a list those of the count and of its items."""
     size: int
+    elements: tuple[tuple[str, int], ...] = ()
+    """Names and counts of all elements, in their order."""
 
     @property
     def vertex_bytes(self) -> int:
@@ -176,8 +179,10 @@ class PlyHeader:
 def read_points_ply(path: str | Path) -> PlyPoints:
     """Read the vertices of a PLY file, text or binary, with their colours if there are any.
 
+    Other properties of the vertices (normals, intensities, labels), and elements behind them, are not read.
+
     Raises:
-        FileFormatError: it is no PLY file, has no x, y, z, or is cut short.
+        FileFormatError: it is no PLY file, a line of its header is not understood, it has no x, y, z, or is cut short.
     """
     path = Path(path)
     data = file_bytes(path)
@@ -226,41 +231,85 @@ def ply_header(path: Path, data: bytes) -> PlyHeader:
     """What a file promises.
 
     Raises:
-        FileFormatError: it is no PLY file, or its vertices do not come first.
+        FileFormatError: it is no PLY file, its vertices do not come first, or a line of its header is not understood.
     """
     end = data.find(b"end_header", 0, _MAX_HEADER)
     newline = data.find(b"\n", end)
     if not data.startswith(b"ply") or end < 0 or newline < 0:
         raise FileFormatError(path, "not a PLY file (no header from 'ply' to 'end_header')")
-    byte_order, num_vertices, num_faces = None, -1, 0
+    lines = data[:end].decode("ascii", "replace").splitlines()
+    byte_order: str | None = None
+    elements: list[tuple[str, int]] = []
     names: list[str] = []
     types: list[str] = []
     face_types: list[tuple[str, ...]] = []
-    element, before = "", ""
-    for number, line in enumerate(data[:end].decode("ascii", "replace").splitlines(), 1):
+    is_orphan = False
+    for number, line in enumerate(lines[1:], 2):
         words = line.split()
+        element = elements[-1][0] if elements else ""
         try:
-            if words[:1] == ["format"]:
+            if words[:1] == ["format"] and byte_order is None and words[2:] == ["1.0"]:
                 byte_order = "" if words[1] == "ascii" else _BYTE_ORDERS[words[1]]
             elif words[:1] == ["element"]:
-                before, element, count = element, words[1], int(words[2])
-                if count < 0 or (num_vertices < 0 and element != "vertex" and count > 0):
-                    raise FileFormatError(path, f"line {number}: the vertices must come first: {line[:60]!r}")
-                num_vertices = count if element == "vertex" else num_vertices
-                num_faces = count if (before, element) == ("vertex", "face") else num_faces
+                _add_element(elements, words)
             elif words[:1] == ["property"] and element == "vertex":
-                types.append(PLY_TYPES[words[1]])
-                names.append(words[2])
-            elif words[:1] == ["property"] and (before, element) == ("vertex", "face"):
+                _, kind, name = words
+                types.append(PLY_TYPES[kind])
+                names.append(name)
+            elif words[:1] == ["property"] and element == "face" and _is_behind_vertices(elements):
                 kinds = words[2:4] if words[1] == "list" else words[1:2]
                 face_types.append(tuple(PLY_TYPES[kind] for kind in kinds))
+            elif words[:1] == ["property"]:
+                is_orphan |= not elements
+            else:
+                _require_ignorable(words)
+        except _HeaderError as error:
+            problem = f"line {number}: cannot be understood: {line[:60]!r} ({error})"
+            raise FileFormatError(path, problem) from error
         except (KeyError, IndexError, ValueError) as error:
             raise FileFormatError(path, f"line {number}: cannot be understood: {line[:60]!r}") from error
+    if is_orphan:
+        raise FileFormatError(
+            path, "a line of the header cannot be understood: a property before all elements"
+        )
+    num_vertices = dict(elements).get("vertex", -1)
     if byte_order is None or num_vertices < 0 or not names or len(set(names)) < len(names):
         raise FileFormatError(path, "the header does not describe vertices")
+    num_faces = dict(elements)["face"] if face_types else 0
     return PlyHeader(
-        byte_order, num_vertices, tuple(names), tuple(types), num_faces, tuple(face_types), newline + 1
+        byte_order,
+        num_vertices,
+        tuple(names),
+        tuple(types),
+        num_faces,
+        tuple(face_types),
+        newline + 1,
+        tuple(elements),
     )
+
+
+class _HeaderError(ValueError):
+    """Why a line of a header cannot be understood."""
+
+
+def _require_ignorable(words: list[str]) -> None:
+    if words and words[0] not in _IGNORED_LINES:
+        raise _HeaderError("a line of no known kind")
+
+
+def _add_element(elements: list[tuple[str, int]], words: list[str]) -> None:
+    _, name, count = words
+    if int(count) < 0 or name in dict(elements):
+        raise _HeaderError("a negative count, or an element that is there already")
+    if name != "vertex" and int(count) > 0 and "vertex" not in dict(elements):
+        raise _HeaderError("the vertices must come first")
+    elements.append((name, int(count)))
+
+
+def _is_behind_vertices(elements: list[tuple[str, int]]) -> bool:
+    """Whether the last element follows the vertices at once, but for empty ones."""
+    filled = [name for name, count in elements[:-1] if count > 0 or name == "vertex"]
+    return filled == ["vertex"]
 
 
 def _binary_columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray]:

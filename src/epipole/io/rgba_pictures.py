@@ -11,6 +11,7 @@ from PIL import Image
 
 from epipole.errors import FileFormatError
 from epipole.io._photograph_pixels import MAX_LOSSLESS_PX, PILLOW_ERRORS, format_of, open_with_pillow
+from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 
@@ -27,6 +28,7 @@ def read_rgba(path: Path | str) -> UInt8[np.ndarray, "h w 4"] | None:
     if kind not in ("PNG", "TIFF", "WEBP"):
         return None
     with open_with_pillow(path, io.BytesIO(data), kind) as image:
+        refuse_panorama(path, image)
         if "A" not in image.getbands():
             return None
         if image.width * image.height > MAX_LOSSLESS_PX:

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.io._spherical import refuse_spherical_video
 from epipole.io.atomic import atomic_folder
 from epipole.io.files import open_file, read_json, require_file
 from epipole.io.json_files import json_text
@@ -183,10 +184,11 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     """A video whose frames can be read one after the other.
 
     Raises:
-        FileFormatError: it is no file, or not a video that can be read.
+        FileFormatError: it is no file, not a video that can be read, or a spherical one.
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
+        refuse_spherical_video(video, stream)
     # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
         raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")

@@ -21,7 +21,7 @@ from epipole.geometry import Rigid3
 from epipole.io.bags import is_bag
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.camera_params import text_of_camera
-from epipole.io.photographs import read_grey
+from epipole.io.photographs import read_grey, read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video, opened_video
 from epipole.mapping import bundle_problem_of
@@ -121,6 +121,9 @@ def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
     sequence = read_sequence(source, job.fps)
     if job.sensor not in ("auto", "mono") or sequence.camera or sequence.rig or sequence.depth:
         return None
+    read_header(
+        sequence.frames[0].picture
+    )  # an image of another kind, such as a panorama, is refused with the reason
     return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
 
 
