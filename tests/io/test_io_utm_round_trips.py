@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from io_models import mappable_model, small_model
 
 from epipole.geometry import Rigid3, Similarity3
 from epipole.io.bundler import write_bundler
@@ -17,6 +16,7 @@ from epipole.io.trajectories import TrajectoryFormat, read_trajectory, write_tra
 from epipole.io.transforms_json import read_transforms, write_transforms
 from epipole.optim import PoseGraph
 from epipole.scene import Reconstruction, Trajectory
+from io_models import mappable_model, small_model
 
 UTM = np.array([500_000.0, 5_200_000.0, 300.0])
 TOLERANCE_M = 1e-6

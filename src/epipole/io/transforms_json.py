@@ -11,17 +11,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io._colmap_cameras import HALF_PIXEL
-from epipole.io._photograph_pixels import PILLOW_ERRORS
 from epipole.io.atomic import atomic_write
-from epipole.io.files import open_file, problem_of_name, read_json, require_file
+from epipole.io.files import problem_of_name, read_json, require_file
 from epipole.io.json_files import json_text
 from epipole.io.names import path_inside
+from epipole.io.photographs import read_header
 from epipole.io.ply import read_points_ply, write_points_ply
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
@@ -180,10 +179,10 @@ def _camera(path: Path, values: dict[str, Any], name: str) -> Camera:
 
 def _picture_size(file: Path) -> tuple[int, int]:
     try:
-        with open_file(file) as stream, Image.open(stream) as picture:
-            return picture.size
-    except (*PILLOW_ERRORS, FileFormatError) as error:
+        header = read_header(file)
+    except EpipoleError as error:
         raise ConfigError(f"w and h are not given, and the picture {file} cannot be read") from error
+    return header.width, header.height
 
 
 def _world_from_cam(frame: dict[str, Any]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
-from epipole.io.photographs import mask_of, read_mask, read_rgb
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
@@ -133,6 +134,7 @@ def _views(
     out, cams_from_world = [], model.cams_from_world()
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
+    limits = _grey_range(folder, [model.images.name[row] for row in rows.tolist()])
     for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
         name = model.images.name[row]
         try:
@@ -144,7 +146,8 @@ def _views(
             )
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
             path = path_inside(folder, name)
-            view = _view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            picture = _read(path, camera, limits)
+            view = _view(name, picture, camera, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -156,9 +159,18 @@ def _views(
     return out
 
 
+def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
+    """Of all pictures together, where they are deep greyscale: a field has one brightness for all views."""
+    paths = []
+    for name in names:
+        with suppress(EpipoleError):
+            paths.append(path_inside(folder, name))
+    return common_range(paths)
+
+
 def _view(
     name: str,
-    path: Path,
+    picture: np.ndarray,
     camera: Camera,
     cam_from_world: Rigid3,
     mask: np.ndarray | None,
@@ -166,7 +178,6 @@ def _view(
     max_side_px: int,
 ) -> TrainingView:
     """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
-    picture = _read(path, camera)
     pinhole = undistorted_camera(camera)
     picture = _undistorted(picture, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
@@ -178,14 +189,14 @@ def _view(
     return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(path: Path, camera: Camera) -> np.ndarray:
+def _read(path: Path, camera: Camera, limits: GreyRange | None) -> np.ndarray:
     """RGB, or RGBA where something is transparent.
 
     Raises:
         FileFormatError: it cannot be read, or is not of its camera's size.
     """
     rgba = read_rgba(path)
-    picture = read_rgb(path) if rgba is None else rgba
+    picture = read_rgb(path, limits=limits) if rgba is None else rgba
     if picture.shape[:2] != (camera.height, camera.width):
         h, w = picture.shape[:2]
         raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")
