@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.scene import Reconstruction
+from epipole.scene.local_origin import local_origin
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
 """NeRF-synthetic's; a file of validation views is not used."""
@@ -37,6 +38,31 @@ class FieldPictures:
     has_alpha: bool
     problems: list[str]
     """Pictures that are left out, and why."""
+    origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) what the coordinates are relative to."""
+
+    def about_origin(self) -> FieldPictures:
+        """The same about an origin near the cameras, where these are far from that of the world: Gaussians are of single precision."""
+        views = [*self.train, *self.test]
+        origin = local_origin(np.stack([view.cam_from_world.inverse().translation for view in views]))
+        if not origin.any():
+            return self
+        return replace(
+            self,
+            train=[_relative_to(view, origin) for view in self.train],
+            test=[_relative_to(view, origin) for view in self.test],
+            points_in_world=self.points_in_world - origin,
+            origin_in_world=self.origin_in_world + origin,
+        )
+
+
+def _relative_to(view: TrainingView, origin_in_world: np.ndarray) -> TrainingView:
+    points = view.points_in_world
+    return replace(
+        view,
+        cam_from_world=view.cam_from_world @ Rigid3(np.eye(3), origin_in_world),
+        points_in_world=None if points is None else points - origin_in_world,
+    )
 
 
 def is_model(source: Path) -> bool:
