@@ -12,8 +12,9 @@ import numpy as np
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import finite_gaussians
-from epipole.io._sog_files import META
+from epipole.io._sog_files import META as META
 from epipole.io._sog_files import is_sog as is_sog
+from epipole.io._sog_files import is_unpacked_sog as is_unpacked_sog
 from epipole.io.atomic import atomic_write
 from epipole.io.compressed_ply import read_compressed_ply, write_compressed_ply
 from epipole.io.files import file_bytes, open_file

@@ -14,7 +14,7 @@ from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import gaussians_of
 from epipole.geometry import Rigid3
 from epipole.io.files import read_json
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussian_files import META, is_unpacked_sog, read_gaussians
 from epipole.io.transforms_json import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
@@ -36,13 +36,15 @@ UNIT, UNIT_OF_FILE = "units of the cameras", "units of the file"
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds trained Gaussians or a grid, or a file is one of Gaussians."""
+    """Whether a folder holds trained Gaussians, a grid or an unpacked SOG, or a file is one of Gaussians."""
     if path.suffix.lower() in (".spz", ".sog", ".splat") and path.is_file():
         return True
     if path.suffix.lower() == ".ply" and path.is_file():
         with path.open("rb") as stream:
             head = stream.read(8192)
         return b" f_dc_0" in head or b" packed_position" in head
+    if is_unpacked_sog(path) or is_unpacked_sog(path / META):
+        return True
     return (path / SPLAT).is_file() or kind_in(path) is not None
 
 
@@ -125,8 +127,16 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
     if found is not None:
         kind, file = found
         return gaussians_of(kind.voxels(kind.read(file)), most), file
-    file = path if path.is_file() else path / SPLAT
+    file = file_of_gaussians(path)
     return read_gaussians(file), file
+
+
+def file_of_gaussians(source: Path) -> Path:
+    """The file of a folder: `splat.ply`, or the meta.json of an unpacked SOG; a file is its own."""
+    if source.is_file():
+        return source
+    is_sog_folder = not (source / SPLAT).is_file() and is_unpacked_sog(source / META)
+    return source / (META if is_sog_folder else SPLAT)
 
 
 def looked_at(places: np.ndarray) -> list[np.ndarray]:
