@@ -46,6 +46,6 @@ def finite_gaussians(
         raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
     centers = means[good].astype(np.float64)
     near = local_origin(centers)
-    rest = (np.ascontiguousarray(part[good], np.float32) for part in whole[1:])
-    known = np.zeros(3) if origin_in_world is None else origin_in_world
-    return GaussianCloud((centers - near).astype(np.float32), *rest, known + near)
+    log_scales, quats, logits, sh = (np.ascontiguousarray(part[good], np.float32) for part in whole[1:])
+    origin = near if origin_in_world is None else origin_in_world + near
+    return GaussianCloud((centers - near).astype(np.float32), log_scales, quats, logits, sh, origin)

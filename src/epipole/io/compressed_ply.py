@@ -39,7 +39,7 @@ _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 class _Element(NamedTuple):
     name: str
-    count: int
+    num_rows: int
     fields: list[tuple[str, str]]
 
 

@@ -62,7 +62,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
         raise FileFormatError(path, f"{higher} coefficients f_rest are those of no degree (0, 9, 24 or 45)")
 
     def table(*names: str, kind: type = np.float32) -> np.ndarray:
-        rows = [columns[name].astype(kind) for name in names]
+        rows: list[np.ndarray] = [columns[name].astype(kind) for name in names]
         return np.stack(rows, axis=1) if rows else np.zeros((len(columns["x"]), 0), kind)
 
     n = len(columns["x"])

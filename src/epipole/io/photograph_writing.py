@@ -22,7 +22,11 @@ from epipole.io.files import open_file
 
 QUALITY = 97
 """Of lossy formats, 0 to 100."""
-_LOSSY = {"JPEG": {"subsampling": 0}, "AVIF": {"subsampling": "4:4:4"}, "HEIF": {"chroma": 444}}
+_LOSSY: dict[str, dict[str, Any]] = {
+    "JPEG": {"subsampling": 0},
+    "AVIF": {"subsampling": "4:4:4"},
+    "HEIF": {"chroma": 444},
+}
 _WITHOUT_EXIF = ("BMP", "PPM")
 
 
