@@ -25,6 +25,8 @@ CAMERA_SIZE = 0.3
 _EDGE = np.dtype([("vertices", "<i4", 2), ("rgb", "u1", 3)])
 _LARGEST_ROUNDING = 1e-6
 """Of coordinates in single precision, as a fraction of the points' spread; beyond it they are written as doubles."""
+_FEW, _ROUNDING_OF_FEW = 10, 1e-6
+"""Fewer points have no spread to speak of; their rounding."""
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
 SCENE_COMMENT = "comment epipole scene, +z up: points, then five corners and eight edges of each camera"
 """Of `write_scene_ply`: a viewer of ours draws the cameras as such."""
@@ -59,7 +61,7 @@ def vertex_type(xyz: np.ndarray) -> tuple[np.dtype, list[str]]:
     """How vertices (n, 3) with colours are stored, and what the header says of it.
 
     Coordinates are `float`, or `double` where single precision rounds them by more than a millionth of their spread: points far from the
-    origin, in UTM for one, which `float` would put on a grid of 0.25 to 0.5 m.
+    origin, in UTM for one, which `float` would put on a grid of 0.25 to 0.5 m. Of fewer than ten points, whose spread says little, it may round 1e-6.
     """
     points = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
     kind, word = "<f4", "float"
@@ -67,7 +69,8 @@ def vertex_type(xyz: np.ndarray) -> tuple[np.dtype, list[str]]:
         with np.errstate(over="ignore", invalid="ignore"):
             rounding = np.abs(points.astype(np.float32) - points).max(axis=1)
         spread = float(np.median(np.abs(points - np.median(points, axis=0)).max(axis=1)))
-        if np.median(rounding) > _LARGEST_ROUNDING * (spread or 1.0):
+        allowed = _LARGEST_ROUNDING * spread if len(points) >= _FEW else _ROUNDING_OF_FEW
+        if np.median(rounding) > allowed:
             kind, word = "<f8", "double"
     header = [f"property {word} {axis}" for axis in "xyz"]
     header += [f"property uchar {name}" for name in ("red", "green", "blue")]
