@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.io.photograph_writing import write_photograph
 from epipole.io.photographs import (
@@ -24,6 +25,8 @@ from epipole.io.photographs import (
     read_rgb,
 )
 from epipole.io.rgba_pictures import read_rgba
+from epipole.io.sequences import read_sequence
+from epipole.pipelines.slam.source import open_sequence
 
 
 def smooth_rgb(height: int = 40, width: int = 56) -> np.ndarray:
@@ -210,3 +213,16 @@ def test_other_modes(tmp_path: Path, mode: str) -> None:
     image.save(tmp_path / "a.img", kind, quality=95)
     expected = np.asarray(image.convert("RGB")).astype(int)
     assert np.abs(read_rgb(tmp_path / "a.img") - expected).mean() < 4
+
+
+def test_frames_of_slam_are_mapped_alike(tmp_path: Path) -> None:
+    """A darker frame stays darker: each would be stretched to the full range by itself."""
+    (tmp_path / "frames").mkdir()
+    base = np.random.default_rng(0).integers(1000, 4000, (48, 64)).astype(np.uint16)
+    for k, gain in enumerate((1.0, 0.6, 0.8)):
+        cv2.imwrite(str(tmp_path / "frames" / f"{k:03d}.png"), (gain * base).astype(np.uint16))
+    sequence = read_sequence(tmp_path / "frames", 10.0)
+    camera = Camera("PINHOLE", 64, 48, [60.0, 60.0, 31.5, 23.5])
+    frames = [queued.read() for queued in open_sequence(sequence, "mono", camera).frames()]
+    means = [float(frame.grey.mean()) for frame in frames]
+    assert means[1] < means[2] - 10 < means[0] - 20
