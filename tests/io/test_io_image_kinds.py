@@ -100,13 +100,19 @@ def test_other_formats_are_refused_by_name(tmp_path: Path, head: bytes, word: st
             read(tmp_path / "a.jpg")
 
 
-@pytest.mark.parametrize("kind", ["WEBP", "PNG", "TIFF", "AVIF"])
+@pytest.mark.parametrize("kind", ["WEBP", "TIFF", "AVIF"])
 def test_animations_and_pages_are_refused(tmp_path: Path, kind: str) -> None:
     pages = [Image.fromarray(np.full((20, 30, 3), value, np.uint8)) for value in (10, 200, 90)]
     pages[0].save(tmp_path / "a.img", kind, save_all=True, append_images=pages[1:])
     for read in (read_grey, read_rgb, read_header):
         with pytest.raises(FileFormatError, match=r"3 (frames|pages)"):
             read(tmp_path / "a.img")
+
+
+def test_the_still_image_of_an_animated_png_is_read(tmp_path: Path) -> None:
+    pages = [Image.fromarray(np.full((20, 30, 3), value, np.uint8)) for value in (10, 200)]
+    pages[0].save(tmp_path / "a.png", save_all=True, append_images=pages[1:])
+    assert (read_rgb(tmp_path / "a.png") == 10).all()
 
 
 def test_a_tiff_with_a_preview_behind_is_read(tmp_path: Path) -> None:

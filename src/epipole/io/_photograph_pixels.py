@@ -98,13 +98,10 @@ def _problem_of_pages(image: ImageFile) -> str:
     """Why an image is not one photograph: an animation, or a TIFF of several pages; empty where it is."""
     if isinstance(image, TiffImageFile):
         return _problem_of_tiff(image)
-    has_extras = isinstance(image, JpegImageFile) or image.format == "HEIF"  # thumbnails, depth, bursts
-    count = 1 if has_extras else int(getattr(image, "n_frames", 1))
-    return (
-        f"is an animation of {count} frames; extract those that are needed as PNG or JPEG"
-        if count > 1
-        else ""
-    )
+    if image.format not in ("WEBP", "AVIF"):  # others begin with the image that is meant, an animated PNG too
+        return ""
+    count = int(getattr(image, "n_frames", 1))
+    return f"is an animation of {count} frames; extract those needed as PNG or JPEG" if count > 1 else ""
 
 
 def _problem_of_tiff(image: TiffImageFile) -> str:

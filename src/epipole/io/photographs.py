@@ -8,7 +8,7 @@ Rules for what is not 8-bit grey or RGB:
   of images that must be mapped alike is read with the range of the set (`common_range`);
 - 16-bit colour keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`_deep_pixels`);
 - transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
-- animations, TIFFs of several pages and camera RAW are refused. The contents tell the format, never the suffix.
+- animations (WebP, AVIF), TIFFs of several pages and camera RAW are refused. The contents tell the format, never the suffix.
 
 JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and
 not the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are
