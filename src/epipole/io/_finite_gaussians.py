@@ -37,7 +37,7 @@ def finite_gaussians(
     means, log_scales, quats, logits, sh = parts
     logits = np.where(np.isinf(logits), np.sign(logits) * MOST_LOGIT, logits)
     log_scales = np.where(log_scales == -np.inf, LEAST_LOG_SCALE, log_scales)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
         turned = (quats**2).sum(axis=1, keepdims=True) != 0
     quats = np.where(turned, quats, np.array([1, 0, 0, 0], np.float32))
     whole = (means, log_scales, quats, logits, sh)

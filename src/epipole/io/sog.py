@@ -233,7 +233,7 @@ def _seen(cloud: GaussianCloud) -> np.ndarray:
 
 
 def _palette_size(count: int) -> int:
-    """The largest power of two within the number of Gaussians, as PlayCanvas' own writer has it: half of that is 6 dB less in a drawing."""
+    """The largest power of two within the number of Gaussians, as in PlayCanvas' own writer: half of that loses 6 dB in renders."""
     return min(PALETTE, max(_SMALLEST_PALETTE, 1 << max(0, count.bit_length() - 1)))
 
 
