@@ -366,7 +366,8 @@ def _splats(name: str) -> Format:
         assert np.isfinite(found.opacity_logits).all() and np.isfinite(found.log_scales).all()
 
     kind = {".ply": "ply", ".sog": "zip"}.get(Path(name).suffix, "binary")
-    return Format(put, name, kind, read, ("read_gaussians", *(("read_sog",) if kind == "zip" else ())))
+    own = {"a.compressed.ply": "read_compressed_ply", "a.spz": "read_spz", "a.sog": "read_sog"}.get(name)
+    return Format(put, name, kind, read, ("read_gaussians", *filter(None, [own])))
 
 
 def _grid(folder: Path) -> None:

@@ -157,6 +157,8 @@ def render(
         ConfigError: the camera has distortion.
         ShapeError: the place is not a single motion.
     """
+    if cloud.origin_in_world.any():
+        cam_from_world = cam_from_world @ Rigid3(np.eye(3), cloud.origin_in_world)  # of the means' own frame
     view = view_of(camera, cam_from_world, RenderOptions() if options is None else options)
     tiles = tiles_of(arrays_of(cloud), view)
     return blend(tiles, view)

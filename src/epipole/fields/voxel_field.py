@@ -16,6 +16,7 @@ from epipole.fields._voxel_kernels import MOST_SAMPLES
 from epipole.fields.rays import blocks_of, rays_of_camera
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.scene.local_origin import local_origin
 
 TOGETHER = 2048
 """Rays in one piece of work."""
@@ -129,10 +130,13 @@ def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
     rows, n = voxels.row_of[tuple(corners.T)], len(corners)
     opacity = np.clip(own[rows], least, 0.99)
     deviation = HALF_WIDTH * voxels.size * np.sqrt(thinned)
+    places = voxels.low + voxels.size * corners
+    origin = local_origin(places)
     return GaussianCloud(
-        (voxels.low + voxels.size * corners).astype(np.float32),
+        (places - origin).astype(np.float32),
         np.full((n, 3), np.log(deviation), np.float32),
         np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
         np.log(opacity / (1.0 - opacity)).astype(np.float32),
         np.ascontiguousarray(voxels.values[rows, 1:13].reshape(n, 4, 3)),
+        origin,
     )

@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError, EpipoleError
 from epipole.geometry import Rotation3
 from epipole.io._colmap_cameras import HALF_PIXEL
-from epipole.io._photograph_pixels import PILLOW_ERRORS
 from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
-from epipole.io.files import open_file
 from epipole.io.names import path_inside
+from epipole.io.photographs import read_header
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 PERSPECTIVE_KEYS, FISHEYE_KEYS = ("k1", "k2", "p1", "p2"), ("k1", "k2", "k3", "k4")
@@ -199,10 +197,10 @@ def _pixels(values: Mapping[str, Any], key: str) -> int:
 
 def _image_size(file: Path) -> tuple[int, int]:
     try:
-        with open_file(file) as stream, Image.open(stream) as image:
-            return image.size
-    except (*PILLOW_ERRORS, FileFormatError) as error:
+        header = read_header(file)
+    except EpipoleError as error:
         raise ConfigError(f"w and h are not given, and the image {file} cannot be read") from error
+    return header.width, header.height
 
 
 def world_from_camera(frame: Mapping[str, Any]) -> tuple[np.ndarray | None, float]:

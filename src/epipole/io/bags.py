@@ -7,6 +7,7 @@ by the package `rosbags` (`pip install 'epipole[ros]'`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -23,7 +24,9 @@ from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
 from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
+from epipole.io._deep_pixels import GreyScale
 from epipole.io._named_numbers import is_rotation
+from epipole.io._photograph_pixels import MOST_SAMPLED
 from epipole.scene import StereoRig
 
 __all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
@@ -57,6 +60,8 @@ class BagSequence:
     depth_from_color: Rigid3 | None = None
     """None for depth that is registered to the pictures, or of a sensor whose place is not known."""
     warnings: tuple[str, ...] = ()
+    scales: tuple[GreyScale | None, ...] = ()
+    """How pictures of 16 bits become 8, by topic: the same way for all of a topic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,6 +116,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         firsts = [_first(bag, name) for name in names]
         infos = [_info_of(bag, name, first, all_topics) for name, first in zip(names, firsts)]
         size = _size_of(path, names[0], firsts[0])
+        scales = tuple(_scale(bag, name) for name in names[: 2 if found == "stereo" else 1])
     count = min(t.num_messages for t in all_topics if t.name in names)
     warnings = list(bag.warnings)
     for row, info in enumerate(infos[: 1 if found == "rgbd" else 2]):
@@ -124,13 +130,23 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     lens = None if infos[0] is None else infos[0].camera
     if found == "stereo":
         rig = None if lens is None or infos[1] is None else _rig(path, infos[0], infos[1])
-        return BagSequence(path, found, names, count, size, lens, rig, warnings=tuple(warnings))
+        return BagSequence(
+            path, found, names, count, size, lens, rig, warnings=tuple(warnings), scales=scales
+        )
     if found == "mono":
-        return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings))
+        return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings), scales=scales)
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
     return BagSequence(
-        path, found, names, count, size, lens, depth_camera=depth_camera, warnings=tuple(warnings)
+        path,
+        found,
+        names,
+        count,
+        size,
+        lens,
+        depth_camera=depth_camera,
+        warnings=tuple(warnings),
+        scales=scales,
     )
 
 
@@ -217,6 +233,17 @@ def _first(bag: OpenBag, topic: str) -> Any:
     raise problem
 
 
+def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
+    """From the first pictures of a topic that can be read."""
+    contents: list[Any] = []
+    for message in islice(bag.messages([topic]), MOST_SAMPLED):
+        with suppress(FileFormatError):
+            contents.append(bag.content(message))
+    with suppress(FileFormatError):  # it is raised where the picture is read
+        return pictures.grey_scale(bag.path, topic, contents)
+    return None
+
+
 def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
     height, width = pictures.grey_of(path, topic, message).shape
     return width, height
@@ -292,7 +319,8 @@ def _grey(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:
     def read() -> np.ndarray:
         if isinstance(content, FileFormatError):
             raise content
-        return pictures.grey_of(bag.path, bag.topics[row], content)
+        scale = bag.scales[row] if row < len(bag.scales) else None
+        return pictures.grey_of(bag.path, bag.topics[row], content, scale)
 
     return read
 

@@ -34,6 +34,7 @@ from epipole.io._colmap_tables import (
     SensorRecord,
 )
 from epipole.io._colmap_text import read_text, write_text
+from epipole.io._image_formats import FORMAT_OF_SUFFIX
 from epipole.io.atomic import atomic_folder
 from epipole.scene import Reconstruction, Rigs
 
@@ -195,7 +196,7 @@ def find_model(path: str | Path) -> Path:
     if not path.exists():
         raise FileFormatError(path, "there is no such folder")
     pictures = any(
-        p.suffix.lower() in (".jpg", ".jpeg", ".png") for at in (path, path / "images") for p in at.glob("*")
+        p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*")
     )
     hint = "; it holds pictures: `epipole reconstruct` makes a model of them" if pictures else ""
     raise FileFormatError(path, f"holds no model (no cameras.bin or cameras.txt, nor sparse/0){hint}")

@@ -12,16 +12,17 @@ from jaxtyping import Float64, Int64, UInt8
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
-from epipole.io.ply import PlyHeader, ply_header, points_of_ply
+from epipole.io.ply import PlyHeader, ply_header, points_of_ply, vertex_type
 
-_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _NO_SURFACE = ("vertex", "edge", "camera", "material")
 """Elements without triangles."""
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
 def write_mesh_ply(path: str | Path, vertices: Any, faces: Any, rgb: Any) -> None:
-    """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY in single precision.
+    """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY.
+
+    Coordinates far from the origin are doubles (`vertex_type`).
 
     Raises:
         ShapeError: the arrays do not fit, or a triangle names a vertex that is not there.
@@ -33,12 +34,11 @@ def write_mesh_ply(path: str | Path, vertices: Any, faces: Any, rgb: Any) -> Non
         raise ShapeError("a mesh has vertices (n, 3), triangles (m, 3) and colours (n, 3)")
     if m and not (faces.min() >= 0 and faces.max() < n):
         raise ShapeError("a triangle names a vertex that is not there")
-    corners, triangles = np.zeros(n, _VERTEX), np.zeros(m, _FACE)
+    kind, properties = vertex_type(vertices)
+    corners, triangles = np.zeros(n, kind), np.zeros(m, _FACE)
     corners["xyz"], corners["rgb"] = vertices, rgb
     triangles["count"], triangles["vertices"] = 3, faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {axis}" for axis in "xyz"]
-    header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *properties]
     header += [f"element face {m}", "property list uchar int vertex_indices", "end_header"]
     with atomic_write(Path(path)) as part, part.open("wb") as stream:
         stream.write("".join(f"{line}\n" for line in header).encode("ascii"))

@@ -12,6 +12,7 @@ from jaxtyping import Float64, UInt8
 from epipole._checks import as_points, require_same_length
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
+from epipole.io._ply_colours import ply_colours
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 from epipole.scene import Reconstruction
@@ -21,9 +22,11 @@ CAMERA_RGB = (230, 60, 40)
 CAMERA_SIZE = 0.3
 """Depth of a drawn camera as a share of the median distance from a camera to the nearest other one."""
 
-_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _EDGE = np.dtype([("vertices", "<i4", 2), ("rgb", "u1", 3)])
-_VERTEX_HEADER = ("float x", "float y", "float z", "uchar red", "uchar green", "uchar blue")
+_LARGEST_ROUNDING = 1e-6
+"""Of coordinates in single precision, as a fraction of the points' spread; beyond it they are written as doubles."""
+_FEW, _ROUNDING_OF_FEW = 10, 1e-6
+"""Fewer points have no spread to speak of; their rounding."""
 _EDGE_HEADER = ("int vertex1", "int vertex2", "uchar red", "uchar green", "uchar blue")
 SCENE_COMMENT = "comment epipole scene, +z up: points, then five corners and eight edges of each camera"
 """Of `write_scene_ply`: a viewer of ours draws the cameras as such."""
@@ -36,7 +39,6 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-_COLOUR_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _IGNORED_LINES = ("comment", "obj_info", "ply")
 _MAX_HEADER = 1 << 16
 
@@ -56,14 +58,35 @@ class PlyPoints:
         return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
 
 
+def vertex_type(xyz: np.ndarray) -> tuple[np.dtype, list[str]]:
+    """How vertices (n, 3) with colours are stored, and what the header says of it.
+
+    Coordinates are `float`, or `double` where single precision rounds them by more than a millionth of their spread: points far from the
+    origin, in UTM for one, which `float` would put on a grid of 0.25 to 0.5 m. Of fewer than ten points, whose spread says little, it may round 1e-6.
+    """
+    points = xyz[np.isfinite(xyz).all(axis=1)].astype(np.float64)
+    kind, word = "<f4", "float"
+    if len(points):
+        with np.errstate(over="ignore", invalid="ignore"):
+            rounding = np.abs(points.astype(np.float32) - points).max(axis=1)
+        spread = float(np.median(np.abs(points - np.median(points, axis=0)).max(axis=1)))
+        allowed = _LARGEST_ROUNDING * spread if len(points) >= _FEW else _ROUNDING_OF_FEW
+        if np.median(rounding) > allowed:
+            kind, word = "<f8", "double"
+    header = [f"property {word} {axis}" for axis in "xyz"]
+    header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    return np.dtype([("xyz", kind, 3), ("rgb", "u1", 3)]), header
+
+
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
-    """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY in single precision.
+    """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY, in the precision of `vertex_type`.
 
     Raises:
         ShapeError: the arrays do not fit.
         WorkspaceError: the file cannot be written.
     """
-    _write(Path(path), _vertices(xyz, rgb), np.empty(0, _EDGE))
+    xyz, rgb = _checked(xyz, rgb)
+    _write(Path(path), xyz, rgb, np.empty(0, _EDGE))
 
 
 def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
@@ -75,14 +98,13 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     points = reconstruction.points
     corners = _frustums_in_world(reconstruction)
     frustum_rgb = np.broadcast_to(np.array(CAMERA_RGB, np.uint8), (5 * len(corners), 3))
-    vertices = np.concatenate(
-        [_vertices(points.xyz_in_world, points.rgb), _vertices(corners.reshape(-1, 3), frustum_rgb)]
-    )
+    xyz = np.concatenate([points.xyz_in_world, corners.reshape(-1, 3)])
+    rgb = np.concatenate([points.rgb, frustum_rgb])
     first = len(points) + 5 * np.arange(len(corners))
     edges = np.empty(len(corners) * len(_FRUSTUM_EDGES), _EDGE)
     edges["vertices"] = (first[:, None, None] + _FRUSTUM_EDGES).reshape(-1, 2)
     edges["rgb"] = CAMERA_RGB
-    _write(Path(path), vertices, edges, SCENE_COMMENT)
+    _write(Path(path), xyz, rgb, edges, SCENE_COMMENT)
 
 
 def num_cameras_of_scene(path: str | Path) -> int | None:
@@ -100,14 +122,12 @@ def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarra
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
-def _vertices(xyz: Any, rgb: Any) -> np.ndarray:
+def _checked(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
     xyz, rgb = as_points(xyz, "xyz", 3), np.asarray(rgb)
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
         raise ShapeError(f"rgb must be (n, 3) of type uint8, got {rgb.shape} of type {rgb.dtype}")
-    out = np.empty(len(xyz), _VERTEX)
-    out["xyz"], out["rgb"] = xyz, rgb
-    return out
+    return xyz, rgb
 
 
 def _frustums_in_world(reconstruction: Reconstruction) -> Float64[np.ndarray, "n 5 3"]:
@@ -140,10 +160,12 @@ def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float
     return 1.0
 
 
-def _write(path: Path, vertices: np.ndarray, edges: np.ndarray, comment: str = "") -> None:
+def _write(path: Path, xyz: np.ndarray, rgb: np.ndarray, edges: np.ndarray, comment: str = "") -> None:
+    kind, properties = vertex_type(xyz)
+    vertices = np.empty(len(xyz), kind)
+    vertices["xyz"], vertices["rgb"] = xyz, rgb
     lines = ["ply", "format binary_little_endian 1.0", *filter(None, [comment])]
-    lines.append(f"element vertex {len(vertices)}")
-    lines += [f"property {line}" for line in _VERTEX_HEADER]
+    lines += [f"element vertex {len(vertices)}", *properties]
     if len(edges):
         lines += [f"element edge {len(edges)}", *(f"property {line}" for line in _EDGE_HEADER)]
     header = "".join(f"{line}\n" for line in [*lines, "end_header"])
@@ -200,7 +222,7 @@ def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     if missing:
         raise FileFormatError(path, f"the vertices have no {', '.join(missing)}")
     xyz = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float64)
-    return PlyPoints(xyz, _colours(columns))
+    return PlyPoints(xyz, ply_colours(path, columns))
 
 
 def ply_columns(path: Path) -> dict[str, np.ndarray]:
@@ -215,16 +237,6 @@ def ply_columns(path: Path) -> dict[str, np.ndarray]:
 
 def _columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray]:
     return _binary_columns(path, data, header) if header.byte_order else _text_columns(path, data, header)
-
-
-def _colours(columns: dict[str, np.ndarray]) -> np.ndarray | None:
-    names = next((names for names in _COLOUR_NAMES if all(name in columns for name in names)), None)
-    if names is None:
-        return None
-    rgb = np.stack([columns[name] for name in names], axis=1)
-    if rgb.dtype.kind == "f":
-        rgb = np.nan_to_num(255.0 * rgb)  # colours that are no whole numbers run from 0 to 1
-    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
 
 
 def ply_header(path: Path, data: bytes) -> PlyHeader:

@@ -1,7 +1,8 @@
 """Cameras as nerfstudio's transforms.json (also read: instant-ngp's and NeRF-synthetic's).
 
 A frame's matrix is world_from_cam with OpenGL camera axes: x right, y up, looking down -z. The principal
-point counts from the corner of the picture, half a pixel before the centre of its first pixel.
+point counts from the corner of the picture, half a pixel before the centre of its first pixel. Where the file has
+`origin_in_world`, its coordinates, and those of its points, are relative to it.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Similarity3
 from epipole.io._colmap_cameras import HALF_PIXEL
+from epipole.io._named_numbers import numbers_of
 from epipole.io._transforms_cameras import (
     FISHEYE_KEYS,
     OPENGL_AXES,
@@ -33,12 +35,18 @@ from epipole.io.json_files import json_text
 from epipole.io.names import path_inside
 from epipole.io.ply import read_points_ply, write_points_ply
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from epipole.scene.local_origin import ORIGIN
 
 POINTS_FILE = "sparse_pc.ply"
 """Name of the points that are written beside the cameras."""
 
 
-def write_transforms(reconstruction: Reconstruction, path: str | Path, image_folder: str = "images") -> None:
+def write_transforms(
+    reconstruction: Reconstruction,
+    path: str | Path,
+    image_folder: str = "images",
+    origin_in_world: np.ndarray | None = None,
+) -> None:
     """Write the registered cameras, and the points (if any) as a PLY file beside.
 
     Intrinsics stand once in the file if all images share them, otherwise in each frame.
@@ -47,16 +55,21 @@ def write_transforms(reconstruction: Reconstruction, path: str | Path, image_fol
         reconstruction: what to write.
         path: the JSON file.
         image_folder: where the images are, seen from the JSON file's folder.
+        origin_in_world: written as `origin_in_world`, and all coordinates relative to it; None: none.
 
     Raises:
         WorkspaceError: the file cannot be written.
     """
     path = Path(path)
+    if origin_in_world is not None:
+        reconstruction = reconstruction.transformed(_translation(-np.asarray(origin_in_world)))
     cams_from_world, camera_of_image = reconstruction.cams_from_world(), reconstruction.camera_of_image
     registered = np.flatnonzero(np.isfinite(cams_from_world.translation).all(axis=1)).tolist()
     used = sorted({int(camera_of_image[image]) for image in registered})
     intrinsics = {row: _intrinsics(reconstruction.cameras[row]) for row in used}
     content: dict[str, Any] = dict(intrinsics[used[0]]) if len(used) == 1 else {}
+    if origin_in_world is not None:
+        content[ORIGIN] = np.asarray(origin_in_world, np.float64).tolist()
     if len(reconstruction.points):
         content["ply_file_path"] = POINTS_FILE
         points = reconstruction.points
@@ -273,7 +286,14 @@ class _Frames:
         """The cameras, with these points."""
         matrices = np.array(self._worlds_from_cams).reshape(-1, 4, 4)[:, :3]
         cams_from_world = Rigid3.from_matrix(matrices).inverse()
-        return model_of_cameras(self.names, self._cameras, self._camera_rows, cams_from_world, points)
+        model = model_of_cameras(self.names, self._cameras, self._camera_rows, cams_from_world, points)
+        if ORIGIN not in self._content:
+            return model
+        return model.transformed(_translation(numbers_of(self._path, self._content, ORIGIN, 3)))
+
+
+def _translation(offset: np.ndarray) -> Similarity3:
+    return Similarity3(np.array(1.0), np.eye(3), offset)
 
 
 def _object_in(path: Path) -> dict[str, Any]:

@@ -38,6 +38,9 @@ VIDEO_SUFFIXES = frozenset(
         ".m2ts",
         ".3gp",
         ".insv",
+        ".ts",
+        ".ogv",
+        ".flv",
     }
 )
 
@@ -48,6 +51,8 @@ _SHARPNESS_SIZE_PX = 640
 _JPEG_QUALITY = 95
 _HEAD = 256
 _MOST_FRAME_PX = 1 << 26
+_LISTS_FRAMES = re.compile(rb"....(?:ftyp|moov|mdat|wide|free|skip)|RIFF....AVI ", re.DOTALL)
+"""How containers begin that list their frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,7 +163,7 @@ def _extract(
     every_s: float | None,
     progress: Callable[[int, int], None] | None,
 ) -> VideoFrames:
-    num_frames, fps = _length(video)
+    num_frames, fps = count_frames(video)
     num_slots = max_frames
     if every_s is not None:
         if fps is None:
@@ -206,15 +211,38 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     return capture
 
 
-def _length(video: Path) -> tuple[int, float | None]:
-    """Frames that the video announces (counted where it does not) and frames per second (None if unknown)."""
+def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]:
+    """Frames that a video announces (0 if it does not), and whether its container counts them.
+
+    MP4, QuickTime and AVI list their frames. Of others (Matroska, WebM, transport streams), FFmpeg multiplies duration and frame rate,
+    which is wrong by any factor where the frame rate varies.
+    """
+    announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    with open_file(video) as stream:
+        is_counted = _LISTS_FRAMES.match(stream.read(_HEAD)) is not None
+    return (int(announced) if 0 < announced < 1e9 else 0), is_counted
+
+
+def count_frames(video: Path) -> tuple[int, float | None]:
+    """Frames of a video and frames per second (None if unknown); read to its end where its container does not count them.
+
+    Raises:
+        FileFormatError: no frame can be decoded, or the video ends before half of its duration.
+    """
     capture = opened_video(video)
     try:
-        announced, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
-        num_frames = int(announced) if 0 < announced < 1e9 else 0
-        if num_frames == 0:
+        num_frames, is_counted = announced_frames(video, capture)
+        fps = capture.get(cv2.CAP_PROP_FPS)
+        if num_frames == 0 or not is_counted:
+            duration_s = num_frames / fps if fps > 0.0 else 0.0
+            num_frames, last_s = 0, 0.0
             while capture.grab():
                 num_frames += 1
+                last_s = max(last_s, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
+            if 0.0 < last_s < 0.5 * duration_s:
+                problem = f"it ends after {last_s:.1f} of {duration_s:.1f} s"
+                raise FileFormatError(video, f"the video is damaged: {problem}")
+            fps = (num_frames - 1) / last_s if last_s > 0.0 else fps
     finally:
         capture.release()
     if num_frames == 0:

@@ -12,12 +12,21 @@ from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.files import open_file
-from epipole.io.gaussian_files import SUFFIXES, is_sog, read_gaussians, write_gaussians
+from epipole.io.gaussian_files import (
+    META,
+    SUFFIXES,
+    WITHOUT_ORIGIN,
+    is_sog,
+    is_unpacked_sog,
+    read_gaussians,
+    write_gaussians,
+)
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
 from epipole.runs import Job, open_run
 from epipole.scene import Reconstruction
+from epipole.scene.gaussian_cloud import GaussianCloud
 
 _WITH_PICTURES = ("transforms", "bundler")
 _SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db")
@@ -33,6 +42,8 @@ class Conversion:
     """Pictures that lie in `images/` beside the model."""
     missing: tuple[str, ...]
     """Images of the model whose pictures were not found."""
+    losses: tuple[str, ...] = ()
+    """What the format cannot hold, in words."""
 
 
 def format_told_by(source: Path, target: Path) -> str | None:
@@ -41,7 +52,8 @@ def format_told_by(source: Path, target: Path) -> str | None:
     if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
         return "splat"
     if name.endswith(".ply"):
-        return "splat" if source.is_file() or (source / "splat.ply").is_file() else "ply"
+        is_splat = source.is_file() or (source / "splat.ply").is_file() or is_unpacked_sog(source / META)
+        return "splat" if is_splat else "ply"
     return None
 
 
@@ -91,13 +103,29 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
     """Read and write files of Gaussians, of the formats that their names tell."""
-    file = source / "splat.ply" if source.is_dir() else source
+    file = source
+    if source.is_dir():
+        file = source / (META if is_unpacked_sog(source / META) else "splat.ply")
     if target.is_dir():
         raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
     cloud = read_gaussians(file)
     _refuse_to_replace(target)
     write_gaussians(target, cloud)
-    return Conversion(target, 0, ())
+    return Conversion(target, 0, (), _losses(target, cloud))
+
+
+def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
+    """What the format of a file cannot hold, in words."""
+    out = []
+    suffix = target.suffix.lower()
+    if suffix in WITHOUT_ORIGIN and cloud.origin_in_world.any():
+        origin = " ".join(map(repr, cloud.origin_in_world.tolist()))
+        out.append(f"{suffix} cannot hold the origin {origin}: coordinates are relative to it")
+    if suffix == ".splat" and cloud.sh_degree:
+        out.append(
+            f"{suffix} cannot hold harmonics of degree {cloud.sh_degree}: colours are the same from all sides"
+        )
+    return tuple(out)
 
 
 def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:

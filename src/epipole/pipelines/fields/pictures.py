@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,11 +17,12 @@ from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
-from epipole.io.photographs import mask_of, read_mask, read_mask_file, read_rgb
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms_scene
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.scene import Reconstruction
+from epipole.scene.local_origin import local_origin
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
 """NeRF-synthetic's; a file of validation views is not used."""
@@ -37,6 +39,31 @@ class FieldPictures:
     has_alpha: bool
     problems: list[str]
     """Pictures that are left out, and why."""
+    origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) what the coordinates are relative to."""
+
+    def about_origin(self) -> FieldPictures:
+        """The same about an origin near the cameras, where these are far from that of the world: Gaussians are of single precision."""
+        views = [*self.train, *self.test]
+        origin = local_origin(np.stack([view.cam_from_world.inverse().translation for view in views]))
+        if not origin.any():
+            return self
+        return replace(
+            self,
+            train=[_relative_to(view, origin) for view in self.train],
+            test=[_relative_to(view, origin) for view in self.test],
+            points_in_world=self.points_in_world - origin,
+            origin_in_world=self.origin_in_world + origin,
+        )
+
+
+def _relative_to(view: TrainingView, origin_in_world: np.ndarray) -> TrainingView:
+    points = view.points_in_world
+    return replace(
+        view,
+        cam_from_world=view.cam_from_world @ Rigid3(np.eye(3), origin_in_world),
+        points_in_world=None if points is None else points - origin_in_world,
+    )
 
 
 def is_model(source: Path) -> bool:
@@ -183,6 +210,7 @@ def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[
         problems.append("the masks that the file names are not used, because masks is given")
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
+    limits = _grey_range(source.folder, [model.images.name[row] for row in rows.tolist()])
     for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
         name = model.images.name[row]
         try:
@@ -190,7 +218,8 @@ def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[
             mask = _mask(source, options, name, (camera.width, camera.height))
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
             path = path_inside(source.folder, name)
-            view = _view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            picture = _read(path, camera, limits)
+            view = _view(name, picture, camera, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -210,9 +239,18 @@ def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, in
     return None if path is None else read_mask_file(path, name, size=size)
 
 
+def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
+    """Of all pictures together, where they are deep greyscale: a field has one brightness for all views."""
+    paths = []
+    for name in names:
+        with suppress(EpipoleError):
+            paths.append(path_inside(folder, name))
+    return common_range(paths)
+
+
 def _view(
     name: str,
-    path: Path,
+    picture: np.ndarray,
     camera: Camera,
     cam_from_world: Rigid3,
     mask: np.ndarray | None,
@@ -220,7 +258,6 @@ def _view(
     max_side_px: int,
 ) -> TrainingView:
     """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
-    picture = _read(path, camera)
     pinhole = undistorted_camera(camera)
     picture = _undistorted(picture, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
@@ -232,14 +269,14 @@ def _view(
     return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(path: Path, camera: Camera) -> np.ndarray:
+def _read(path: Path, camera: Camera, limits: GreyRange | None) -> np.ndarray:
     """RGB, or RGBA where something is transparent.
 
     Raises:
         FileFormatError: it cannot be read, or is not of its camera's size.
     """
     rgba = read_rgba(path)
-    picture = read_rgb(path) if rgba is None else rgba
+    picture = read_rgb(path, limits=limits) if rgba is None else rgba
     if picture.shape[:2] != (camera.height, camera.width):
         h, w = picture.shape[:2]
         raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")

@@ -14,7 +14,7 @@ from epipole.fields.rasterizer import render as draw
 from epipole.io.gaussian_files import read_gaussians
 from epipole.pipelines.fields.cameras import Shot
 from epipole.pipelines.fields.kinds import Kind, kind_in
-from epipole.pipelines.fields.scene import SPLAT, SUMMARY, told_antialiased
+from epipole.pipelines.fields.scene import SUMMARY, file_of_gaussians, told_antialiased
 
 LEAST_OPACITY, LEAST_COVERAGE = 0.1, 0.5
 """Of Gaussians that tell how large the scene is, and of pixels that show a surface."""
@@ -47,19 +47,19 @@ def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
         kind, file = found
         field = kind.read(file)
         return lambda shot: _marched(kind, field, shot), kind.places(field)
-    file = source / SPLAT if source.is_dir() else source
+    file = file_of_gaussians(source)
     cloud, options = (
         read_gaussians(file),
         RenderOptions(antialiased=told_antialiased(file.with_name(SUMMARY))),
     )
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits))
-    places = cloud.means_in_world[opacity >= LEAST_OPACITY].astype(np.float64)
+    places = cloud.centers_in_world[opacity >= LEAST_OPACITY]
 
     def splatted(shot: Shot) -> Seen:
         drawn = draw(cloud, shot.camera, shot.cam_from_world, options)
         return Seen(drawn.depth, drawn.coverage, drawn.colour)
 
-    return splatted, places if len(places) else cloud.means_in_world.astype(np.float64)
+    return splatted, places if len(places) else cloud.centers_in_world
 
 
 def _marched(kind: Kind, field: Any, shot: Shot) -> Seen:
