@@ -33,6 +33,7 @@ class Reason(StrEnum):
     TOO_FEW = "fewer items than the model needs"
     NO_MODEL = "no sample of the items gave a model"
     TOO_FEW_INLIERS = "too few items agree with any model"
+    UNKNOWN_SIGN = "the translation is known up to its sign only: all points are too far away"
     DEGENERATE = "the items leave the model undetermined (a line, a plane, no motion, repeated items)"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import bdtrc
 
-from epipole._checks import require_same_length
+from epipole._checks import as_points, require_same_length
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.config import RansacConfig, options_of
@@ -33,6 +33,7 @@ from epipole.robust.estimate import (
     run_loop,
     usable_rows,
 )
+from epipole.robust.motion_evidence import Matches, Verdict, lie_on_a_line, weigh_motion
 from epipole.robust.pair_batch import (
     fit_motions,
     found_of_one,
@@ -57,10 +58,11 @@ def estimate_relative_pose(
     *,
     quality: Any = None,
 ) -> Estimate[Rigid3]:
-    """Relative pose of two calibrated cameras: five points (Nister, PAMI 2004), then truncated Sampson error.
+    """Relative pose of two calibrated cameras: five points (Nister, PAMI 2004), truncated Sampson error, maximum likelihood.
 
-    The score asks that points lie in front of both cameras. A plane has two solutions, of which the better one
-    comes; a pure rotation leaves the direction undetermined (a wide covariance, or `Reason.DEGENERATE`).
+    The motion of the robust loop is refined at the noise that the matches show (`motion_evidence`), which also decides
+    the sign of t. Where a rotation, a line or another motion explains the matches as well, the result is
+    `Reason.DEGENERATE`; where all points are too far away for the sign of t, `Reason.UNKNOWN_SIGN`.
 
     Args:
         pixels1: matches in image 1, (n, 2); NaN and infinite ones are outliers.
@@ -73,14 +75,15 @@ def estimate_relative_pose(
 
     Returns:
         `model` = cam2_from_cam1 with |t| = 1 (the length cannot be known); `covariance` (6, 6) of xi in
-        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five. It takes the inliers for right: wrong
-        matches that lie on their epipolar line by chance are not in it (200 matches, a fifth of them wrong: its
-        90 % region held the truth in 80 % of trials, and in 89 % where none was wrong).
+        exp(xi) @ cam2_from_cam1, xi = (translation, rotation), of rank five. Wrong matches are in it; calibration
+        errors are not.
 
     Raises:
         ShapeError: the arrays do not fit.
     """
-    found = _fit_motion(pixels1, pixels2, camera1, camera2, options_of(RansacConfig, config), quality)
+    options = options_of(RansacConfig, config)
+    found = _fit_motion(pixels1, pixels2, camera1, camera2, options, quality)
+    found = _at_its_noise(found, pixels1, pixels2, (camera1, camera2), options)
     motion = Rigid3(found.raw[:9].reshape(3, 3).copy(), found.raw[9:12].copy())
     return found.estimate(motion, _twist_covariance(found))
 
@@ -160,6 +163,15 @@ def estimate_essential_matrix(
     )
 
 
+MIN_MATCHES_TO_WEIGH = 12
+"""Fewer matches do not show their noise."""
+REASON_OF_VERDICT = {
+    Verdict.DETERMINED: Reason.OK,
+    Verdict.NO_PARALLAX: Reason.DEGENERATE,
+    Verdict.ON_A_LINE: Reason.DEGENERATE,
+    Verdict.AMBIGUOUS: Reason.DEGENERATE,
+    Verdict.UNKNOWN_SIGN: Reason.UNKNOWN_SIGN,
+}
 _NO_ITEMS = np.empty((4, 0))
 _ALL_BUT_CHANCE = 0.8
 """Share of the inliers on one plane above which those off it may agree by chance alone."""
@@ -189,7 +201,7 @@ def estimate_fundamental_matrix(
     config = options_of(RansacConfig, config)
     one = _one_pair(pixels1, pixels2, None, config, quality)
     kernels.fit_fundamentals(one.pairs, np.ones(1, bool), one.use, one.quality, search_for(config), one.fits)
-    found = found_of_one(FundamentalProblem(_NO_ITEMS), one.use, one.fits, config)
+    found = _off_a_line(found_of_one(FundamentalProblem(_NO_ITEMS), one.use, one.fits, config), one)
     t1, t2 = to_coordinates(one.fits, 0)
     if found.reason is Reason.OK and _is_held_by_a_plane(one, config):
         found = replace(found, reason=Reason.DEGENERATE, covariance=np.full((7, 7), np.inf))
@@ -224,7 +236,7 @@ def estimate_homography(
     config = options_of(RansacConfig, config)
     one = _one_pair(pixels1, pixels2, None, config, quality)
     kernels.fit_homographies(one.pairs, one.use, one.quality, search_for(config), one.fits)
-    found = found_of_one(HomographyProblem(_NO_ITEMS), one.use, one.fits, config)
+    found = _off_a_line(found_of_one(HomographyProblem(_NO_ITEMS), one.use, one.fits, config), one)
     t1, t2 = to_coordinates(one.fits, 0)
     back = np.linalg.inv(t2)
     model = back @ found.raw[:9].reshape(3, 3) @ t1
@@ -262,6 +274,42 @@ def _fit_motion(
     return found_of_one(RelativePoseProblem(_NO_ITEMS), one.use, one.fits, config)
 
 
+def _at_its_noise(
+    found: Found, pixels1: Any, pixels2: Any, cameras: tuple[Camera, Camera], config: RansacConfig
+) -> Found:
+    """The motion of maximum likelihood, or the reason why the matches do not determine one."""
+    first, second = as_points(pixels1, "pixels1", 2), as_points(pixels2, "pixels2", 2)
+    use = np.flatnonzero(usable_rows(first, second))
+    if found.reason is not Reason.OK or len(use) < MIN_MATCHES_TO_WEIGH:
+        return found
+    matches = Matches(first[use], second[use], *cameras)
+    has_rays = matches.are_finite()
+    use, matches = use[has_rays], matches.chosen(np.flatnonzero(has_rays))
+    start = float(np.clip(found.noise, 1e-3 * config.max_error_px, 0.5 * config.max_error_px))
+    fitted = weigh_motion(matches, found.raw[:9].reshape(3, 3), found.raw[9:12], start, config.seed)
+    undetermined = np.full((5, 5), np.inf)
+    if fitted is None:
+        return replace(found, reason=Reason.DEGENERATE, covariance=undetermined)
+    residuals = np.full(len(first), np.inf)
+    residuals[use] = np.where(fitted.is_in_front, np.abs(fitted.residuals_px), np.inf)
+    inlier_mask = residuals < config.max_error_px
+    reason = REASON_OF_VERDICT[fitted.verdict]
+    if inlier_mask.sum() < config.min_inliers:
+        reason = Reason.TOO_FEW_INLIERS
+    raw = found.raw.copy()
+    raw[:9], raw[9:12] = fitted.rotation.ravel(), fitted.translation
+    return replace(
+        found,
+        reason=reason,
+        raw=raw,
+        residuals=residuals,
+        inlier_mask=inlier_mask,
+        score=float(np.minimum(residuals, config.max_error_px) @ np.minimum(residuals, config.max_error_px)),
+        noise=fitted.noise_px,
+        covariance=fitted.covariance if reason is Reason.OK else undetermined,
+    )
+
+
 def _fit_upright_motion(
     pixels1: Any,
     pixels2: Any,
@@ -276,6 +324,16 @@ def _fit_upright_motion(
     problem = UprightMotionProblem(np.ascontiguousarray(matches[order].T), *upright)
     scale_px = 2.0 / (1.0 / cameras[0].focal_px + 1.0 / cameras[1].focal_px)
     return run_loop(problem, order, n, scale_px, config, None)
+
+
+def _off_a_line(found: Found, one: _OnePair) -> Found:
+    """Degenerate where the inliers lie within their noise of one line, in either image."""
+    if found.reason is not Reason.OK:
+        return found
+    inliers = one.pairs.pixels[:, found.inlier_mask]
+    if not any(lie_on_a_line(inliers[side : side + 2].T, found.noise) for side in (0, 2)):
+        return found
+    return replace(found, reason=Reason.DEGENERATE, covariance=np.full_like(found.covariance, np.inf))
 
 
 def _is_held_by_a_plane(one: _OnePair, config: RansacConfig) -> bool:

@@ -1,0 +1,453 @@
+"""What matches say of a relative pose at the noise that they show: its sign, its uncertainty, and whether it is determined.
+
+The robust loop truncates residuals at a threshold that is usually several times the noise. Here its motion becomes the start
+of a maximum-likelihood fit. A match is right with probability p: its Sampson residual is then normal, and its inverse
+depth rho follows a Student distribution over the scene; a wrong match lies anywhere in the image,
+
+    L(R, t) = sum_k log( p N(s_k; 0, sigma) T(rho_k) |drho/dx| [rho_k > 0] + (1 - p) / area ),
+
+fitted by expectation maximisation (Dempster, Laird and Rubin, 1977). Wrong matches that lie on their epipolar line by
+chance mostly have an implausible depth, and lose their weight. Then
+
+- the sign of t is the one of larger likelihood: depths must be positive, at the noise found;
+- a motion needs parallax: displacements that a rotation leaves along the epipolar lines exceed the noise;
+- other motions that explain the matches as well are searched for over the sphere of directions;
+- where the likelihood is not Gaussian, the covariance is that of its samples (adaptive importance sampling: Cappe et al.,
+  Population Monte Carlo, 2004).
+
+Matches are unit rays with their derivatives by pixels, so that residuals of any camera model are in pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from scipy.special import gammaln
+
+from epipole.cameras import Camera
+from epipole.geometry import Rotation3, skew
+
+MAX_BEHIND = 10.0
+"""Deviations by which a match may count as behind the cameras."""
+MAX_STEPS, MAX_MATCHES = 30, 600
+"""Steps of the fit; matches that take part in the searches beyond it (a random choice)."""
+STUDENT = 3.0
+"""Degrees of freedom of the inverse depths: most of a scene within a factor of two, some of it anywhere."""
+MIN_SIGN_EVIDENCE = 3.0
+"""Difference of log likelihoods below which the sign of t is unknown: odds of twenty to one."""
+MAX_PARALLAX_SQ = 9.0
+"""Squared parallax of one match, in variances, counts at most this much: a few wrong matches make no motion."""
+MEAN_PARALLAX_SQ, VAR_PARALLAX_SQ = 0.98, 1.7
+"""Of a squared standard normal number that is cut at MAX_PARALLAX_SQ."""
+SIGNIFICANT = 5.0
+"""Standard deviations by which the parallax must exceed chance."""
+WELL_DETERMINED = 25.0
+"""Information of the matches over that of their noise: above, the likelihood is Gaussian (measured)."""
+MIN_SPREAD_SIGMAS = 3.0
+"""Across the line that fits them best, matches must spread this much wider than their noise."""
+NUM_DIRECTIONS, SEARCH_STEPS = 48, 12
+RIVAL_EVIDENCE = 4.0
+"""Another motion whose log likelihood is within this of the best explains the matches as well."""
+RIVAL_ANGLE_RAD, RIVAL_SIGMAS = np.deg2rad(15.0), 5.0
+"""Directions nearer than both belong to the same motion."""
+NUM_SAMPLES, NUM_ROUNDS = 600, 5
+STUDENT_CONSTANT = float(
+    gammaln((STUDENT + 1.0) / 2.0) - gammaln(STUDENT / 2.0) - 0.5 * np.log(STUDENT * np.pi)
+)
+
+
+class Verdict(Enum):
+    """What the matches say of a motion."""
+
+    DETERMINED = 0
+    NO_PARALLAX = 1
+    ON_A_LINE = 2
+    AMBIGUOUS = 3
+    UNKNOWN_SIGN = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionEvidence:
+    """A motion at the noise of its matches."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    covariance: np.ndarray
+    """(5, 5) of (rotation from the left, step of t in its tangent plane)."""
+    residuals_px: np.ndarray
+    """(n,) signed Sampson residuals."""
+    is_in_front: np.ndarray
+    """(n,) whether the depth is positive or, within the noise, infinite."""
+    noise_px: float
+    verdict: Verdict
+
+
+class Matches:
+    """Unit rays of both cameras, (n, 3), d ray / d pixel (n, 3, 2), and d pixel / d ray (n, 2, 3) of the second."""
+
+    def __init__(self, pixels1: np.ndarray, pixels2: np.ndarray, camera1: Camera, camera2: Camera) -> None:
+        self.pixels1, self.pixels2 = pixels1, pixels2
+        self.ray1, self.spread1 = camera1.unproject_with_jacobian(pixels1)
+        self.ray2, self.spread2 = camera2.unproject_with_jacobian(pixels2)
+        self.jacobian2 = camera2.project_with_jacobian(self.ray2)[1]
+        self.log_area = float(np.log(camera2.width * camera2.height))
+
+    def __len__(self) -> int:
+        return len(self.ray1)
+
+    def are_finite(self) -> np.ndarray:
+        """(n,) whether both pixels have a ray."""
+        parts = (self.ray1, self.ray2, self.spread1.reshape(-1, 6), self.spread2.reshape(-1, 6))
+        return np.logical_and.reduce([np.isfinite(part).all(axis=1) for part in parts])
+
+    def chosen(self, rows: np.ndarray) -> Matches:
+        """Some of the matches."""
+        out = Matches.__new__(Matches)
+        for name in ("pixels1", "pixels2", "ray1", "ray2", "jacobian2", "spread1", "spread2"):
+            setattr(out, name, getattr(self, name)[rows])
+        out.log_area = self.log_area
+        return out
+
+    def moved(self, image: int, axis: int, step_px: float) -> Matches:
+        """The matches with one pixel coordinate changed."""
+        out = self.chosen(np.arange(len(self)))
+        if image == 1:
+            out.ray1 = self.ray1 + step_px * self.spread1[:, :, axis]
+        else:
+            out.ray2 = self.ray2 + step_px * self.spread2[:, :, axis]
+        return out
+
+    def sampson(self, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+        """(..., n) signed Sampson residuals in pixels of motions (..., 3, 3), (..., 3)."""
+        return self._sampson(skew(translation) @ rotation)[0]
+
+    def jacobian(self, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+        """(..., n, 5) derivatives of the residuals by (rotation from the left, step of t in its tangent plane)."""
+        essential = skew(translation) @ rotation
+        residual, size, a, b = self._sampson(essential)
+        by_parameter = _essential_derivatives(rotation, translation)  # (..., 5, 3, 3)
+        ratio = (residual / size)[..., None]
+        first = self.ray1 - ratio * np.einsum("njc,...nc->...nj", self.spread1, a)
+        second = ratio * np.einsum("nic,...nc->...ni", self.spread2, b)
+        # ds/dE_ij = (r2_i (r1 - e/m D1 a)_j - e/m (D2 b)_i r1_j) / sqrt(m)
+        along = np.einsum("ni,...pij,...nj->...np", self.ray2, by_parameter, first, optimize=True)
+        back = np.einsum("...ni,...pij,nj->...np", second, by_parameter, self.ray1, optimize=True)
+        return (along - back) / size[..., None]
+
+    def _sampson(self, essential: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        line2 = self.ray1 @ np.swapaxes(essential, -1, -2)
+        line1 = self.ray2 @ essential
+        a = np.einsum("njc,...nj->...nc", self.spread1, line1)
+        b = np.einsum("nic,...ni->...nc", self.spread2, line2)
+        size = np.sqrt((a**2).sum(-1) + (b**2).sum(-1) + 1e-300)
+        return (self.ray2 * line2).sum(-1) / size, size, a, b
+
+    def parallax(self, rotation: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(..., n) displacement along the epipolar line in image 2 in pixels, positive in front, and pixels per inverse distance."""
+        far = self.ray1 @ np.swapaxes(rotation, -1, -2)
+        t = translation[..., None, :]
+        across = t - far * (far * t).sum(-1, keepdims=True)
+        direction = np.einsum("ncj,...nj->...nc", self.jacobian2, across)
+        speed = np.sqrt((direction**2).sum(-1) + 1e-300)
+        shift = np.einsum("ncj,...nj->...nc", self.jacobian2, self.ray2 - far)
+        return (shift * direction).sum(-1) / speed, speed
+
+
+@dataclass(frozen=True, slots=True)
+class _Model:
+    """Noise in pixels, share of right matches, and the inverse depths' location and scale."""
+
+    sigma: float
+    share: float
+    location: float
+    scale: float
+
+
+def weigh_motion(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, noise_px: float, seed: int
+) -> MotionEvidence | None:
+    """Fit the motion to the matches at their own noise and judge it; None where the fit fails.
+
+    Args:
+        matches: all that can be used, right and wrong ones.
+        rotation: a start, (3, 3).
+        translation: a start, a unit vector.
+        noise_px: a first estimate of the standard deviation of a pixel coordinate.
+        seed: of the choice of matches and of the samples.
+    """
+    random = np.random.default_rng(seed)
+    fitted = _fit(matches, rotation, translation, noise_px)
+    if fitted is None:
+        return None
+    rotation, translation, model, weight = fitted
+    jacobian = matches.jacobian(rotation, translation)
+    information = (jacobian * weight[:, None]).T @ jacobian / model.sigma**2
+    if not (np.isfinite(information).all() and np.linalg.eigvalsh(information)[0] > 0):
+        return None
+    covariance = np.linalg.inv(information)
+    few = matches
+    if len(matches) > MAX_MATCHES:
+        few = matches.chosen(np.sort(random.choice(len(matches), MAX_MATCHES, replace=False)))
+    noise = _noise_information(matches, rotation, translation, weight, model.sigma)
+    verdict = Verdict.DETERMINED
+    sign = _sign_evidence(few, rotation, translation, model)
+    if any(lie_on_a_line(pixels, model.sigma, weight) for pixels in (matches.pixels1, matches.pixels2)):
+        verdict = Verdict.ON_A_LINE
+    elif not _has_parallax(matches, rotation, translation, model, weight):
+        verdict = Verdict.NO_PARALLAX
+    elif sign < MIN_SIGN_EVIDENCE:
+        verdict = Verdict.UNKNOWN_SIGN
+    elif _weakest(information, noise) < WELL_DETERMINED:
+        scale = np.sqrt(len(matches) / len(few))
+        if _has_rival(few, rotation, translation, model, covariance * scale**2):
+            verdict = Verdict.AMBIGUOUS
+        else:
+            step, covariance = _sampled(few, rotation, translation, model, covariance * scale**2, random)
+            rotation, translation = _moved(step, rotation, translation)
+            covariance = covariance / scale**2
+        covariance = covariance + covariance @ noise @ covariance  # (H - N)^-1, to first order
+    depth_px, _ = matches.parallax(rotation, translation)
+    return MotionEvidence(
+        rotation,
+        translation,
+        covariance,
+        matches.sampson(rotation, translation),
+        depth_px > -3.0 * np.sqrt(2.0) * model.sigma,
+        model.sigma,
+        verdict,
+    )
+
+
+def lie_on_a_line(pixels: np.ndarray, sigma_px: float, weight: np.ndarray | None = None) -> bool:
+    """Whether pixels (n, 2) spread across the line that fits them best no wider than their noise allows to measure."""
+    off = pixels - np.average(pixels, axis=0, weights=weight)
+    least = np.linalg.eigvalsh(np.cov(off.T, aweights=weight, ddof=0))[0]
+    return bool(least < (1.0 + MIN_SPREAD_SIGMAS**2) * sigma_px**2)
+
+
+def _fit(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, noise_px: float
+) -> tuple[np.ndarray, np.ndarray, _Model, np.ndarray] | None:
+    """Expectation maximisation: (R, t, model, (n,) probability that a match is right)."""
+    near = np.abs(matches.sampson(rotation, translation)) < 3.0 * noise_px
+    if near.sum() < 6:
+        return None
+    start = _Model(
+        noise_px,
+        min(max(0.1, float(near.mean())), 0.995),
+        *_depths(matches, rotation, translation, near, noise_px),
+    )
+    if _sign_evidence(matches, rotation, translation, start) < 0:
+        translation = -translation
+        start = replace(start, location=-start.location)
+    model = start
+    for _ in range(MAX_STEPS):
+        weight = _weights(matches, rotation, translation, model)
+        if weight.sum() < 6:
+            return None
+        residual = matches.sampson(rotation, translation)
+        jacobian = matches.jacobian(rotation, translation)
+        weighted = jacobian * weight[:, None]
+        normal = weighted.T @ jacobian
+        normal += 1e-12 * np.trace(normal) * np.eye(5)
+        step = -np.linalg.solve(normal, weighted.T @ residual)
+        if not np.isfinite(step).all():
+            return None
+        rotation, translation = _moved(step, rotation, translation)
+        residual = matches.sampson(rotation, translation)
+        sigma = float(np.sqrt((weight * residual**2).sum() / max(weight.sum() - 5.0, 1.0)))
+        sigma = max(sigma, 1e-3 * noise_px, 1e-6)
+        depths = _depths(matches, rotation, translation, weight > 0.5, sigma)
+        model = _Model(sigma, float(np.clip(weight.mean(), 0.02, 0.995)), *depths)
+        if float(step @ normal @ step) < (1e-2 * sigma) ** 2:
+            break
+    weight = _weights(matches, rotation, translation, model)
+    return rotation, translation, model, weight
+
+
+def _depths(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, rows: np.ndarray, sigma: float
+) -> tuple[float, float]:
+    """Median and scale of the inverse depths of some matches."""
+    shift, speed = matches.parallax(rotation, translation)
+    inverse = (shift / speed)[rows]
+    if not len(inverse):
+        return 0.0, 1.0
+    location = float(np.median(inverse))
+    scale = 1.4826 * float(np.median(np.abs(inverse - location)))
+    return location, max(scale, 0.1 * sigma / float(np.median(speed)))
+
+
+def _right(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
+    """(n,) log density of a right match: of its residual, the sign of its depth, and its inverse depth."""
+    residual, behind = _residuals(matches, rotation, translation, model)
+    depth = _log_depth(matches, rotation, translation, model)
+    return np.log(model.share) - 0.5 * (residual**2 + behind**2) + depth
+
+
+def _residuals(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model
+) -> tuple[np.ndarray, np.ndarray]:
+    """(..., n) Sampson residuals and displacements behind infinity, in deviations of the noise."""
+    shift, _ = matches.parallax(rotation, translation)
+    behind = np.clip(-shift / (np.sqrt(2.0) * model.sigma), 0.0, MAX_BEHIND)
+    return matches.sampson(rotation, translation) / model.sigma, behind
+
+
+def _log_depth(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
+    """(n,) log density of a right match's inverse depth, per square pixel at residual zero."""
+    shift, speed = matches.parallax(rotation, translation)
+    spread = np.sqrt(model.scale**2 + 2.0 * (model.sigma / speed) ** 2)
+    off = (shift / speed - model.location) / spread
+    student = STUDENT_CONSTANT - 0.5 * (STUDENT + 1.0) * np.log1p(off**2 / STUDENT)
+    return student - np.log(spread * speed) - np.log(np.sqrt(2.0 * np.pi) * model.sigma)
+
+
+def _weights(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> np.ndarray:
+    """(n,) probability that a match is right."""
+    right = _right(matches, rotation, translation, model)
+    return np.exp(right - np.logaddexp(right, np.log1p(-model.share) - matches.log_area))
+
+
+def _likelihood(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, depth: np.ndarray
+) -> np.ndarray:
+    """(...) log likelihood of motions near the fitted one; the scene's depths keep their density there, `depth` (n,)."""
+    residual, behind = _residuals(matches, rotation, translation, model)
+    right = np.log(model.share) - 0.5 * (residual**2 + behind**2) + depth
+    return np.logaddexp(right, np.log1p(-model.share) - matches.log_area).sum(axis=-1)
+
+
+def _sign_evidence(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> float:
+    """Log likelihood of t less that of -t; the inverse depths change their sign with it."""
+    depth = _log_depth(matches, rotation, translation, model)
+    here, there = (_likelihood(matches, rotation, t, model, depth) for t in (translation, -translation))
+    return float(here - there)
+
+
+def _has_parallax(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, weight: np.ndarray
+) -> bool:
+    """Whether displacements along the epipolar lines, after the rotation that leaves least of them, exceed the noise."""
+    for _ in range(5):
+        far = matches.ray1 @ rotation.T
+        shift = np.einsum("ncj,nj->nc", matches.jacobian2, matches.ray2 - far)
+        by_rotation = np.einsum("ncj,njk->nck", matches.jacobian2, skew(far))  # d shift / d phi = J [far]x
+        squared = (shift**2).sum(axis=1) / (2.0 * model.sigma**2)
+        kept = (weight / (1.0 + squared / MAX_PARALLAX_SQ))[:, None, None] * by_rotation
+        normal = np.einsum("ncj,nck->jk", kept, by_rotation) + 1e-12 * np.eye(3)
+        step = -np.linalg.solve(normal, np.einsum("ncj,nc->j", kept, shift))
+        rotation = Rotation3.exp(step).matrix @ rotation
+    along, _ = matches.parallax(rotation, translation)
+    squared = np.minimum(along**2 / (2.0 * model.sigma**2), MAX_PARALLAX_SQ)
+    count = float(weight.sum())
+    doubtful = MAX_PARALLAX_SQ * float((weight * (1.0 - weight)).sum() + 0.02 * (len(weight) - count))
+    limit = MEAN_PARALLAX_SQ * count + SIGNIFICANT * np.sqrt(VAR_PARALLAX_SQ * count) + doubtful
+    return bool((weight * squared).sum() > limit)
+
+
+def _noise_information(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, weight: np.ndarray, sigma: float
+) -> np.ndarray:
+    """What the noise of the pixels adds to J^T J by itself.
+
+    The rows of J depend on noisy pixels, so that J^T J is full even where the true one is singular:
+    E[J^T J] = J0^T J0 + sum E[dJ^T dJ] (Kanatani, Statistical Optimization for Geometric Computation, 1996).
+    """
+    noise, step = np.zeros((5, 5)), 0.5 * sigma
+    for image in (1, 2):
+        for axis in (0, 1):
+            up, down = (
+                matches.moved(image, axis, sign * step).jacobian(rotation, translation) for sign in (1, -1)
+            )
+            change = (up - down) * (sigma / (2.0 * step))
+            noise += (change * weight[:, None]).T @ change / sigma**2
+    return noise
+
+
+def _weakest(information: np.ndarray, noise: np.ndarray) -> float:
+    """Least ratio, over all directions, of the information to that of the noise."""
+    root = np.linalg.cholesky(information)
+    share = np.linalg.solve(root, np.linalg.solve(root, noise).T)
+    return float(1.0 / max(np.linalg.eigvalsh(share)[-1], 1e-300))
+
+
+def _has_rival(
+    matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model, covariance: np.ndarray
+) -> bool:
+    """Whether a motion in another direction explains the matches as well; found from directions all over the sphere."""
+    index = np.arange(NUM_DIRECTIONS) + 0.5
+    height, turn = (
+        1.0 - 2.0 * index / NUM_DIRECTIONS,
+        np.pi * (1.0 + np.sqrt(5.0)) * index,
+    )  # Fibonacci's sphere
+    flat = np.sqrt(1.0 - height**2)
+    t = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    r = np.broadcast_to(rotation, (NUM_DIRECTIONS, 3, 3))
+    weight = _weights(matches, rotation, translation, model)
+    for _ in range(SEARCH_STEPS):
+        residual = matches.sampson(r, t)
+        soft = weight / (1.0 + (residual / (3.0 * model.sigma)) ** 2)
+        jacobian = matches.jacobian(r, t)
+        weighted = jacobian * soft[..., None]
+        normal = np.swapaxes(weighted, 1, 2) @ jacobian
+        normal = normal + (1e-6 * np.trace(normal, axis1=1, axis2=2) / 5.0)[:, None, None] * np.eye(5)
+        step = -np.linalg.solve(normal, np.einsum("bnp,bn->bp", weighted, residual)[..., None])[..., 0]
+        r, t = _moved(np.clip(step, -0.3, 0.3), r, t)
+    depth = _log_depth(matches, rotation, translation, model)
+    best = float(_likelihood(matches, rotation, translation, model, depth))
+    found = np.maximum(*(_likelihood(matches, r, sign * t, model, depth) for sign in (1.0, -1.0)))
+    sigma_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
+    angle = np.arccos(np.clip(np.abs(t @ translation), 0.0, 1.0))
+    is_elsewhere = angle > max(RIVAL_ANGLE_RAD, RIVAL_SIGMAS * sigma_rad)
+    return bool((is_elsewhere & (found > best - RIVAL_EVIDENCE)).any())
+
+
+def _sampled(
+    matches: Matches,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    model: _Model,
+    covariance: np.ndarray,
+    random: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean step from the fitted motion and covariance of the likelihood, by importance samples of Student distributions."""
+    spread, mean, moment = 2.0 * covariance, np.zeros(5), covariance
+    depth = _log_depth(matches, rotation, translation, model)
+    for _ in range(NUM_ROUNDS):
+        normal = random.normal(size=(NUM_SAMPLES, 5))
+        chi = random.chisquare(STUDENT, NUM_SAMPLES) / STUDENT
+        sample = mean + (normal / np.sqrt(chi)[:, None]) @ np.linalg.cholesky(spread).T
+        proposed = -0.5 * (STUDENT + 5.0) * np.log1p((normal**2).sum(axis=1) / chi / STUDENT)
+        log_weight = _likelihood(matches, *_moved(sample, rotation, translation), model, depth) - proposed
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        mean = weight @ sample
+        moment = (weight[:, None] * (sample - mean)).T @ (sample - mean)
+        spread = 1.3 * moment + 0.1 * covariance
+    return mean, moment + 1e-3 * covariance
+
+
+def _moved(step: np.ndarray, rotation: np.ndarray, translation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Steps (..., 5) of motions: exp(phi) R, and t along a great circle."""
+    tangent = np.einsum("...k,...kj->...j", step[..., 3:], _tangents(translation))
+    angle = np.linalg.norm(tangent, axis=-1, keepdims=True)
+    moved = np.cos(angle) * translation + np.sinc(angle / np.pi) * tangent
+    return Rotation3.exp(step[..., :3]).matrix @ rotation, moved
+
+
+def _tangents(translation: np.ndarray) -> np.ndarray:
+    """(..., 2, 3) unit vectors orthogonal to t and to each other, as the robust loop's kernels choose them."""
+    axis = np.eye(3)[np.argmin(np.abs(translation), axis=-1)]
+    first = axis - translation * (axis * translation).sum(-1, keepdims=True)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    return np.stack([first, np.cross(translation, first)], axis=-2)
+
+
+def _essential_derivatives(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(..., 5, 3, 3): d([t]x R) by a rotation from the left and a step of t."""
+    by_rotation = skew(translation)[..., None, :, :] @ skew(np.eye(3)) @ rotation[..., None, :, :]
+    by_step = skew(_tangents(translation)) @ rotation[..., None, :, :]
+    return np.concatenate([by_rotation, by_step], axis=-3)
