@@ -21,7 +21,9 @@ def distorted(camera: Camera, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray,
     r = np.hypot(a, b)
     if camera.model == CameraModel.OPENCV_FISHEYE:
         t = np.arctan(r)
-        scale = np.where(r > 0, (t + k1 * t**3 + k2 * t**5 + k3 * t**7 + k4 * t**9) / np.where(r > 0, r, 1), 1)
+        scale = np.where(
+            r > 0, (t + k1 * t**3 + k2 * t**5 + k3 * t**7 + k4 * t**9) / np.where(r > 0, r, 1), 1
+        )
         u, v = a * scale, b * scale
     else:
         scale = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6) / (1 + k4 * r**2 + k5 * r**4 + k6 * r**6)
@@ -88,7 +90,9 @@ def test_a_distortion_that_describes_nearly_nothing_is_refused():
 
 
 def test_what_lies_beyond_the_fold_is_black():
-    camera = Camera("SIMPLE_RADIAL", W, H, [W, (W - 1) / 2, (H - 1) / 2, -2.0])  # folds over at a radius of 0.41
+    camera = Camera(
+        "SIMPLE_RADIAL", W, H, [W, (W - 1) / 2, (H - 1) / 2, -2.0]
+    )  # folds over at a radius of 0.41
     wide = Camera("PINHOLE", 2 * W, H, [W, W, W - 0.5, (H - 1) / 2])
     rgb = undistort_image(np.full((H, W, 3), 200, np.uint8), camera, wide)
     radius = np.abs(np.arange(2 * W) - (W - 0.5)) / W

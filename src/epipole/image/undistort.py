@@ -146,9 +146,7 @@ def _size_of(camera: Camera, view: _View) -> tuple[int, int]:
 def _in_pixels(camera: Camera, view: _View) -> _View:
     """The part of a view that its image of whole pixels shows."""
     width, height = _size_of(camera, view)
-    return view._replace(
-        right=view.left + width / camera.K[0, 0], bottom=view.top + height / camera.K[1, 1]
-    )
+    return view._replace(right=view.left + width / camera.K[0, 0], bottom=view.top + height / camera.K[1, 1])
 
 
 def _view_of(pinhole: Camera) -> _View:
@@ -162,7 +160,12 @@ def _is_visible(camera: Camera, view: _View, num_rays: int = BORDER) -> bool:
     if view.area <= 0.0:
         return False
     half_x, half_y = 0.5 / camera.K[0, 0], 0.5 / camera.K[1, 1]
-    left, right, top, bottom = view.left + half_x, view.right - half_x, view.top + half_y, view.bottom - half_y
+    left, right, top, bottom = (
+        view.left + half_x,
+        view.right - half_x,
+        view.top + half_y,
+        view.bottom - half_y,
+    )
     if right < left or bottom < top:
         return False
     x, y = np.linspace(left, right, num_rays), np.linspace(top, bottom, num_rays)

@@ -32,6 +32,17 @@ def params_of_text(text: str) -> tuple[float, ...]:
     return known
 
 
+def principal_point_of_text(model: CameraModel, text: str) -> tuple[float, float] | None:
+    """Cx and cy of an option `camera_params`, from the image's corner; None where there are fewer numbers.
+
+    Raises:
+        ConfigError: not numbers, or not finite.
+    """
+    known = params_of_text(text)
+    cx, cy = model.principal_point_indices
+    return (known[cx], known[cy]) if len(known) == model.num_params else None
+
+
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:
     """The camera of an option `camera_params`.
 

@@ -185,33 +185,39 @@ def read_header(path: Path | str) -> PhotographHeader:
     )
 
 
-def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w"]:
+def read_grey(
+    path: Path | str, max_size_px: int | None = None, *, orientation: int | None = None
+) -> UInt8[np.ndarray, "h w"]:
     """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
 
     Args:
         path: the picture.
         max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x
             lies at (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
+        orientation: applied in place of the file's EXIF orientation; 1: the pixels as they are stored. None: the file's.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), True, max_size_px)
+    return decode(Path(path), True, max_size_px, orientation)
 
 
-def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
+def read_rgb(
+    path: Path | str, max_size_px: int | None = None, *, orientation: int | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture upright as 8-bit RGB.
 
     Args:
         path: the picture.
         max_size_px: longest side of the result, as in `read_grey`.
+        orientation: the same.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), False, max_size_px)
+    return decode(Path(path), False, max_size_px, orientation)
 
 
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:

@@ -14,11 +14,12 @@ from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
-from epipole.io.names import path_inside
-from epipole.io.photographs import mask_of, read_mask, read_rgb
+from epipole.io.model_images import ModelImage, ModelImages
+from epipole.io.photographs import mask_of, read_mask
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.runs import holds_own_model
 from epipole.scene import Reconstruction
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
@@ -75,11 +76,17 @@ def gather_field_pictures(
             if (source / name).is_file()
         ]
         model = parts[0][1]
-        train = _views(model, source, options, problems)
-        test = _views(parts[1][1], source, options, problems) if len(parts) > 1 else []
+        train = _views(model, ModelImages(model, source, is_own=False), options, problems)
+        others = parts[1][1] if len(parts) > 1 else None
+        test = (
+            []
+            if others is None
+            else _views(others, ModelImages(others, source, is_own=False), options, problems)
+        )
     else:
         model, folder = _model_of(source, options.max_side_px)
-        views = _views(model, photographs or folder, options, problems)
+        files = ModelImages(model, photographs or folder, is_own=holds_own_model(folder.parent))
+        views = _views(model, files, options, problems)
         held = _held_out([view.name for view in views], options)
         test = [view for view in views if view.name in held]
         train = [view for view in views if view.name not in held]
@@ -123,7 +130,7 @@ def _model_of(source: Path, max_side_px: int) -> tuple[Reconstruction, Path]:
 
 
 def _views(
-    model: Reconstruction, folder: Path, options: FieldOptions, problems: list[str]
+    model: Reconstruction, files: ModelImages, options: FieldOptions, problems: list[str]
 ) -> list[TrainingView]:
     """By their names; a picture that cannot be read is left out.
 
@@ -136,15 +143,11 @@ def _views(
     for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
         name = model.images.name[row]
         try:
-            camera = model.cameras[int(model.camera_of_image[row])]
-            mask = (
-                None
-                if options.masks is None
-                else read_mask(options.masks, name, size=(camera.width, camera.height))
-            )
+            image = files.find(name)
+            size = image.camera.width, image.camera.height
+            mask = None if options.masks is None else read_mask(options.masks, name, size=size)
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
-            path = path_inside(folder, name)
-            view = _view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            view = _view(name, image, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -158,15 +161,14 @@ def _views(
 
 def _view(
     name: str,
-    path: Path,
-    camera: Camera,
+    image: ModelImage,
     cam_from_world: Rigid3,
     mask: np.ndarray | None,
     points_in_world: np.ndarray,
     max_side_px: int,
 ) -> TrainingView:
     """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
-    picture = _read(path, camera)
+    camera, picture = image.camera, _read(image)
     pinhole = undistorted_camera(camera)
     picture = _undistorted(picture, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
@@ -178,17 +180,14 @@ def _view(
     return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(path: Path, camera: Camera) -> np.ndarray:
+def _read(image: ModelImage) -> np.ndarray:
     """RGB, or RGBA where something is transparent.
 
     Raises:
-        FileFormatError: it cannot be read, or is not of its camera's size.
+        FileFormatError: it cannot be read.
     """
-    rgba = read_rgba(path)
-    picture = read_rgb(path) if rgba is None else rgba
-    if picture.shape[:2] != (camera.height, camera.width):
-        h, w = picture.shape[:2]
-        raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")
+    rgba = read_rgba(image.path, orientation=image.orientation)
+    picture = image.read() if rgba is None else rgba
     is_plain = rgba is None or (rgba[..., 3] == 255).all()
     return np.ascontiguousarray(picture[..., :3]) if is_plain else picture
 
@@ -206,9 +205,4 @@ def _fitted(camera: Camera, max_side_px: int) -> Camera:
     factor = max(camera.width, camera.height) / max_side_px
     if factor <= 1:
         return camera
-    size = max(1, round(camera.width / factor)), max(1, round(camera.height / factor))
-    params = camera.params.copy()
-    ratio = np.array([size[0] / camera.width, size[1] / camera.height])
-    params[:2] *= ratio
-    params[2:4] = (params[2:4] + 0.5) * ratio - 0.5
-    return Camera(camera.model, *size, params)
+    return camera.scaled_to(max(1, round(camera.width / factor)), max(1, round(camera.height / factor)))

@@ -14,7 +14,7 @@ from epipole.errors import ConfigError, FileFormatError, MissingDependencyError,
 from epipole.io.photographs import PhotographHeader, list_photographs, mask_names, mask_of, read_header
 from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.lenses import group_cameras, principal_point_note
+from epipole.pipelines.sfm.lenses import group_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
@@ -110,23 +110,22 @@ def read_image_set(
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
-    cameras, camera_of_image, sources = group_cameras(headers, config)
-    lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
+    grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
     return ImageSet(
         folder,
         tuple(headers),
-        cameras,
-        camera_of_image,
-        sources,
+        grouped.cameras,
+        grouped.camera_of_image,
+        grouped.sources,
         np.array([_gps_row(h) for h in headers.values()]),
         np.array([times.get(n, np.nan) for n in headers]),
         tuple(digests[folder / n] for n in headers),
         tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
         bool(times),
-        tuple(filter(None, [*notes, lens_note, mask_note])),
+        tuple(filter(None, [*notes, *grouped.notes, mask_note])),
     )
 
 
