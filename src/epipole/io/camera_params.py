@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from epipole.cameras import Camera, CameraModel
+from epipole.cameras import Camera, CameraModel, ImageShape, camera_model_named
+from epipole.cameras.image_fit import likely_size
 from epipole.errors import ConfigError
 from epipole.io.colmap import params_from_colmap, params_to_colmap
 
@@ -32,15 +34,21 @@ def params_of_text(text: str) -> tuple[float, ...]:
     return known
 
 
-def principal_point_of_text(model: CameraModel, text: str) -> tuple[float, float] | None:
-    """Cx and cy of an option `camera_params`, from the image's corner; None where there are fewer numbers.
+def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str) -> Camera:
+    """The camera of an option `camera_params`, of the stored or upright size of its images that its numbers are of.
+
+    Args:
+        model: name of the camera model; None: PINHOLE.
+        shapes: of the images.
+        text: the numbers, as for `camera_of_text`.
 
     Raises:
-        ConfigError: not numbers, or not finite.
+        ConfigError: not the numbers of this model, such as no lens has, or the images have several sizes.
     """
-    known = params_of_text(text)
-    cx, cy = model.principal_point_indices
-    return (known[cx], known[cy]) if len(known) == model.num_params else None
+    lens, known = camera_model_named(model or "PINHOLE"), params_of_text(text)
+    cx, cy = lens.principal_point_indices
+    point = (known[cx], known[cy]) if len(known) == lens.num_params else None
+    return camera_of_text(lens, likely_size(point, shapes), text)
 
 
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:

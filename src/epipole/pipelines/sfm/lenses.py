@@ -16,12 +16,11 @@ from epipole.cameras.image_fit import (
     camera_of_image,
     described_pixels,
     fit_notes,
-    likely_size,
     with_likely_principal_point,
 )
 from epipole.errors import ConfigError
 from epipole.io.calibration_files import read_calibration
-from epipole.io.camera_params import camera_of_text, principal_point_of_text, refuse_impossible
+from epipole.io.camera_params import camera_of_images, refuse_impossible
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
@@ -110,10 +109,8 @@ def _known_camera(config: ReconstructConfig, shapes: Sequence[ImageShape]) -> tu
         camera = _calibrated_camera(config.calibration, shapes[0].size(ImagePixels.STORED))
         refuse_impossible(camera, str(config.calibration))
         return camera, f"given by {config.calibration.name}", what
-    model = camera_model_named(config.camera_model or "PINHOLE")
-    text = config.camera_params or ""
-    size = likely_size(principal_point_of_text(model, text), shapes)
-    return camera_of_text(model, size, text), "given", "the camera of camera_params"
+    found = camera_of_images(config.camera_model, shapes, config.camera_params or "")
+    return found, "given", "the camera of camera_params"
 
 
 def _calibrated_camera(path: Path, size: tuple[int, int]) -> Camera:

@@ -77,6 +77,7 @@ def read_image_set(
     *,
     ignore: tuple[Path, ...] = (),
     timestamps_s: dict[str, float] | None = None,
+    video_orientation: int = 1,
     progress: ProgressCallback,
 ) -> ImageSet:
     """Read the headers of all pictures of a folder and group them by camera.
@@ -87,6 +88,7 @@ def read_image_set(
         memory: file that remembers what the pictures held, by size and time.
         ignore: folders that are no pictures.
         timestamps_s: of each frame of a video, by name.
+        video_orientation: by which the frames of a video were turned upright.
         progress: told how many headers are read.
 
     Raises:
@@ -110,6 +112,8 @@ def read_image_set(
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
+    if video_orientation != 1:
+        headers = {name: replace(header, orientation=video_orientation) for name, header in headers.items()}
     grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)

@@ -15,7 +15,7 @@ import numpy as np
 
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
-from epipole.io.video import extract_frames, is_video
+from epipole.io.video import extract_frames, frame_orientation, is_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units
@@ -194,7 +194,13 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
             progress=lambda done, total: run.report("video", done, total),
         )
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
-        return read_image_set(folder, config, memory, timestamps_s=times, progress=run.job.progress)
+        orientation = frame_orientation(source) if config.has_known_camera else 1
+        return read_image_set(
+            *(folder, config, memory),
+            timestamps_s=times,
+            video_orientation=orientation,
+            progress=run.job.progress,
+        )
     if not source.is_dir():
         raise NoModelError(
             f"{source} is neither a video nor a folder: give the folder that holds the photographs"

@@ -12,10 +12,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epipole.cameras import Camera
+from epipole.cameras import Camera, ImageShape
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
-from epipole.io.video import opened_video
+from epipole.io.video import frame_orientation, opened_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.source import (
@@ -58,13 +58,15 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     capture.release()
     if not is_read:
         raise FileFormatError(path, "no frame of the video can be decoded")
-    lens = found or given.camera((first.shape[1], first.shape[0]))
-    if lens is None:
+    shape = ImageShape(first.shape[1], first.shape[0], frame_orientation(path))
+    known = (found, []) if found else given.fitted_camera(shape)
+    if known is None:
         raise ConfigError(
             "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
         )
     count = int(announced) if 0 < announced < 1e9 else 0
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
+    lens, notes = known
     made, counted = of_one_camera(lens), _Counted(count, "the video ends after {} of {} announced frames")
 
     def frames() -> Generator[QueuedFrame, None, None]:
@@ -82,7 +84,9 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
         finally:
             video.release()
 
-    return FrameSource(made.camera, max(count, 1), frames, made.body_from_camera, counted.notes)
+    return FrameSource(
+        made.camera, max(count, 1), frames, made.body_from_camera, lambda: [*notes, *counted.notes()]
+    )
 
 
 def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:

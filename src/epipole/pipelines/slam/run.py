@@ -11,7 +11,7 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.cameras import Camera
+from epipole.cameras import Camera, ImageShape
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
@@ -176,8 +176,10 @@ def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | N
         return open_video_frames(source, given, found)
     sequence = read_sequence(source, job.fps)
     header = read_header(sequence.frames[0].picture)
-    lens = found or given.camera((header.width, header.height))
-    return open_sequence(sequence, job.sensor, lens, job.masks)
+    known = given.fitted_camera(ImageShape(header.width, header.height, header.orientation))
+    lens, notes = (found, []) if found or known is None else known
+    opened = open_sequence(sequence, job.sensor, lens, job.masks)
+    return replace(opened, notes=lambda: [*notes, *opened.notes()])
 
 
 def _input(source: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.rectification import Rectification, rectify
-from epipole.errors import ConfigError, ShapeError
+from epipole.errors import ConfigError, EpipoleError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import mask_of, read_grey, read_mask
+from epipole.io.photographs import mask_of, read_grey, read_header, read_mask
 from epipole.io.sequences import FrameFiles, ImageSequence
 from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
@@ -163,9 +163,11 @@ def open_sequence(
         made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
         read = partial(_read_with_depth, sequence.depth.unit)
 
+    read = partial(read, made, _Turning(sequence.frames[0]))
+
     def frames() -> Generator[QueuedFrame, None, None]:
         for number, files in enumerate(sequence.frames):
-            plain = partial(read, made, files)
+            plain = partial(read, files)
             masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
             yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
 
@@ -200,20 +202,52 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
-def _read_one(made: Preparation, files: FrameFiles) -> Frame:
-    return made.frame(files.timestamp_s, read_grey(files.picture))
+class _Turning:
+    """Reads the images of each camera turned as its first one: a sensor stays as it is mounted, whatever EXIF says later."""
+
+    def __init__(self, first: FrameFiles) -> None:
+        self._first = first
+
+    @cached_property
+    def _left(self) -> int | None:
+        return _orientation_of(self._first.picture)
+
+    @cached_property
+    def _right(self) -> int | None:
+        assert self._first.right is not None
+        return _orientation_of(self._first.right)
+
+    def left(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the (left) camera."""
+        return read_grey(files.picture, orientation=self._left)
+
+    def right(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the right camera."""
+        assert files.right is not None
+        return read_grey(files.right, orientation=self._right)
 
 
-def _read_pair(made: Preparation, files: FrameFiles) -> Frame:
-    assert files.right is not None
-    return made.frame(files.timestamp_s, read_grey(files.picture), read_grey(files.right))
+def _orientation_of(path: Path) -> int | None:
+    """None where it cannot be read: each image is turned by its own, then."""
+    try:
+        return read_header(path).orientation
+    except EpipoleError:
+        return None
 
 
-def _read_with_depth(unit: float, made: Preparation, files: FrameFiles) -> Frame:
+def _read_one(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files))
+
+
+def _read_pair(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files), turning.right(files))
+
+
+def _read_with_depth(unit: float, made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
     assert files.depth is not None
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
-    return made.frame(files.timestamp_s, read_grey(files.picture), depth)
+    return made.frame(files.timestamp_s, turning.left(files), depth)
 
 
 def _rectified(

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from epipole.cameras import MAX_PARAMS, Camera, ImagePixels, ImageShape
-from epipole.cameras.image_fit import fitted_camera, is_same_view
+from epipole.cameras import ImagePixels, ImageShape
+from epipole.cameras.image_fit import is_same_view
+from epipole.disparity_search.rectification import rectify
+from epipole.errors import EpipoleError
 from epipole.io.photographs import read_header, read_rgb
+from epipole.pipelines.stereo.rows import match_features
 from epipole.scene import RectifiedRig, StereoRig
+
+LEAST_MATCHES, CLEAR, SLACK_PX = 20, 2.0, 2.0
+"""Matches that agree with the rig if its calibration is of these pixels: the least, how many times those of the other pixels, and
+what they may be off by."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +47,9 @@ class PairFiles:
 def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None) -> PairFiles:
     """The files of a pair, and its calibration at their scale.
 
-    The sizes decide whether a calibration is of stored or of upright pixels; where they fit both ways, files that are turned
-    differently are taken as stored, for their cameras are mounted rigidly. A calibration that fits neither way is left
-    as it is: measuring refuses it.
+    The sizes decide whether a calibration is of stored or of upright pixels; where they fit both ways, the matches that agree with
+    it; where these do not decide either, files that are turned differently are taken as stored. A calibration that fits
+    neither way is left as it is: measuring refuses it.
 
     Raises:
         FileFormatError: one cannot be read.
@@ -58,10 +66,26 @@ def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None)
     ]
     if not ways:
         return PairFiles(left, right, rig)
-    is_mixed = shapes[0].orientation != shapes[1].orientation
-    pixels = ways[0] if len(ways) == 1 else ImagePixels.STORED if is_mixed else ImagePixels.UPRIGHT
+    files = [_fitted(left, right, rig, shapes, pixels) for pixels in ways]
+    is_turned = {shape.orientation for shape in shapes} != {1}
+    if len(files) == 1 or not is_turned:
+        return files[-1]
+    counts = [_num_agreeing(file) for file in files]
+    if max(counts) >= LEAST_MATCHES and max(counts) >= CLEAR * min(counts):
+        return files[int(np.argmax(counts))]
+    return files[
+        ways.index(
+            ImagePixels.STORED if shapes[0].orientation != shapes[1].orientation else ImagePixels.UPRIGHT
+        )
+    ]
+
+
+def _fitted(
+    left: Path, right: Path, rig: StereoRig, shapes: list[ImageShape], pixels: ImagePixels
+) -> PairFiles:
+    """The files as stored or upright pixels, with the calibration at their scale."""
     notes = []
-    scaled = scaled_rig(rig, shapes[0].size(pixels), shapes[1].size(pixels))
+    scaled = rig.scaled_to(shapes[0].size(pixels), shapes[1].size(pixels))
     if scaled is not rig:
         notes.append(f"the calibration is of {_sizes(rig)} images: it is scaled to {_sizes(scaled)}")
     is_stored = pixels is ImagePixels.STORED and {s.orientation for s in shapes} != {1}
@@ -72,30 +96,17 @@ def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None)
     return PairFiles(left, right, scaled, (1, 1) if is_stored else (None, None), tuple(notes))
 
 
-def scaled_rig(rig: StereoRig, left_size: tuple[int, int], right_size: tuple[int, int]) -> StereoRig:
-    """The rig of images of these sizes, with its covariance; the same one where these are its own.
-
-    Raises:
-        ConfigError: an image does not show what its camera's images show at one scale.
-    """
-    left, right = fitted_camera(rig.left, *left_size), fitted_camera(rig.right, *right_size)
-    if left is rig.left and right is rig.right:
-        return rig
-    covariance = rig.covariance
-    if covariance is not None:
-        factors = np.concatenate([_factors(rig.left, left), _factors(rig.right, right), np.ones(6)])
-        covariance = covariance * np.outer(factors, factors)
-    return replace(rig, left=left, right=right, covariance=covariance)
-
-
-def _factors(camera: Camera, scaled: Camera) -> np.ndarray:
-    """Of each parameter, padded: what its changes are multiplied by."""
-    out = np.ones(MAX_PARAMS)
-    for index in camera.model.focal_indices:
-        out[index] = scaled.params[index] / camera.params[index]
-    cx, cy = camera.model.principal_point_indices
-    out[cx], out[cy] = scaled.width / camera.width, scaled.height / camera.height
-    return out
+def _num_agreeing(files: PairFiles) -> int:
+    """Matches that lie in one row, before the cameras, once the pair is rectified; 0 where it cannot be."""
+    assert isinstance(files.rig, StereoRig)
+    try:
+        found = rectify(files.rig)
+        pair = found.apply(*(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in files.read()))
+    except EpipoleError:
+        return 0
+    matches = match_features(*pair)
+    in_front = matches.disparity_px + found.rig.principal_offset_px > -SLACK_PX
+    return int((in_front & (np.abs(matches.vertical_px) < SLACK_PX)).sum())
 
 
 def _sizes(rig: StereoRig) -> str:
