@@ -7,8 +7,8 @@ features, matches, two-view geometries, models.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.video import extract_frames, frame_orientation, is_video
+from epipole.mapping import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units
@@ -50,6 +51,15 @@ class Solution:
     guessed_cameras: tuple[int, ...]
     """Cameras whose focal lengths were estimated from the pictures themselves; `cameras` has the estimates."""
     mapped: Mapped
+    focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
+    """How well the models determine the focal length of each camera, by its row."""
+
+    def with_focals(self) -> Solution:
+        """The solution with the accuracy of its focal lengths, of each camera in the largest model that it is in."""
+        found: dict[int, FocalAccuracy] = {}
+        for model in self.mapped.models:
+            found = {**focal_accuracies(model), **found}
+        return replace(self, focals=dict(sorted(found.items())))
 
     def worth(self) -> tuple[int, int]:
         """Images and observations of the largest model."""
