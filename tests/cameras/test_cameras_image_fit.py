@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
-from epipole.cameras import (
-    Camera,
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import (
     ImagePixels,
     ImageShape,
     camera_of_image,
     described_pixels,
+    fit_notes,
     fitted_camera,
+    likely_size,
     turned_camera,
     turned_pixels,
+    with_likely_principal_point,
 )
-from epipole.cameras.image_fit import fit_notes, likely_size, with_likely_principal_point
 from epipole.errors import ConfigError
 from epipole.io._photograph_pixels import turn
 

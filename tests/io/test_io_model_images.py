@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from epipole.cameras import Camera, turned_pixels
-from epipole.cameras.image_fit import inverse_orientation
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import inverse_orientation, turned_pixels
 from epipole.errors import FileFormatError
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io._photograph_pixels import turn

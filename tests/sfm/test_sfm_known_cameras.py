@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epipole.cameras import Camera, turned_camera
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import turned_camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.calibration_files import CalibrationFile, write_calibration

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from epipole.cameras import Camera, ImageShape
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.calibration_files import CalibrationFile, write_calibration

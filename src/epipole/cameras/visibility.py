@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole._checks import as_points
+from epipole._declared import checked
 from epipole.cameras.camera import Camera
 
 MAX_DEVIATION = 1e-3
 """Between a unit ray and the one that its pixel leads back to: beyond, the pixel shows another ray."""
 
 
+@checked
 def project_visible(
     camera: Camera, rays_in_cam: Any
 ) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:

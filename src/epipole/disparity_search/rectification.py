@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float32, Float64
 
 from epipole._checks import as_picture, check_pixels
 from epipole._declared import Declared, checked
-from epipole.cameras import Camera, CameraModel, project_visible
+from epipole.cameras import Camera, CameraModel
+from epipole.cameras.visibility import project_visible
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float32, UInt8
 
 from epipole._checks import check_pixels
 from epipole._declared import checked
-from epipole.cameras import Camera, CameraModel, project_visible
+from epipole.cameras import Camera, CameraModel
+from epipole.cameras.visibility import project_visible
 from epipole.errors import DegenerateGeometryError
 
 WIDEST = 3.0

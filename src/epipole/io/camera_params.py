@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from epipole.cameras import Camera, CameraModel, ImageShape, camera_model_named
-from epipole.cameras.image_fit import likely_size
+from epipole.cameras import Camera, CameraModel, camera_model_named
+from epipole.cameras.image_fit import ImageShape, likely_size
 from epipole.errors import ConfigError
 from epipole.io.colmap import params_from_colmap, params_to_colmap
 

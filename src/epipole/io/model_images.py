@@ -15,8 +15,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from epipole.cameras import Camera, ImagePixels, ImageShape, fitted_camera, turned_pixels
-from epipole.cameras.image_fit import inverse_orientation, is_same_view
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import (
+    ImagePixels,
+    ImageShape,
+    fitted_camera,
+    inverse_orientation,
+    is_same_view,
+    turned_pixels,
+)
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_header, read_rgb

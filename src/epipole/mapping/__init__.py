@@ -11,8 +11,6 @@ from epipole.mapping.anchoring import Anchoring as Anchoring
 from epipole.mapping.anchoring import after_adjustment as after_adjustment
 from epipole.mapping.anchoring import anchor_model as anchor_model
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
-from epipole.mapping.focal_accuracy import FocalAccuracy as FocalAccuracy
-from epipole.mapping.focal_accuracy import focal_accuracies as focal_accuracies
 from epipole.mapping.inertial_scale import fit_scale_to_imu as fit_scale_to_imu
 from epipole.mapping.known_objects import ObjectFit as ObjectFit
 from epipole.mapping.known_objects import fit_scale_to_object as fit_scale_to_object

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import DegenerateGeometryError
 from epipole.mapping.readjustment import bundle_problem_of
@@ -69,6 +70,7 @@ class FocalAccuracy:
         return abs(self.focal_px - self.model_px) > MAX_SHIFT_SIGMAS * sigma_px
 
 
+@checked
 def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
     """How well a model determines the focal length of each camera that took some of its images.
 

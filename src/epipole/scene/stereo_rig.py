@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from epipole._declared import check_fields, checked
-from epipole.cameras import MAX_PARAMS, Camera, fitted_camera
+from epipole.cameras import MAX_PARAMS, Camera
+from epipole.cameras.image_fit import fitted_camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 

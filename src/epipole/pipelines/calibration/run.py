@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
-from epipole.cameras import ImagePixels, ImageShape
+from epipole.cameras.image_fit import ImagePixels, ImageShape
 from epipole.config import BoardConfig, options_of
 from epipole.errors import DegenerateGeometryError, FileFormatError, MissingDependencyError
 from epipole.features.boards import BoardView, find_board, whole_chessboard

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.io.video import is_video
-from epipole.mapping import FocalAccuracy
+from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mapping_stage import gps_note
 from epipole.pipelines.sfm.pipeline import Solution

@@ -16,7 +16,7 @@ import numpy as np
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.video import extract_frames, frame_orientation, is_video
-from epipole.mapping import FocalAccuracy, focal_accuracies
+from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units

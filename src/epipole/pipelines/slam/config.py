@@ -14,7 +14,8 @@ from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
-    from epipole.cameras import Camera, ImageShape
+    from epipole.cameras import Camera
+    from epipole.cameras.image_fit import ImageShape
     from epipole.scene import StereoRig
 
 
@@ -111,7 +112,7 @@ class CameraOptions:
             ConfigError: the parameters are not those of the model, or the calibration does not fit the images.
             FileFormatError: the calibration cannot be read.
         """
-        from epipole.cameras import ImageShape
+        from epipole.cameras.image_fit import ImageShape
 
         found = self.fitted_camera(ImageShape(*size))
         return None if found is None else found[0]

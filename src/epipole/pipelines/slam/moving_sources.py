@@ -12,7 +12,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from epipole.cameras import Camera, ImageShape
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
 from epipole.io.video import frame_orientation, opened_video

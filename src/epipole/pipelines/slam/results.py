@@ -30,7 +30,7 @@ from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
-from epipole.pipelines.slam.shutter_check import find_readout
+from epipole.pipelines.slam.shutter_check import find_readout, with_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
 from epipole.pipelines.slam.truth import Truth, truth_at_frames, truth_summary
@@ -142,9 +142,10 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         model, config = system.maps[0], system.config
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
         shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
-        lens = check_lens(model, system.camera.camera)
-        bent = lens_warnings(lens, model.right_shift_px) if shutter is None else [shutter.warning()]
-        run.warnings += [*bent, *doubts(tracked, path)]
+        with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
+            lens = check_lens(model, system.camera.camera)
+        run.warnings += [] if shutter is None else [shutter.warning()]
+        run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),

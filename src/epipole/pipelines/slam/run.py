@@ -11,7 +11,8 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.cameras import Camera, ImageShape
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag

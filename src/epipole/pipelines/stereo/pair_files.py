@@ -8,8 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from epipole.cameras import ImagePixels, ImageShape
-from epipole.cameras.image_fit import is_same_view
+from epipole.cameras.image_fit import ImagePixels, ImageShape, is_same_view
 from epipole.disparity_search.rectification import rectify
 from epipole.errors import EpipoleError
 from epipole.io.photographs import read_header, read_rgb
