@@ -101,7 +101,7 @@ def read_image_set(
         what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
         raise NoModelError(" ".join([what, *filter(None, hints)]))
     names, notes = _chosen(listed.names, config)
-    headers, left_out = _read_headers(folder, names, progress)
+    headers, left_out = _read_headers(folder, names, progress, video_orientation)
     unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
     left_out = {**listed.unusable, **dict.fromkeys(unreadable, listed.advice), **left_out}
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
@@ -112,8 +112,6 @@ def read_image_set(
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
-    if video_orientation != 1:
-        headers = {name: replace(header, orientation=video_orientation) for name, header in headers.items()}
     grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
@@ -134,7 +132,7 @@ def read_image_set(
 
 
 def _read_headers(
-    folder: Path, names: Sequence[str], progress: ProgressCallback
+    folder: Path, names: Sequence[str], progress: ProgressCallback, video_orientation: int
 ) -> tuple[dict[str, PhotographHeader], dict[str, str]]:
     """Headers of the pictures that can be used, and why the others cannot."""
     headers: dict[str, PhotographHeader] = {}
@@ -143,6 +141,8 @@ def _read_headers(
     for n, name in enumerate(names):
         try:
             header = read_header(folder / name)
+            if video_orientation != 1:
+                header = replace(header, orientation=video_orientation)
             if min(header.width, header.height) < MIN_SIZE_PX:
                 left_out[name] = f"too small ({header.width}x{header.height}) to hold features"
             else:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int32
 
-from epipole.pipelines.sfm.focal import Ballot, ballots_of, climbed
+from epipole.pipelines.sfm.focal import FACTORS, Ballot, ballots_of, climbed
 from epipole.robust import PairKind
 from epipole.scene import Cameras, ViewGraph
 
@@ -48,9 +48,9 @@ def _is_contradicted(c: int, cameras: Cameras, camera_of_image: np.ndarray, view
     ballots = ballots_of(alone, each, own, others)
     if len(ballots) < LEAST_PAIRS:
         return False
-    shared = sum(
-        ballot.weight / (1.0 + (np.diagonal(ballot.disagreement) / WIDTH) ** 2) for ballot in ballots
-    )
+    shared = np.zeros(len(FACTORS))
+    for ballot in ballots:
+        shared += ballot.weight / (1.0 + (np.diagonal(ballot.disagreement) / WIDTH) ** 2)
     best = int(np.argmax(shared))
     apart = max(_votes(ballots, climbed(ballots, others, best, factor)) for factor in STARTS)
     return bool(shared[best] < MAX_RATIO * apart)

@@ -179,7 +179,7 @@ def examine_stereo(
         read, unread, files = [], [], PairFiles(left, right, rig)
         for k in chosen:
             try:
-                files = files_of_pair(*pairs[k], rig)
+                files = files_of_pair(pairs[k][0], pairs[k][1], rig)
                 read.append(files.read())
             except FileFormatError as error:
                 unread.append(str(error))
