@@ -1,9 +1,11 @@
 """A known camera is that of a sensor: images that EXIF turns differently get it turned, smaller ones scaled."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from epipole.cameras import Camera
 from epipole.cameras.image_fit import turned_camera
@@ -12,7 +14,10 @@ from epipole.geometry import Rigid3
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.database_stage import _refuse_turned
 from epipole.pipelines.sfm.lenses import group_cameras
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 LENS = Camera("OPENCV", 480, 320, [400.0, 402.0, 250.0, 150.0, -0.1, 0.02, 1e-3, -2e-3])
 
@@ -74,3 +79,18 @@ def test_images_that_are_not_turned_keep_the_camera_as_it_is(calibration):
     centred = replace(LENS, params=np.array([400.0, 402.0, 239.5, 159.5, 0.0, 0.0, 0.0, 0.0]))
     write_calibration(calibration, CalibrationFile((centred,), Rigid3.identity(1)))
     assert grouped([header(3)] * 3, calibration=calibration).notes == ()  # the same either way
+
+
+@pytest.mark.parametrize(("orientation", "is_refused"), [(1, False), (3, True), (6, False)])
+def test_a_database_may_be_of_stored_pixels(tmp_path, orientation, is_refused):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(tmp_path / "a.png", exif=exif)
+    images = SimpleNamespace(folder=tmp_path, names=("a.png",))
+    if not is_refused:
+        _refuse_turned(tmp_path / "given.db", images)
+        return
+    with pytest.raises(
+        ConfigError, match=r"a.png has EXIF orientation 3, and the keypoints in .*given.db may be"
+    ):
+        _refuse_turned(tmp_path / "given.db", images)
