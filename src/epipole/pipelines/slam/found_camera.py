@@ -229,4 +229,10 @@ def _judged(found: ReconstructionResult) -> FoundCamera:
             f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
             f"--camera-model {lens.model.name} --camera-params {text_of_camera(lens)}"
         )
-    return FoundCamera(lens, count, sigma_px)
+    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px))
+
+
+def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
+    """The deviation of the focal length that the reconstruction tells, with what its lens lacks; else the formal one."""
+    told = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
+    return max(formal_px, float(told[0])) if told and told[0] is not None else formal_px
