@@ -28,6 +28,7 @@ from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.local_mapping import LocalMapper
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
+from epipole.pipelines.slam.pixels_without_ray import no_ray_warning, pixels_without_ray
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.shutter_check import find_readout
@@ -144,10 +145,12 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
         lens = check_lens(model, system.camera.camera)
         bent = lens_warnings(lens, model.right_shift_px) if shutter is None else [shutter.warning()]
-        run.warnings += [*bent, *doubts(tracked, path)]
+        blind = pixels_without_ray(system.camera.camera)
+        run.warnings += [*no_ray_warning(system.camera.camera), *bent, *doubts(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
+            "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),
         }
