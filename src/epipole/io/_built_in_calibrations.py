@@ -15,7 +15,7 @@ _TUM = {
 """fx, fy, cx, cy, k1, k2, p1, p2, k3 as published with the set (Sturm et al., IROS 2012)."""
 _TUM_SIZE = _SEVEN_SCENES_SIZE = (640, 480)
 _SEVEN_SCENES_FOCAL_PX = 525.505
-SEVEN_SCENES_DEPTH_FOCAL_PX = 585.0
+_SEVEN_SCENES_DEPTH_FOCAL_PX = 585.0
 """Of the depth sensor, as published with the set; its principal point is (320, 240)."""
 _DEPTH_FROM_COLOR = np.array([0.0386, -0.0052, -0.0033, -0.0059, -0.0076, -0.0029])
 """Translation in metres and rotation in radians. The set publishes neither the mounting of its depth sensor nor the color
@@ -40,7 +40,7 @@ def tum_camera(folder_name: str) -> tuple[str, Camera] | None:
 
 def seven_scenes_cameras() -> tuple[Camera, Camera, Rigid3]:
     """The color camera, the depth camera, and depth_from_color."""
-    color, depth = (_centered(focal) for focal in (_SEVEN_SCENES_FOCAL_PX, SEVEN_SCENES_DEPTH_FOCAL_PX))
+    color, depth = (_centered(focal) for focal in (_SEVEN_SCENES_FOCAL_PX, _SEVEN_SCENES_DEPTH_FOCAL_PX))
     translation, rotation = _DEPTH_FROM_COLOR[:3].copy(), Rotation3.exp(_DEPTH_FROM_COLOR[3:]).matrix
     return color, depth, Rigid3(rotation, translation)
 

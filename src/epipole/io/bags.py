@@ -57,6 +57,8 @@ class BagSequence:
     depth_from_color: Rigid3 | None = None
     """None for depth that is registered to the pictures, or of a sensor whose place is not known."""
     warnings: tuple[str, ...] = ()
+    depth_values_per_m: float | None = None
+    """Stored values for a metre by the encoding of the depth (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +131,12 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings))
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
+    per_m = pictures.values_per_metre(pictures.encoding_of(firsts[1]))
     return BagSequence(
-        path, found, names, count, size, lens, depth_camera=depth_camera, warnings=tuple(warnings)
+        *(path, found, names, count, size, lens),
+        depth_camera=depth_camera,
+        warnings=tuple(warnings),
+        depth_values_per_m=per_m,
     )
 
 

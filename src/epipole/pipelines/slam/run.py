@@ -79,11 +79,13 @@ def slam(
     wanted = _job_of(job, options)
     config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
-    _check_source(source, wanted)
+    _check_source(source, wanted, given)
     check_anchor_files(wanted.anchors)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
     frames = _open(source, wanted, given, None if found is None else found.camera)
+    if found is not None:
+        frames = replace(frames, about={**frames.about, "camera_source": found.source})
     if given.readout_s:
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
@@ -149,7 +151,7 @@ def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     return options_of(JobOptions, job, own)
 
 
-def _check_source(source: Path, job: JobOptions) -> None:
+def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
     """Check that the options are of such a source.
 
     Raises:
@@ -164,6 +166,8 @@ def _check_source(source: Path, job: JobOptions) -> None:
             raise ConfigError("fps is for folders of pictures without times: a video has its own")
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
+        if given.depth_scale is not None:
+            raise ConfigError("depth_scale is for sources with depth images: a video and a camera have none")
 
 
 def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
@@ -174,10 +178,13 @@ def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | N
         return open_camera(index, given)
     if is_video(source):
         return open_video_frames(source, given, found)
-    sequence = read_sequence(source, job.fps)
+    sequence = read_sequence(source, job.fps, given.depth_scale)
     header = read_header(sequence.frames[0].picture)
     lens = found or given.camera((header.width, header.height))
-    return open_sequence(sequence, job.sensor, lens, job.masks)
+    frames = open_sequence(sequence, job.sensor, lens, job.masks)
+    if given.depth_scale is not None and frames.camera.depth is None:
+        raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
+    return frames
 
 
 def _input(source: Path) -> Path:
