@@ -36,7 +36,7 @@ from epipole.io.files import file_text
 from epipole.io.photographs import list_photographs, read_header
 
 NUMBERED_FRAME = re.compile(r"frame-(\d{6,9})\.color\.\w+")
-_FRAMES_HZ = 30.0
+FRAMES_HZ = 30.0
 _TUM_NEAREST_S = 0.02
 _SEVEN_SCENES = "7-Scenes by the names of the files"
 
@@ -50,7 +50,7 @@ def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
         depth, pose = folder / f"{stem}.depth.png", folder / f"{stem}.pose.txt"
         frames.append(
             FrameFiles(
-                number / _FRAMES_HZ,
+                number / FRAMES_HZ,
                 folder / name,
                 None,
                 depth if depth.is_file() else None,
@@ -142,7 +142,7 @@ def scannet(folder: Path) -> ImageSequence:
     for number, name in sorted(zip(map(int, stems), names)):
         depth, pose = folder / "depth" / f"{Path(name).stem}.png", folder / "pose" / f"{Path(name).stem}.txt"
         files = (depth if depth.is_file() else None), (pose if pose.is_file() else None)
-        frames.append(FrameFiles(number / _FRAMES_HZ, folder / "color" / name, None, *files))
+        frames.append(FrameFiles(number / FRAMES_HZ, folder / "color" / name, None, *files))
     beside = calibration_beside((folder,), _size(frames[0].picture))
     sequence = ImageSequence(
         SequenceKind.SCANNET,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,12 @@ import numpy as np
 from epipole._checks import as_path
 from epipole.errors import FileFormatError
 from epipole.io.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
-from epipole.io.trajectories import read_trajectory, trajectory_format
+from epipole.io.true_paths import has_true_path, true_path_at
+from epipole.io.truth import is_truth_of_images
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory
 from epipole.metrics.numbered_truth import at_numbers_of_pictures
+from epipole.pipelines.evaluation.readings import Readings, decide_order, decide_units
 from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
@@ -27,11 +30,12 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
     Raises:
         FileFormatError: the truth is a trajectory, and there is none to compare with it.
     """
-    if not truth.is_file() or truth.suffix.lower() == ".json" or truth.name.endswith("_par.txt"):
+    found = [out] if out.is_file() else [out / name for name in TRAJECTORIES if (out / name).is_file()]
+    if truth.is_dir():
+        if is_truth_of_images(truth) or not (found or has_true_path(truth)):
+            return []
+    elif not truth.is_file() or truth.suffix.lower() == ".json" or truth.name.endswith("_par.txt"):
         return []
-    if out.is_file():
-        return [out]
-    found = [out / name for name in TRAJECTORIES if (out / name).is_file()]
     if not found:
         begun = out / BEGUN
         stopped = (
@@ -49,38 +53,70 @@ def evaluate_trajectory(
     """Compare a trajectory with a known one.
 
     Instants without times (KITTI) belong together in their order; beside the other's table of frames in theirs. A truth
-    whose times are numbers of pictures (7-Scenes) is known by the names in that table.
+    whose times are numbers of pictures (7-Scenes) is known by the names in that table. Where the order of a quaternion or
+    the unit of times cannot be known from one file, both files decide together, and `assumptions` says how they were read.
 
     Args:
         estimate: TUM, KITTI or EuRoC file.
-        truth: another.
+        truth: another, or a folder of frames that brings one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
         max_difference_s: instants further apart are not compared.
 
     Raises:
-        FileFormatError: one of them cannot be read, or one has times, the other none, and they differ in length.
+        FileFormatError: one of them cannot be read, its columns can be meant in several ways and both files together do not
+            decide, or one has times, the other none, and they differ in length.
         DegenerateGeometryError: too few instants belong together, or the path is a line.
     """
     estimate, truth = as_path(estimate), as_path(truth)
-    found, known = read_trajectory(estimate), read_trajectory(truth)
-    is_timed, is_truth_timed = (trajectory_format(path) != "kitti" for path in (estimate, truth))
     table = _table_beside(estimate)
-    if is_timed and is_truth_timed and table is not None:
-        numbered = at_numbers_of_pictures(known, table.picture, table.timestamp_s, max_difference_s)
-        known = known if numbered is None else numbered
-    if is_timed != is_truth_timed:
-        if is_timed and table is not None and len(table.picture) == len(known):
-            told = np.flatnonzero(np.isfinite(table.timestamp_s))
-            known = Trajectory(table.timestamp_s[told], known.world_from_body[told])
-        elif len(found) == len(known):
-            known = Trajectory(found.timestamp_s, known.world_from_body)
-        else:
-            without, others = (estimate, len(known)) if is_truth_timed else (truth, len(found))
-            raise FileFormatError(
-                without,
-                f"holds no times (KITTI's form), and the other trajectory has {others} instants: which of its rows"
-                " are theirs cannot be told",
-            )
-    return score_trajectory(found, known, max_difference_s)
+    readings = Readings.of(estimate)
+    if truth.is_dir():
+        brought = true_path_at(truth)
+        others = Readings.of_path(brought.trajectory, brought.assumptions)
+    else:
+        others = Readings.of(truth, is_of_camera=table is not None)
+    said: list[str] = []
+    if readings.is_timed and others.is_timed:
+        known = _numbered(others.usual, table, max_difference_s)
+        if known is not None:
+            others = Readings.of_path(known, others.assumptions)
+        said += decide_units(readings, others, max_difference_s)
+    elif readings.is_timed != others.is_timed:
+        others = _timed_together(estimate, truth, readings, others, table)
+    said += decide_order(readings, others, max_difference_s)
+    found = score_trajectory(readings.usual, others.usual, max_difference_s)
+    return replace(
+        found, assumptions=tuple(dict.fromkeys([*readings.assumptions, *others.assumptions, *said]))
+    )
+
+
+def _numbered(known: Trajectory, table: FrameTable | None, max_difference_s: float) -> Trajectory | None:
+    if table is None:
+        return None
+    return at_numbers_of_pictures(known, table.picture, table.timestamp_s, max_difference_s)
+
+
+def _timed_together(
+    estimate: Path, truth: Path, readings: Readings, others: Readings, table: FrameTable | None
+) -> Readings:
+    """The known path, with the times of the other trajectory's rows or frames.
+
+    Raises:
+        FileFormatError: which rows belong together is unknown.
+    """
+    found, known = readings.usual, others.usual
+    if readings.is_timed and table is not None and len(table.picture) == len(known):
+        rows = np.flatnonzero(np.isfinite(table.timestamp_s))
+        return Readings.of_path(
+            Trajectory(table.timestamp_s[rows], known.world_from_body[rows]), others.assumptions
+        )
+    if len(found) == len(known):
+        return others
+    without, count = (estimate, len(known)) if others.is_timed else (truth, len(found))
+    raise FileFormatError(
+        without,
+        f"holds no times (KITTI's form), and the other trajectory has {count} instants: which of its rows"
+        " are theirs cannot be told",
+    )
 
 
 def _table_beside(estimate: Path) -> FrameTable | None:
