@@ -23,6 +23,7 @@ from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
 from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
+from epipole.io._imu_units import check_imu_units
 from epipole.io._named_numbers import is_rotation
 from epipole.scene import StereoRig
 
@@ -171,7 +172,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
         topic: of the IMU; None where there is only one.
 
     Raises:
-        FileFormatError: the recording cannot be read, or a number is not finite.
+        FileFormatError: the recording cannot be read, a number is not finite, or measurements are in another unit.
         ConfigError: there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
@@ -192,6 +193,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
     values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time; one of a doubled stamp
+    check_imu_units(path, values[:, 0], values[:, 1:4], values[:, 4:])
     return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
 
 

@@ -90,14 +90,15 @@ def slam(
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
-    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
+    imu = mounted_imu(wanted.anchors)
+    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=imu)
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [] if found is None else [found.note()]
+        run.warnings += [*([] if found is None else [found.note()]), *([] if imu is None else imu.log.notes)]
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -137,7 +138,7 @@ def _anchored(
     except DegenerateGeometryError as error:
         run.warnings.append(f"the path stays up to scale: {error}")
         return None
-    run.warnings += found.scale.warnings()
+    run.warnings += [words for words in found.scale.warnings() if words not in run.warnings]
     return found
 
 
