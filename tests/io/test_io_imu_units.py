@@ -44,7 +44,7 @@ def test_a_sound_log_is_read_without_a_word(table, tmp_path):
         (lambda t: t[:, 4:].__itruediv__(9.80665), "probably in g .*9.80665"),
         (lambda t: t[:, 4:].__itruediv__(0.00980665), "thousandths of g"),
         (lambda t: t[:, 4:].__imul__(1670.0), "raw counts"),
-        (lambda t: t[:, 4:].__imul__(0.0), "gravity has probably been taken out"),
+        (lambda t: t[:, 4:].__imul__(0.0), "gravity has been taken out"),
         (lambda t: t[:, 1:4].__imul__(180 / np.pi), "degrees a second"),
         (
             lambda t: t.__setitem__((slice(None), slice(1, None)), t[:, [4, 5, 6, 1, 2, 3]]),
@@ -61,10 +61,10 @@ def test_another_unit_is_named(table, tmp_path, change, words):
 
 
 def test_gravity_that_was_taken_out_is_named(tmp_path):
-    for factor in (0.3, 1.0, 3.0):  # slow and fast motions
+    for factor in (0.02, 0.1, 0.3):  # slow and fast motions
         table = carried(gravity_in_world=(0.0, 0.0, 0.0))
         table[:, 4:] *= factor
-        with pytest.raises(FileFormatError, match="gravity has probably been taken out"):
+        with pytest.raises(FileFormatError, match="gravity has been taken out"):
             read_imu(written(tmp_path / "imu.txt", table))
 
 

@@ -79,3 +79,23 @@ def test_times_by_a_computers_clock(tmp_path, unit, name):
 def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path):
     folder = images(tmp_path / "ride", [f"{n}.png" for n in range(12)])
     assert [frame.picture.stem for frame in read_sequence(folder).frames] == [str(n) for n in range(12)]
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_lists_of_tum_by_a_computers_clock(tmp_path, unit):
+    images(tmp_path / "rgb", ["a.png", "b.png", "c.png"])
+    stamps = [f"{round((1.4e9 + n) * unit)}" for n in range(3)]
+    for name in ("rgb", "depth"):
+        rows = (f"{stamp} rgb/{image}.png\n" for stamp, image in zip(stamps, "abc"))
+        (tmp_path / f"{name}.txt").write_text("".join(rows))
+    found = [frame.timestamp_s for frame in read_sequence(tmp_path).frames]
+    np.testing.assert_allclose(found, 1.4e9 + np.arange(3), atol=1e-3)
+
+
+def test_microseconds_in_the_layout_of_euroc_are_refused(tmp_path):
+    images(tmp_path / "cam0", [])
+    images(tmp_path / "cam0" / "data", ["a.png", "b.png", "c.png"])
+    rows = (f"{1400000000000000 + 50000 * n},{name}.png\n" for n, name in enumerate("abc"))
+    (tmp_path / "cam0" / "data.csv").write_text("".join(rows))
+    with pytest.raises(FileFormatError, match="5e-05 s apart if its times are nanoseconds"):
+        read_sequence(tmp_path)

@@ -34,7 +34,7 @@ class DepthUnit:
 
 def sample_depth(files: Sequence[Path]) -> np.ndarray:
     """(n,) stored values of a few images, evenly chosen; files that cannot be read are passed over: they are named when their turn comes."""
-    rows = np.unique(np.linspace(0, len(files) - 1, _SAMPLES).astype(int)) if files else []
+    rows = np.unique(np.linspace(0, max(len(files) - 1, 0), _SAMPLES).astype(int))[: len(files)]
     parts = [np.zeros(0)]
     for row in rows:
         try:

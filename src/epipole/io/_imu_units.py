@@ -22,8 +22,6 @@ _ACCEL_UNITS = (
     (0.7, 1.4, "g", "multiply it by 9.80665"),
     (700.0, 1400.0, "thousandths of g", "multiply it by 0.00980665"),
 )
-_STEADY = 0.5
-"""Without gravity norms are often nearly zero: a tenth of them is below this fraction of the median."""
 _MEDIAN_TURN_RAD_S, _FAST_TURN_RAD_S = 5.0, 20.0
 """Median and 95th percentile of the norm of angular velocities beyond which they are in degrees: 290 and 1150 deg/s."""
 _RAD = np.pi / 180.0
@@ -83,7 +81,7 @@ def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel
                 path,
                 f"{said}, but that of its gyroscope is {turn:.3g}: columns are expected as time, wx wy wz, ax ay az",
             )
-        raise FileFormatError(path, f"{said}: {_why(pull, np.linalg.norm(accel, axis=1))}")
+        raise FileFormatError(path, f"{said}: {_why(pull)}")
     fast = float(np.percentile(np.linalg.norm(gyro, axis=1), 95.0))
     if turn > _MEDIAN_TURN_RAD_S or fast > _FAST_TURN_RAD_S:
         raise FileFormatError(
@@ -100,14 +98,14 @@ def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel
         )
 
 
-def _why(pull: float, norms: np.ndarray) -> str:
-    is_steady = bool(np.percentile(norms, 10.0) > _STEADY * pull)
+def _why(pull: float) -> str:
+    without = "gravity has been taken out (the specific force with gravity is needed, as sensors measure it)"
     for low, high, name, remedy in _ACCEL_UNITS:
-        if is_steady and low <= pull <= high:
-            return f"it is probably in {name} ({remedy})"
-    if pull < _ACCEL_M_S2[0]:
-        return "gravity has probably been taken out (the specific force with gravity is needed, as sensors measure it)"
-    return "it is in another unit than m/s^2, or raw counts"
+        if low <= pull <= high:
+            return f"it is probably in {name} ({remedy})" + (f", or {without}" if name == "g" else "")
+    return (
+        f"probably {without}" if pull < _ACCEL_M_S2[0] else "it is in another unit than m/s^2, or raw counts"
+    )
 
 
 def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray) -> float:

@@ -31,7 +31,7 @@ from epipole.io._depth_units import (
     sample_depth,
 )
 from epipole.io._sequence_data import FrameFiles, ImageSequence, SensorDepth, SequenceKind
-from epipole.io._sequence_lists import in_order, timed_names
+from epipole.io._sequence_lists import in_order, in_seconds, timed_names
 from epipole.io.files import file_text
 from epipole.io.photographs import list_photographs, read_header
 
@@ -46,17 +46,8 @@ def numbered_frames(folder: Path, names: tuple[str, ...]) -> ImageSequence:
     found = sorted((int(match[1]), match[0]) for name in names if (match := NUMBERED_FRAME.fullmatch(name)))
     frames = []
     for number, name in found:
-        stem = name.split(".color.")[0]
-        depth, pose = folder / f"{stem}.depth.png", folder / f"{stem}.pose.txt"
-        frames.append(
-            FrameFiles(
-                number / FRAMES_HZ,
-                folder / name,
-                None,
-                depth if depth.is_file() else None,
-                pose if pose.is_file() else None,
-            )
-        )
+        depth = folder / f"{name.split('.color.')[0]}.depth.png"
+        frames.append(FrameFiles(number / FRAMES_HZ, folder / name, None, depth if depth.is_file() else None))
     size = _size(frames[0].picture)
     beside = calibration_beside((folder, folder.resolve().parent), size)
     depths = [frame.depth for frame in frames if frame.depth is not None]
@@ -140,9 +131,9 @@ def scannet(folder: Path) -> ImageSequence:
         raise FileFormatError(folder / "color", f"{odd} is no number of a frame")
     frames = []
     for number, name in sorted(zip(map(int, stems), names)):
-        depth, pose = folder / "depth" / f"{Path(name).stem}.png", folder / "pose" / f"{Path(name).stem}.txt"
-        files = (depth if depth.is_file() else None), (pose if pose.is_file() else None)
-        frames.append(FrameFiles(number / FRAMES_HZ, folder / "color" / name, None, *files))
+        depth = folder / "depth" / f"{Path(name).stem}.png"
+        picture = folder / "color" / name
+        frames.append(FrameFiles(number / FRAMES_HZ, picture, None, depth if depth.is_file() else None))
     beside = calibration_beside((folder,), _size(frames[0].picture))
     sequence = ImageSequence(
         SequenceKind.SCANNET,
@@ -184,10 +175,10 @@ def _is_identity_file(path: Path) -> bool:
 
 def tum(folder: Path) -> ImageSequence:
     """`rgb.txt`, `depth.txt`: the camera is that beside them, else that which the folder's name proposes."""
-    pictures, warnings = in_order("rgb.txt", timed_names(folder, "rgb.txt"))
+    pictures, warnings = in_order("rgb.txt", in_seconds(timed_names(folder, "rgb.txt")))
     depths: list[tuple[float, Path]] = []
     if (folder / "depth.txt").is_file():
-        depths, more = in_order("depth.txt", timed_names(folder, "depth.txt"))
+        depths, more = in_order("depth.txt", in_seconds(timed_names(folder, "depth.txt")))
         warnings += more
     times = np.array([time for time, _ in depths])
     frames = []

@@ -32,8 +32,6 @@ class FrameFiles:
     picture: Path
     right: Path | None = None
     depth: Path | None = None
-    pose: Path | None = None
-    """A 4 x 4 matrix, world_from_cam."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

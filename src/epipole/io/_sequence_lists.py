@@ -15,6 +15,8 @@ from epipole.io.names import path_inside
 
 Time = TypeVar("Time", int, float)
 TIMES = "times.txt"
+_LEAST_STEP_S = 1e-4
+"""Between the images of a camera; less is a wrong unit."""
 
 
 def timed_names(folder: Path, name: str) -> list[tuple[float, Path]]:
@@ -38,6 +40,12 @@ def timed_names(folder: Path, name: str) -> list[tuple[float, Path]]:
     return out
 
 
+def in_seconds(rows: list[tuple[float, Path]]) -> list[tuple[float, Path]]:
+    """The same rows, where their times are those of a computer's clock in another unit."""
+    times, _ = seconds_of(np.array([time for time, _ in rows]))
+    return list(zip(times.tolist(), (path for _, path in rows)))
+
+
 def timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:
     """Nanoseconds and images of EuRoC's `data.csv`."""
     out = []
@@ -55,6 +63,16 @@ def timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:
             raise FileFormatError(folder / "data.csv", problem) from error
     if not out:
         raise FileFormatError(folder / "data.csv", "names no picture")
+    step_s = (
+        float(np.median(np.diff(sorted(nanoseconds for nanoseconds, _ in out)))) * 1e-9
+        if len(out) > 2
+        else 1.0
+    )
+    if 0 < step_s < _LEAST_STEP_S:
+        raise FileFormatError(
+            folder / "data.csv",
+            f"its images are {step_s:.2g} s apart if its times are nanoseconds, as EuRoC's are: they are probably in another unit",
+        )
     return out
 
 

@@ -76,7 +76,8 @@ def read_table(path: Path) -> TrajectoryTable:
     Raises:
         FileFormatError: no such file, or no such line.
     """
-    rows, header, has_commas = [], "", False
+    rows: list[tuple[int, list[str]]] = []
+    header, has_commas = "", False
     for number, line in enumerate(file_text(path).splitlines(), 1):
         words = line.replace(",", " ").split()
         if words and words[0].startswith("#"):

@@ -21,116 +21,102 @@ CLEARER, MOST_DEG = 0.2, 20.0
 """Another order of the quaternion must leave so small a fraction of the rotation error, and at most so many degrees of it."""
 
 
-@dataclass(slots=True, eq=False)
-class Readings:
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
     """A trajectory as it is read at present, and what else its file allows."""
 
-    usual: Trajectory
+    trajectory: Trajectory
     assumptions: tuple[str, ...] = ()
     path: Path | None = None
-    reading: TrajectoryReading | None = None
     """None where there is no other way to read it."""
+    columns_of: TrajectoryReading | None = None
     problem: FileFormatError | None = None
     """Why the file alone does not decide the order of the quaternion; None where it does."""
     is_of_camera: bool = False
     """Whether EuRoC's truth is moved to the left camera."""
 
-    @classmethod
-    def of(cls, path: Path, *, is_of_camera: bool = False) -> Readings:
-        """Of a file.
-
-        Raises:
-            FileFormatError: it is no trajectory.
-        """
-        problem = None
-        try:
-            reading = read_trajectory_columns(path)
-        except FileFormatError as error:
-            reading = read_trajectory_columns(path, is_order_checked=False)
-            problem = error
-        out = cls(reading.trajectory, (), path, reading, problem, is_of_camera)
-        out._take(reading)
-        return out
-
-    @classmethod
-    def of_path(cls, trajectory: Trajectory, assumptions: tuple[str, ...]) -> Readings:
-        """Of a path that can be meant in one way alone."""
-        return cls(trajectory, assumptions)
+    @property
+    def units_s(self) -> list[float]:
+        """Seconds for a unit of the file's times, of those that are possible; the present one first."""
+        columns = None if self.columns_of is None else self.columns_of.columns
+        if columns is None or columns.is_unit_certain:
+            return [1.0 if columns is None else columns.unit_s]
+        return [columns.unit_s, *(unit for unit in NAMES_OF_UNITS if unit != columns.unit_s)]
 
     @property
-    def is_timed(self) -> bool:
-        """Whether it has times."""
-        return self.usual.is_timed
+    def name(self) -> str:
+        """Of the file."""
+        return "" if self.path is None else self.path.name
 
-    @property
-    def units(self) -> list[float]:
-        """Factors on its times that are possible, the present one first."""
-        if self.reading is None or self.reading.columns.is_unit_certain:
-            return [1.0]
-        present = self.reading.columns.unit_s
-        return [1.0, *(unit / present for unit in NAMES_OF_UNITS if unit != present)]
-
-    @property
-    def other_order(self) -> Readings | None:
-        """With the other order of the quaternion; None where the order is certain."""
-        if self.reading is None or self.path is None or self.reading.columns.is_order_certain:
-            return None
-        columns = self.reading.columns  # with the unit that was decided
-        columns = replace(columns, format="tum" if columns.format == "euroc" else "euroc")
-        out = replace(self, problem=None)
-        out._take(TrajectoryReading(read_as(self.path, columns), columns))
-        return out
-
-    def _take(self, reading: TrajectoryReading) -> None:
-        assert self.path is not None
-        truth = truth_of_camera(self.path, reading)
-        self.reading = reading
-        self.usual = truth.trajectory if self.is_of_camera else reading.trajectory
-        words = () if reading.columns.is_plain else (f"{self.path.name}: {reading.columns.words()}",)
-        self.assumptions = truth.assumptions if self.is_of_camera else words
-
-    @property
-    def reading_unit_s(self) -> float:
-        """Of the times in the file."""
-        return 1.0 if self.reading is None else self.reading.columns.unit_s
-
-    def rescale(self, factor: float) -> None:
-        """Take its times to be in another unit."""
-        assert self.reading is not None
-        times = self.usual.timestamp_s * factor
-        self.usual = replace(self.usual, timestamp_s=times)
-        unit_s = min(NAMES_OF_UNITS, key=lambda unit: abs(unit - self.reading_unit_s * factor))
-        columns = replace(self.reading.columns, unit_s=unit_s)
-        self.reading = TrajectoryReading(self.usual, columns)
+    def words(self) -> str:
+        """How the columns are read."""
+        return "" if self.columns_of is None else self.columns_of.columns.words()
 
 
-def decide_units(one: Readings, other: Readings, max_difference_s: float) -> list[str]:
-    """Units of time with which instants of both belong together, where the files alone leave them open; and words about it.
+def read_file(path: Path, *, is_of_camera: bool = False) -> Reading:
+    """A trajectory from its file; where the file contradicts its usual order, with the problem.
 
-    The readings are changed.
+    Raises:
+        FileFormatError: it is no trajectory.
     """
-    if _num_paired(one.usual, other.usual, max_difference_s) >= MIN_COMPARED:
-        return []
+    try:
+        found, problem = read_trajectory_columns(path), None
+    except FileFormatError as error:
+        found, problem = read_trajectory_columns(path, is_order_checked=False), error
+    return _taken(Reading(found.trajectory, (), path, found, problem, is_of_camera), found)
+
+
+def _taken(before: Reading, found: TrajectoryReading) -> Reading:
+    assert before.path is not None
+    if before.is_of_camera:
+        truth = truth_of_camera(before.path, found)
+        return replace(before, trajectory=truth.trajectory, assumptions=truth.assumptions, columns_of=found)
+    words = () if found.columns.is_plain else (f"{before.name}: {found.columns.words()}",)
+    return replace(before, trajectory=found.trajectory, assumptions=words, columns_of=found)
+
+
+def with_unit(reading: Reading, unit_s: float) -> Reading:
+    """The same, its times being in this unit."""
+    found = reading.columns_of
+    if found is None or found.columns.unit_s == unit_s:
+        return reading
+    times = reading.trajectory.timestamp_s * (unit_s / found.columns.unit_s)
+    trajectory = replace(reading.trajectory, timestamp_s=times)
+    columns = replace(found.columns, unit_s=unit_s)
+    return replace(reading, trajectory=trajectory, columns_of=TrajectoryReading(trajectory, columns))
+
+
+def with_other_order(reading: Reading) -> Reading | None:
+    """The same with the other order of the quaternion; None where the order is certain."""
+    found = reading.columns_of
+    if found is None or reading.path is None or found.columns.is_order_certain:
+        return None
+    columns = replace(found.columns, format="tum" if found.columns.format == "euroc" else "euroc")
+    again = TrajectoryReading(read_as(reading.path, columns), columns)
+    return _taken(replace(reading, problem=None), again)
+
+
+def decide_units(one: Reading, other: Reading, max_difference_s: float) -> tuple[Reading, Reading]:
+    """Both with the units of time with which their instants belong together, where the files alone leave them open."""
+    if _num_paired(one.trajectory, other.trajectory, max_difference_s) >= MIN_COMPARED:
+        return one, other
+    least = max(MIN_COMPARED, LEAST_COVERED * min(len(one.trajectory), len(other.trajectory)))
     found = []
-    for factors in list(product(one.units, other.units))[1:]:
-        scaled = (
-            replace(readings.usual, timestamp_s=readings.usual.timestamp_s * factor)
-            for readings, factor in zip((one, other), factors)
-        )
-        count = _num_paired(*scaled, max_difference_s)
-        if count >= max(MIN_COMPARED, LEAST_COVERED * min(len(one.usual), len(other.usual))):
-            found.append(factors)
-    # A common factor on both pairs the same rows: the ratio of the units is what counts.
-    if len({round(first / second, 12) for first, second in found}) != 1:
-        return []
-    said = []
-    for readings, factor in zip((one, other), found[0]):
-        if factor != 1.0 and readings.path is not None:
-            readings.rescale(factor)
-            said.append(
-                f"{readings.path.name}: times in {NAMES_OF_UNITS[readings.reading_unit_s]}, as both files together decide"
-            )
-    return said
+    for units_s in list(product(one.units_s, other.units_s))[1:]:
+        first, second = (with_unit(reading, unit_s) for reading, unit_s in zip((one, other), units_s))
+        if _num_paired(first.trajectory, second.trajectory, max_difference_s) >= least:
+            found.append(units_s)
+    # The same factor on both pairs the same rows: the ratio of the units is what counts.
+    if len({round(float(np.log10(first / second))) for first, second in found}) != 1:
+        return one, other
+    out = []
+    for reading, unit_s in zip((one, other), found[0]):
+        changed = with_unit(reading, unit_s)
+        if changed is not reading:
+            words = f"{reading.name}: times in {NAMES_OF_UNITS[unit_s]}, as both files together decide"
+            changed = replace(changed, assumptions=(*changed.assumptions, words))
+        out.append(changed)
+    return out[0], out[1]
 
 
 def _num_paired(one: Trajectory, other: Trajectory, max_difference_s: float) -> int:
@@ -142,8 +128,8 @@ def _num_paired(one: Trajectory, other: Trajectory, max_difference_s: float) -> 
     return min(len(np.unique(rows)), len(np.unique(rows_of_other)))
 
 
-def decide_order(one: Readings, other: Readings, max_difference_s: float) -> list[str]:
-    """The order of quaternions with which the rotations of both agree, and words about it. The readings are changed.
+def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple[Reading, Reading]:
+    """Both with the order of quaternions with which their rotations agree.
 
     Both in the wrong order may agree as well as both in the right one: the usual order of a file goes before the other.
 
@@ -151,52 +137,47 @@ def decide_order(one: Readings, other: Readings, max_difference_s: float) -> lis
         FileFormatError: a file contradicts its usual order, and both together do not decide.
     """
     choices = [
-        [readings] if (another := readings.other_order) is None else [readings, another]
-        for readings in (one, other)
+        [reading] if (another := with_other_order(reading)) is None else [reading, another]
+        for reading in (one, other)
     ]
-    pairs = list(product(*choices))
-    errors = [_rotation_error_deg(first.usual, second.usual, max_difference_s) for first, second in pairs]
-    problems = [readings.problem for readings in (one, other) if readings.problem is not None]
+    pairs = [(first, second) for first, second in product(*choices)]
+    errors = [_rotation_error_deg(first, second, max_difference_s) for first, second in pairs]
+    problems = [reading.problem for reading in (one, other) if reading.problem is not None]
     agreeing = [n for n, error in enumerate(errors) if error <= MOST_DEG]
-    if not problems:
-        if 0 in agreeing:
-            return []
+    if not problems and 0 not in agreeing:
         agreeing = [n for n in agreeing if errors[n] <= CLEARER * errors[0]]
-    if not agreeing:
-        if problems:
-            raise problems[0]
-        return []
-    costs = [sum(_cost(readings, chosen) for readings, chosen in zip((one, other), pair)) for pair in pairs]
-    best = min(agreeing, key=lambda n: (costs[n], errors[n]))
-    said = []
-    for readings, chosen in zip((one, other), pairs[best]):
-        if chosen is not readings or readings.problem is not None:
-            readings.usual, readings.reading = chosen.usual, chosen.reading
-            readings.assumptions = ()
-            said.append(f"{_name(readings)}: {_words(readings)}, as both files together decide")
-    return said
+    if not agreeing and problems:
+        raise problems[0]
+    if not agreeing or (0 in agreeing and not problems):
+        return one, other
+    costs = [sum(_cost(reading, chosen) for reading, chosen in zip((one, other), pair)) for pair in pairs]
+    best = pairs[min(agreeing, key=lambda n: (costs[n], errors[n]))]
+    return _decided(one, best[0]), _decided(other, best[1])
 
 
-def _cost(readings: Readings, chosen: Readings) -> int:
+def _decided(reading: Reading, chosen: Reading) -> Reading:
+    """With words, where both files had a say."""
+    if chosen is reading and reading.problem is None:
+        return reading
+    words = f"{chosen.name}: {chosen.words()}, as both files together decide"
+    return replace(chosen, assumptions=(words,), problem=None)
+
+
+def _cost(reading: Reading, chosen: Reading) -> int:
     """How far from usual an order is: the usual one least, unless the numbers contradict it."""
-    if chosen is readings:
-        return 0 if readings.problem is None else 1
-    return 2 if readings.problem is None else 0
+    if chosen is reading:
+        return 0 if reading.problem is None else 1
+    return 2 if reading.problem is None else 0
 
 
-def _name(readings: Readings) -> str:
-    return "" if readings.path is None else readings.path.name
-
-
-def _words(readings: Readings) -> str:
-    return "" if readings.reading is None else readings.reading.columns.words()
-
-
-def _rotation_error_deg(one: Trajectory, other: Trajectory, max_difference_s: float) -> float:
+def _rotation_error_deg(one: Reading, other: Reading, max_difference_s: float) -> float:
     """Of rotations once the positions are aligned; infinite where they cannot be."""
+    first, second = one.trajectory, other.trajectory
     try:
-        rows, rows_of_other = associate(one, other, max_difference_s)
-        found = absolute_error(one.world_from_body[rows], other.world_from_body[rows_of_other], "similarity")
+        rows, rows_of_other = associate(first, second, max_difference_s)
+        found = absolute_error(
+            first.world_from_body[rows], second.world_from_body[rows_of_other], "similarity"
+        )
     except DegenerateGeometryError:
         return float("inf")
     return found.rotation_deg.rmse

@@ -15,7 +15,7 @@ from epipole.io.truth import is_truth_of_images
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory
 from epipole.metrics.numbered_truth import at_numbers_of_pictures
-from epipole.pipelines.evaluation.readings import Readings, decide_order, decide_units
+from epipole.pipelines.evaluation.readings import Reading, decide_order, decide_units, read_file
 from epipole.scene import Trajectory
 
 TRAJECTORIES = ("trajectory.txt", "trajectory_causal.txt")
@@ -68,50 +68,45 @@ def evaluate_trajectory(
     """
     estimate, truth = as_path(estimate), as_path(truth)
     table = _table_beside(estimate)
-    readings = Readings.of(estimate)
+    found = read_file(estimate)
     if truth.is_dir():
         brought = true_path_at(truth)
-        others = Readings.of_path(brought.trajectory, brought.assumptions)
+        known = Reading(brought.trajectory, brought.assumptions)
     else:
-        others = Readings.of(truth, is_of_camera=table is not None)
-    said: list[str] = []
-    if readings.is_timed and others.is_timed:
-        known = _numbered(others.usual, table, max_difference_s)
-        if known is not None:
-            others = Readings.of_path(known, others.assumptions)
-        said += decide_units(readings, others, max_difference_s)
-    elif readings.is_timed != others.is_timed:
-        others = _timed_together(estimate, truth, readings, others, table)
-    said += decide_order(readings, others, max_difference_s)
-    found = score_trajectory(readings.usual, others.usual, max_difference_s)
-    return replace(
-        found, assumptions=tuple(dict.fromkeys([*readings.assumptions, *others.assumptions, *said]))
-    )
+        known = read_file(truth, is_of_camera=table is not None)
+    is_timed, is_truth_timed = found.trajectory.is_timed, known.trajectory.is_timed
+    if is_timed and is_truth_timed:
+        numbered = None if table is None else _numbered(known, table, max_difference_s)
+        known = known if numbered is None else numbered
+        found, known = decide_units(found, known, max_difference_s)
+    elif is_timed != is_truth_timed:
+        known = _timed_together(estimate, truth, found, known, table)
+    found, known = decide_order(found, known, max_difference_s)
+    score = score_trajectory(found.trajectory, known.trajectory, max_difference_s)
+    return replace(score, assumptions=tuple(dict.fromkeys([*found.assumptions, *known.assumptions])))
 
 
-def _numbered(known: Trajectory, table: FrameTable | None, max_difference_s: float) -> Trajectory | None:
-    if table is None:
-        return None
-    return at_numbers_of_pictures(known, table.picture, table.timestamp_s, max_difference_s)
+def _numbered(known: Reading, table: FrameTable, max_difference_s: float) -> Reading | None:
+    """A truth whose times are numbers of images, with the images' times."""
+    timed = at_numbers_of_pictures(known.trajectory, table.picture, table.timestamp_s, max_difference_s)
+    return None if timed is None else Reading(timed, known.assumptions)
 
 
 def _timed_together(
-    estimate: Path, truth: Path, readings: Readings, others: Readings, table: FrameTable | None
-) -> Readings:
-    """The known path, with the times of the other trajectory's rows or frames.
+    estimate: Path, truth: Path, found: Reading, known: Reading, table: FrameTable | None
+) -> Reading:
+    """The known path, with the times of the other trajectory's frames where these are known.
 
     Raises:
         FileFormatError: which rows belong together is unknown.
     """
-    found, known = readings.usual, others.usual
-    if readings.is_timed and table is not None and len(table.picture) == len(known):
+    ours, theirs = found.trajectory, known.trajectory
+    if ours.is_timed and table is not None and len(table.picture) == len(theirs):
         rows = np.flatnonzero(np.isfinite(table.timestamp_s))
-        return Readings.of_path(
-            Trajectory(table.timestamp_s[rows], known.world_from_body[rows]), others.assumptions
-        )
-    if len(found) == len(known):
-        return others
-    without, count = (estimate, len(known)) if others.is_timed else (truth, len(found))
+        return Reading(Trajectory(table.timestamp_s[rows], theirs.world_from_body[rows]), known.assumptions)
+    if len(ours) == len(theirs):
+        return known  # in their order
+    without, count = (estimate, len(theirs)) if theirs.is_timed else (truth, len(ours))
     raise FileFormatError(
         without,
         f"holds no times (KITTI's form), and the other trajectory has {count} instants: which of its rows"

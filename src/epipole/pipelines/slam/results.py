@@ -15,6 +15,7 @@ from epipole.io.colmap import write_colmap_model
 from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.ply import write_scene_ply
 from epipole.io.trajectories import write_trajectory
+from epipole.io.true_paths import Truth
 from epipole.mapping import Anchoring
 from epipole.pipelines.slam.anchors import moved_path
 from epipole.pipelines.slam.config import JobOptions
@@ -34,7 +35,7 @@ from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_re
 from epipole.pipelines.slam.shutter_check import find_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
-from epipole.pipelines.slam.truth import Truth, truth_at_frames, truth_summary
+from epipole.pipelines.slam.truth import truth_at_frames, truth_summary
 from epipole.runs import Run
 from epipole.scene import Reconstruction, Trajectory
 

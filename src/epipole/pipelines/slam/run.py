@@ -11,7 +11,6 @@ from typing import Any
 
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
-from epipole.cameras import Camera
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
@@ -22,7 +21,7 @@ from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
 from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed
-from epipole.pipelines.slam.found_camera import find_camera
+from epipole.pipelines.slam.found_camera import FoundCamera, find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
@@ -83,22 +82,20 @@ def slam(
     check_anchor_files(wanted.anchors)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
-    frames = _open(source, wanted, given, None if found is None else found.camera)
-    if found is not None:
-        frames = replace(frames, about={**frames.about, "camera_source": found.source})
+    frames = _open(source, wanted, given, found)
     if given.readout_s:
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
-    imu = mounted_imu(wanted.anchors)
-    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=imu)
+    system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [*([] if found is None else [found.note()]), *([] if imu is None else imu.log.notes)]
+        run.warnings += [] if found is None else [found.note()]
+        run.warnings += [] if system.imu is None else system.imu.log.notes
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -171,21 +168,22 @@ def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
             raise ConfigError("depth_scale is for sources with depth images: a video and a camera have none")
 
 
-def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
+def _open(source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)
     if index is not None:
         return open_camera(index, given)
     if is_video(source):
-        return open_video_frames(source, given, found)
-    sequence = read_sequence(source, job.fps, given.depth_scale)
-    header = read_header(sequence.frames[0].picture)
-    lens = found or given.camera((header.width, header.height))
-    frames = open_sequence(sequence, job.sensor, lens, job.masks)
-    if given.depth_scale is not None and frames.camera.depth is None:
-        raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
-    return frames
+        frames = open_video_frames(source, given, None if found is None else found.camera)
+    else:
+        sequence = read_sequence(source, job.fps, given.depth_scale)
+        header = read_header(sequence.frames[0].picture)
+        lens = given.camera((header.width, header.height)) if found is None else found.camera
+        frames = open_sequence(sequence, job.sensor, lens, job.masks)
+        if given.depth_scale is not None and frames.camera.depth is None:
+            raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
+    return frames if found is None else replace(frames, about={**frames.about, "camera_source": found.source})
 
 
 def _input(source: Path) -> Path:
