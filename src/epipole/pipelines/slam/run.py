@@ -94,8 +94,7 @@ def slam(
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [] if found is None else [found.note()]
-        run.warnings += [] if system.imu is None else system.imu.log.notes
+        run.warnings += _notes(found, system)
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -107,6 +106,11 @@ def slam(
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
+
+
+def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
+    """What is odd about what was known besides the frames."""
+    return [*([] if found is None else [found.note()]), *(() if system.imu is None else system.imu.log.notes)]
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
