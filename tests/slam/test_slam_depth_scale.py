@@ -1,9 +1,15 @@
 """The unit of depth images: the summary states it and its source, and --depth-scale gives it."""
 
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 from slam_rides import CAMERA, ride
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
+from bag_writing import Recorded
 
 from epipole.cli.main import main
 from epipole.errors import ConfigError
@@ -59,3 +65,24 @@ def test_a_depth_scale_without_depth_is_refused(tmp_path):
         run_slam("0", tmp_path / "out", camera=known)
     with pytest.raises(ConfigError, match="depth_scale must be positive"):
         CameraOptions(depth_scale=0.0)
+
+
+def test_the_depth_scale_of_a_recording(tmp_path):
+    """ROS' 16 bits are millimetres; a sensor that counts otherwise needs the option."""
+    recorded = Recorded("mcap")
+    for n in range(COUNT):
+        ns = 10**18 + 10**8 * n
+        recorded.camera_info("/cam/rgb/camera_info", ns, (CAMERA.width, CAMERA.height), CAMERA.K)
+        recorded.image("/cam/rgb/image_raw", ns, ride().left[n], "mono8")
+        values = np.rint(800.0 * ride().depth[n]).astype(np.uint16)
+        recorded.image("/cam/depth_registered/image_raw", ns, values, "16UC1")
+    lengths = {}
+    ride_file = recorded.write(tmp_path, "ride")
+    for scale in (None, 800.0):
+        result = run_slam(ride_file, tmp_path / f"out_{scale}", camera=CameraOptions(depth_scale=scale))
+        lengths[scale] = result.trajectory.path_length()
+        source = result.summary["source"]
+        assert source["camera_source"] == "CameraInfo" and source["depth_scale"] == (scale or 1000.0)
+    assert lengths[None] == pytest.approx(0.8 * lengths[800.0], rel=0.05)
+    with pytest.raises(ConfigError, match="depth_scale is given"):
+        run_slam(ride_file, tmp_path / "mono", sensor="mono", camera=CameraOptions(depth_scale=800.0))
