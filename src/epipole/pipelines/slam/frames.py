@@ -12,7 +12,7 @@ from epipole._declared import check_fields
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam.pixels_without_ray import pixels_without_ray
+from epipole.image.pixels_without_ray import pixels_without_ray
 
 
 class TrackingState(StrEnum):

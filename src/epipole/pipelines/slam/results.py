@@ -11,6 +11,7 @@ import numpy as np
 
 from epipole.errors import NoModelError
 from epipole.geometry import Rigid3
+from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
 from epipole.io.colmap import write_colmap_model
 from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.ply import write_scene_ply
@@ -29,7 +30,6 @@ from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.local_mapping import LocalMapper
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
-from epipole.pipelines.slam.pixels_without_ray import no_ray_warning, pixels_without_ray
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
 from epipole.pipelines.slam.shutter_check import find_readout

@@ -9,12 +9,12 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 
-_STEP_PX = 4
-"""Between the pixels that are unprojected; the border between them is widened by as much."""
+_STEP_PX, _MOST_STEPS = 4, 200
+"""Between the pixels that are unprojected, and their largest number along a side; the region is widened by a step."""
 
 
 def pixels_without_ray(camera: Camera) -> np.ndarray | None:
-    """(h, w) True where the camera's distortion has no inverse, and up to four pixels beside; None where all pixels have a ray."""
+    """(h, w) True where the camera's distortion has no inverse, and a little beside; None where all pixels have a ray."""
     if not camera.model.distortion_indices:
         return None
     return _blind(camera.model, camera.width, camera.height, tuple(camera.params.tolist()))
@@ -33,15 +33,20 @@ def no_ray_warning(camera: Camera) -> list[str]:
 
 @lru_cache(maxsize=4)
 def _blind(model: CameraModel, width: int, height: int, params: tuple[float, ...]) -> np.ndarray | None:
-    columns, rows = (np.unique([*range(0, side, _STEP_PX), side - 1]) for side in (width, height))
+    camera, step = (
+        Camera(model, width, height, np.array(params)),
+        max(_STEP_PX, max(width, height) // _MOST_STEPS),
+    )
+    columns, rows = (np.unique([*range(0, side, step), side - 1]) for side in (width, height))
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
-    rays = Camera(model, width, height, np.array(params)).unproject(pixels)
-    has_none = ~np.isfinite(rays).all(axis=1)
-    if not has_none.any():
+    # Distortion grows outwards: a region without rays reaches the border.
+    is_border = (pixels == 0).any(axis=1) | (pixels == (width - 1, height - 1)).any(axis=1)
+    if np.isfinite(camera.unproject(pixels[is_border])).all():
         return None
+    has_none = ~np.isfinite(camera.unproject(pixels)).all(axis=1)
     mask = np.zeros((height, width), np.uint8)
     mask[pixels[has_none, 1].astype(int), pixels[has_none, 0].astype(int)] = 1
-    side = 2 * _STEP_PX + 1
+    side = 2 * step + 1
     out = cv2.dilate(mask, np.ones((side, side), np.uint8)) > 0
     out.flags.writeable = False
     return out
