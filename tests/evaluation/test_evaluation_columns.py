@@ -207,3 +207,19 @@ def test_a_folder_without_a_path_is_refused(path, tmp_path):
 def main_or_raise(folder):
     assert trajectories_of(folder / "path.txt", folder / "empty") == [folder / "path.txt"]
     evaluate_trajectory(folder / "path.txt", folder / "empty")
+
+
+def test_a_nearly_straight_path_keeps_its_usual_order(path, tmp_path):
+    """Its positions leave the rotation about it open, so that another order may agree better by chance."""
+    rng = np.random.default_rng(8)
+    for tilt in np.linspace(0.0, 3.0, 13):
+        turned = Rotation3.exp(np.array([tilt, 0.0, 0.0])).matrix
+        rotation = turned @ path.world_from_body.rotation
+        along = np.linspace(0, 50, 40)[:, None] * np.array([1.0, 0, 0]) + rng.normal(scale=1e-3, size=(40, 3))
+        noisy = along + rng.normal(scale=1e-3, size=(40, 3))
+        for name, positions in (("truth.txt", along), ("path.txt", noisy)):
+            (tmp_path / name).write_text(
+                rows_of(Trajectory(path.timestamp_s, Rigid3(rotation, positions.copy())))
+            )
+        found = evaluate_trajectory(tmp_path / "path.txt", tmp_path / "truth.txt")
+        assert found.assumptions == () and found.step_rotation_rmse_deg < 1e-4

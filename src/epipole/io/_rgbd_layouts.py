@@ -38,6 +38,7 @@ from epipole.io.photographs import list_photographs, read_header
 NUMBERED_FRAME = re.compile(r"frame-(\d{6,9})\.color\.\w+")
 FRAMES_HZ = 30.0
 _TUM_NEAREST_S = 0.02
+CALIBRATION_NOT_USED = "its calibration is not used"
 _SEVEN_SCENES = "7-Scenes by the names of the files"
 
 
@@ -83,10 +84,10 @@ def _doubts_about_seven_scenes(size: tuple[int, int], sample: np.ndarray) -> tup
     words = "the files are named as those of 7-Scenes, but"
     if size != (color.width, color.height):
         return (
-            f"{words} the images are {size[0]} x {size[1]}, not {color.width} x {color.height}: its calibration is not used",
+            f"{words} the images are {size[0]} x {size[1]}, not {color.width} x {color.height}: {CALIBRATION_NOT_USED}",
         )
     if not is_plausible(sample, MM_VALUES_PER_M):
-        return (f"{words} the depth is not in millimetres: its calibration is not used",)
+        return (f"{words} the depth is not in millimetres: {CALIBRATION_NOT_USED}",)
     return ()
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io._calibrations_beside import CalibrationBeside, calibration_beside, check_fits
+from epipole.io._rgbd_layouts import CALIBRATION_NOT_USED as CALIBRATION_NOT_USED
 from epipole.io._rgbd_layouts import FRAMES_HZ as FRAMES_HZ
 from epipole.io._rgbd_layouts import NUMBERED_FRAME, is_scannet, numbered_frames, scannet, tum
 from epipole.io._sequence_data import FrameFiles as FrameFiles

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.geometry import Rotation3
 from epipole.io.trajectories import NAMES_OF_UNITS, TrajectoryReading, read_as, read_trajectory_columns
 from epipole.io.true_paths import truth_of_camera
 from epipole.metrics import absolute_error, associate
@@ -141,11 +142,15 @@ def decide_order(one: Reading, other: Reading, max_difference_s: float) -> tuple
         for reading in (one, other)
     ]
     pairs = [(first, second) for first, second in product(*choices)]
-    errors = [_rotation_error_deg(first, second, max_difference_s) for first, second in pairs]
+    both = [_rotation_errors_deg(first, second, max_difference_s) for first, second in pairs]
+    errors, since_first = [pair[0] for pair in both], [pair[1] for pair in both]
     problems = [reading.problem for reading in (one, other) if reading.problem is not None]
     agreeing = [n for n, error in enumerate(errors) if error <= MOST_DEG]
     if not problems and 0 not in agreeing:
-        agreeing = [n for n in agreeing if errors[n] <= CLEARER * errors[0]]
+        # Positions on a line, or at rest, leave the alignment's rotation open; rotations since the first instant need none.
+        agreeing = [
+            n for n in agreeing if errors[n] <= CLEARER * errors[0] and since_first[n] <= since_first[0]
+        ]
     if not agreeing and problems:
         raise problems[0]
     if not agreeing or (0 in agreeing and not problems):
@@ -170,14 +175,15 @@ def _cost(reading: Reading, chosen: Reading) -> int:
     return 2 if reading.problem is None else 0
 
 
-def _rotation_error_deg(one: Reading, other: Reading, max_difference_s: float) -> float:
-    """Of rotations once the positions are aligned; infinite where they cannot be."""
+def _rotation_errors_deg(one: Reading, other: Reading, max_difference_s: float) -> tuple[float, float]:
+    """Of rotations once the positions are aligned, and of those since the first instant; infinite where there is no alignment."""
     first, second = one.trajectory, other.trajectory
     try:
         rows, rows_of_other = associate(first, second, max_difference_s)
-        found = absolute_error(
-            first.world_from_body[rows], second.world_from_body[rows_of_other], "similarity"
-        )
+        ours, theirs = first.world_from_body[rows], second.world_from_body[rows_of_other]
+        found = absolute_error(ours, theirs, "similarity")
     except DegenerateGeometryError:
-        return float("inf")
-    return found.rotation_deg.rmse
+        return float("inf"), float("inf")
+    since = [places.rotation[0].T @ places.rotation for places in (ours, theirs)]
+    apart = Rotation3(np.swapaxes(since[0], 1, 2) @ since[1]).angle_rad()
+    return found.rotation_deg.rmse, float(np.degrees(np.sqrt(np.mean(apart**2))))

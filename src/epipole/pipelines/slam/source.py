@@ -18,7 +18,7 @@ from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
 from epipole.io.photographs import mask_of, read_grey, read_header, read_mask
-from epipole.io.sequences import FrameFiles, ImageSequence
+from epipole.io.sequences import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.scene import StereoRig
@@ -150,7 +150,8 @@ def open_sequence(
         raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
     lens = sequence.camera if camera is None else camera
     if lens is None:
-        why = "".join(f"{words}. " for words in (sequence.camera_problem, *sequence.warnings) if words)
+        why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
+        why = f"{why}. " if why else ""
         raise ConfigError(
             f"{why}Unknown camera intrinsics for {sequence.kind.value}: pass --camera-params fx,fy,cx,cy or --calibration FILE"
         )
