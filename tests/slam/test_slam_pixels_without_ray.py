@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from epipole.cameras import Camera
 from epipole import Frame, Slam, SlamCamera
-from epipole.pipelines.slam.config import CameraOptions
+from epipole.cameras import Camera
 from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
+from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
 
 FOLDED = Camera("OPENCV", 320, 240, [260.0, 260.0, 159.5, 119.5, 0.2312, -0.9, -0.0033, -0.0001])
