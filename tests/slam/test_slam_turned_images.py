@@ -36,6 +36,18 @@ def test_all_frames_are_turned_as_the_first(tmp_path, rng, first):
         np.testing.assert_array_equal(queued.read().grey, read_grey(folder / f"{n}.png", orientation=first))
 
 
+@pytest.mark.parametrize(("first", "is_said"), [(1, False), (3, True)])
+def test_a_calibration_beside_turned_images_is_taken_as_of_the_upright_ones_and_said(
+    tmp_path, rng, first, is_said
+):
+    folder = folder_of(tmp_path / "frames", (first, first), rng)
+    (folder / "intrinsics.txt").write_text(f"60 60 {W / 2 + 4} {H / 2}")
+    source = open_sequence(read_sequence(folder, 10.0), "mono", None)
+    words = "the camera (intrinsics.txt) is taken to describe the upright images"
+    assert any(note.startswith(words) for note in source.notes()) == is_said
+    assert source.about["camera_source"] == "intrinsics.txt"
+
+
 def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(

@@ -23,6 +23,7 @@ from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
 from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
+from epipole.io._imu_units import check_imu_units
 from epipole.io._named_numbers import is_rotation
 from epipole.scene import StereoRig
 
@@ -57,6 +58,8 @@ class BagSequence:
     depth_from_color: Rigid3 | None = None
     """None for depth that is registered to the pictures, or of a sensor whose place is not known."""
     warnings: tuple[str, ...] = ()
+    depth_values_per_m: float | None = None
+    """Stored values for a metre by the encoding of the depth (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,8 +132,12 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings))
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
+    per_m = pictures.values_per_metre(pictures.encoding_of(firsts[1]))
     return BagSequence(
-        path, found, names, count, size, lens, depth_camera=depth_camera, warnings=tuple(warnings)
+        *(path, found, names, count, size, lens),
+        depth_camera=depth_camera,
+        warnings=tuple(warnings),
+        depth_values_per_m=per_m,
     )
 
 
@@ -165,7 +172,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
         topic: of the IMU; None where there is only one.
 
     Raises:
-        FileFormatError: the recording cannot be read, or a number is not finite.
+        FileFormatError: the recording cannot be read, a number is not finite, or measurements are in another unit.
         ConfigError: there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
@@ -186,6 +193,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
     values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time; one of a doubled stamp
+    check_imu_units(path, values[:, 0], values[:, 1:4], values[:, 4:])
     return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
 
 

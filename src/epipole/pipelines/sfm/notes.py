@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole.image.pixels_without_ray import no_ray_warning
 from epipole.io.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.config import MapperConfig
@@ -45,6 +46,10 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
                 "parts of it are probably wrong (a wrong focal length, or things that look alike)"
             )
+    for number, model in enumerate(mapped.models):
+        used = np.unique(model.camera_of_image[model.is_registered()])
+        cameras = [(int(c), model.cameras[int(c)]) for c in used]
+        out += [f"model {number}, camera {c}: {words}" for c, one in cameras for words in no_ray_warning(one)]
     if note := gps_note(solution.images, mapped, config):
         out.append(note)
     return [*out, *_wrong_focals(solution)]

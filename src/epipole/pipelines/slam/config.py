@@ -94,6 +94,8 @@ class CameraOptions:
     """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
     readout_s: float = 0.0
     """Of a rolling shutter: seconds from the first row to the one after the last; 0: all rows at once."""
+    depth_scale: float | None = None
+    """Depth images: stored values for a metre, such as 1000 or 5000 (what the files and the layout say unless given)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -102,6 +104,8 @@ class CameraOptions:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
+        if self.depth_scale is not None and not 0 < self.depth_scale < 1e6:
+            raise ConfigError(f"depth_scale must be positive and below a million, got {self.depth_scale}")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 

@@ -64,6 +64,13 @@ class FoundCamera:
             f"+- {self.sigma_px:.1f} px). A calibration is more accurate"
         )
 
+    @property
+    def source(self) -> str:
+        """Where it comes from, in words."""
+        return (
+            f"found from {self.num_pictures} of the images" if self.num_pictures else "that of the known map"
+        )
+
     def summary(self) -> dict[str, Any]:
         """For the run's summary."""
         return {"camera": repr(self.camera), "pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
@@ -119,8 +126,9 @@ def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
         announced = video.get(cv2.CAP_PROP_FRAME_COUNT)
         return _Pictures(int(announced) if 0 < announced < 1e9 else MOST_FRAMES, _of_video(video))
     sequence = read_sequence(source, job.fps)
-    if job.sensor not in ("auto", "mono") or sequence.camera or sequence.rig or sequence.depth:
-        return None
+    is_known = sequence.camera or sequence.camera_problem or sequence.rig or sequence.depth
+    if job.sensor not in ("auto", "mono") or is_known:
+        return None  # what lies beside the images but does not fit them is refused where they are opened
     return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
 
 
