@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from epipole.cameras import Camera
 from epipole.pipelines.slam import results, shutter_check
 from epipole.pipelines.slam.lens_check import LensCheck
 from epipole.pipelines.slam.shutter_check import ReadoutFound, with_readout
@@ -49,7 +50,8 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     )
     for name in ("doubts", "poor_pictures", "moving_things"):
         monkeypatch.setattr(results, name, lambda *_: [])
-    camera = SimpleNamespace(readout_s=0.0, camera=None)
+    pinhole = Camera("PINHOLE", 640, 480, [given_px, given_px, 319.5, 239.5])
+    camera = SimpleNamespace(readout_s=0.0, camera=pinhole)
     system = SimpleNamespace(
         maps=[mapper.map], camera=camera, config=None, focal_baseline=None, trajectory=lambda: None
     )
@@ -61,4 +63,4 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     assert len(wrong) == is_wrong
     if is_wrong:
         assert "420 px" in wrong[0] and "507 +- 8 px" in wrong[0]
-    assert facts["lens"]["given_focal_px"] == given_px
+    assert facts["lens"]["given_focal_px"] == given_px and facts["fraction_without_ray"] == 0.0

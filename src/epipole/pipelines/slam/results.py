@@ -147,10 +147,8 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
             lens = check_lens(model, system.camera.camera)
         blind = pixels_without_ray(system.camera.camera)
-        run.warnings += [
-            *no_ray_warning(system.camera.camera),
-            *([] if shutter is None else [shutter.warning()]),
-        ]
+        run.warnings += no_ray_warning(system.camera.camera)
+        run.warnings += [] if shutter is None else [shutter.warning()]
         run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
