@@ -11,7 +11,8 @@ from epipole.geometry import Rigid3
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import read_sequence
-from epipole.pipelines.slam.config import CameraOptions
+from epipole.pipelines.slam import run
+from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.source import open_sequence
 
 W, H = 64, 48
@@ -62,3 +63,12 @@ def test_a_calibration_is_turned_and_scaled_and_said(tmp_path):
     assert "as they are stored" in notes[0]
     with pytest.raises(ConfigError, match=f"is of pictures of {2 * W}x{2 * H}, but these are {H}x{W}"):
         options.camera((H, W))
+
+
+def test_the_source_of_a_scaled_camera_is_said_beside_its_note(tmp_path, rng):
+    folder, path = folder_of(tmp_path / "frames", (1, 1), rng), tmp_path / "calibration.json"
+    lens = Camera("PINHOLE", 2 * W, 2 * H, [120, 122, 70, 40])
+    write_calibration(path, CalibrationFile((lens,), Rigid3.identity(1)))
+    source = run._open(folder, JobOptions(), CameraOptions(calibration=path), None)
+    assert source.about["camera_source"] == "given" and source.camera.camera.width == W
+    assert any(f"it is scaled to {W}x{H}" in note for note in source.notes())
