@@ -22,13 +22,15 @@ from epipole import (
     solvers,
     synthetic,
 )
-from epipole.cameras import Camera, CameraModel
+from epipole.cameras import Camera, CameraModel, image_fit
+from epipole.cameras.visibility import project_visible
 from epipole.config import AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.disparity_search import coarse_to_fine, config, rectification, search, uncertainty
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3, tangents
 from epipole.geometry.homogeneous import normalize_lines
 from epipole.io import g2o
 from epipole.mapping.adjustment import expected_params, free_params_of
+from epipole.mapping.focal_accuracy import focal_accuracies
 from epipole.optim import BundleConfig, BundlePriors, Loss, PoseGraph, PoseGraphConfig
 from epipole.optim.block_cholesky import BlockPattern, plan_cholesky
 from epipole.pipelines.sfm.config import MapperConfig
@@ -186,6 +188,10 @@ def _cameras() -> Iterator[Row]:
     yield _row(LENS.unproject, pixels=_some(5, 2))
     yield _row(LENS.unproject_with_jacobian, pixels=_some(5, 2))
     yield _row(LENS.scaled_to, width=32, height=24)
+    yield _row(project_visible, camera=LENS, rays_in_cam=_some(5, 3) + IN_FRONT)
+    yield _row(image_fit.turned_camera, camera=LENS, orientation=6)
+    yield _row(image_fit.turned_pixels, pixels=_some(5, 2), size=(64, 48), orientation=6)
+    yield _row(image_fit.fitted_camera, camera=LENS, width=32, height=24)
     yield _row(cameras.camera_model_named, name="opencv")
     yield _row(cameras.as_camera_model, given="OPENCV")
     yield _row(CameraModel.OPENCV.initial_params, focal_px=50.0, width=64, height=48)
@@ -613,6 +619,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(builder.freeze, names=["a", "b", "c", "d"], colors=None, timestamps_s=np.arange(4.0))
     whole = {"model": model, "freedom": freedom, "priors": None}
     yield _row(mapping.bundle_problem_of, **whole)
+    yield _row(focal_accuracies, model=model)
     yield _row(mapping.adjust_reconstruction, **whole, config=quick, progress=lambda _: True)
     yield _row(mapping.resect_image, model=builder, image=1, config=QUICK, search_focal=True)
     rows, points = builder.points_in_sight(1)

@@ -34,9 +34,9 @@ from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
 from epipole.cameras import Camera
-from epipole.errors import ConfigError, EpipoleError
+from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.fields.hash_field import asked
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.io import (
     read_bal,
     read_colmap_model,
@@ -52,6 +52,7 @@ from epipole.io import (
     write_database,
     write_g2o,
     write_points_ply,
+    write_trajectory,
 )
 from epipole.io.anchor_files import read_lengths, read_odometry, read_places
 from epipole.io.bags import bag_frames, read_bag, read_bag_imu, read_bag_topics
@@ -76,9 +77,11 @@ from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.trajectories import read_pose_matrix, trajectory_format
+from epipole.io.true_paths import true_path_at
 from epipole.io.video import extract_frames, frame_size
 from epipole.io.voxel_files import GridContents, read_grid, write_grid
 from epipole.pipelines.conversion.run import convert
+from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.fields.kinds import read_neural, read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
 from epipole.pipelines.slam.checkpoint import known_to
@@ -96,6 +99,7 @@ from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
 from epipole.runs.units import load, store, stored_key
+from epipole.scene import Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from hostile_bytes import assert_model, assert_motions
 from io_models import small_model
@@ -230,6 +234,50 @@ def _trajectory(name: str) -> Callable[[Path], None]:
         assert_motions(found.world_from_body)
 
     return read
+
+
+def _evaluated(folder: Path) -> None:
+    """Commas and nanoseconds suggest that w is first, the numbers that it is last: both files decide."""
+    times = 1_400_000_000 + 0.1 * np.arange(6)
+    places = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
+    write_trajectory(Trajectory(times, places), folder / "truth.txt")
+    with suppress(DegenerateGeometryError):  # a path that lost its rows
+        found = evaluate_trajectory(folder / "a.csv", folder / "truth.txt", 0.01)
+        assert 3 <= found.num_compared <= 6 and np.isfinite(found.similarity.ate_rmse)
+
+
+def _put_columns(folder: Path) -> None:
+    places = Rigid3.exp(np.linspace(0.0, 1.0, 36).reshape(6, 6) ** 2)
+    wxyz = Rotation3(places.rotation).as_quat_wxyz()
+    rows = np.column_stack([places.translation, wxyz[:, [1, 2, 3, 0]]]).tolist()
+    lines = (f"{14 * 10**17 + n * 10**8},{','.join(map(str, row))}\n" for n, row in enumerate(rows))
+    (folder / "a.csv").write_text("".join(lines))
+
+
+def _numbered_folder(folder: Path) -> None:
+    for n in range(2):
+        cv2.imwrite(str(folder / f"frame-{n:06d}.color.png"), np.zeros((48, 64), np.uint8))
+        cv2.imwrite(str(folder / f"frame-{n:06d}.depth.png"), np.full((48, 64), 1500, np.uint16))
+    intrinsic = "60 0 32 0 0 60 24 0 0 0 1 0 0 0 0 1"
+    (folder / "info.txt").write_text(
+        f"m_colorWidth = 64\nm_colorHeight = 48\nm_depthWidth = 64\nm_depthHeight = 48\nm_depthShift = 1000\n"
+        f"m_calibrationColorIntrinsic = {intrinsic}\nm_calibrationDepthIntrinsic = {intrinsic.replace('60', '58')}\n"
+    )
+
+
+def _plain_folder(folder: Path) -> None:
+    for n in range(2):
+        cv2.imwrite(str(folder / f"{n}.png"), np.zeros((48, 64), np.uint8))
+    (folder / "intrinsics.txt").write_text("60 0 32\n0 60 24\n0 0 1\n")
+
+
+def _posed_folder(folder: Path) -> None:
+    for n in range(2):
+        (folder / f"frame-{n:06d}.pose.txt").write_text("1 0 0 1\n0 1 0 2\n0 0 1 3\n0 0 0 1\n")
+
+
+def _true_path(folder: Path) -> None:
+    assert_motions(true_path_at(folder).trajectory.world_from_body)
 
 
 def _positions(folder: Path) -> None:
@@ -648,6 +696,17 @@ FORMATS: dict[str, Format] = {
     "sequence-tum": Format(_tum_folder, "rgb.txt", "text", _sequence, ("read_sequence",)),
     "sequence-tum-depth": Format(_tum_folder, "depth.txt", "text", _sequence, ("read_sequence",)),
     "sequence-euroc": Format(_euroc_folder, "cam0/data.csv", "text", _sequence, ("read_sequence",)),
+    "sequence-info": Format(_numbered_folder, "info.txt", "text", _sequence, ("read_sequence",)),
+    "sequence-intrinsics": Format(_plain_folder, "intrinsics.txt", "text", _sequence, ("read_sequence",)),
+    "true-path": Format(_posed_folder, "frame-000001.pose.txt", "text", _true_path, ("true_path_at",)),
+    "evaluated-columns": Format(
+        _put_columns,
+        "a.csv",
+        "text",
+        _evaluated,
+        ("read_trajectory_columns", "read_as", "read_file"),
+        must_name=False,
+    ),
     "sequence-times": Format(_timed_folder, "times.txt", "text", _sequence, ("read_sequence",)),
     "bag-ros1": _recording("ros1", "ride.bag", "binary"),
     "bag-sqlite": _recording("sqlite", "ride/ride.db3", "sqlite"),

@@ -29,7 +29,7 @@ def test_real_folders(data_dir, name, kind, count, has):
     found = read_sequence(data_dir / "slam" / name)
     assert (found.kind, len(found)) == (kind, count)
     assert (found.rig is not None, found.depth is not None) == (has == "rig", has == "depth")
-    assert (found.camera is None) == (kind is SequenceKind.PICTURES)
+    assert found.camera is not None and found.camera_source and not found.camera_problem
     assert (np.diff([frame.timestamp_s for frame in found.frames]) > 0).all()
     if kind is SequenceKind.KITTI:
         assert found.rig.baseline == pytest.approx(0.5371, abs=1e-4)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float32, Float64
 from epipole._checks import as_picture, check_pixels
 from epipole._declared import Declared, checked
 from epipole.cameras import Camera, CameraModel
+from epipole.cameras.visibility import project_visible
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.scene import DisparityMap, RectifiedRig, StereoReason, StereoRig
 
@@ -170,17 +171,7 @@ def _table(pinhole: Camera, camera: Camera, rectified_from_cam: np.ndarray) -> t
     fx, fy, cx, cy = pinhole.params
     rays = np.stack([((u - cx) / fx).ravel(), ((v - cy) / fy).ravel(), np.ones(u.size)], axis=1)
     rays = rays @ rectified_from_cam
-    pixels = camera.project(rays)
-    # Beyond its fold a polynomial lens comes back into the picture: what unprojects elsewhere was not seen there.
-    inside = (
-        np.isfinite(pixels).all(axis=1)
-        & (pixels > -0.5).all(axis=1)
-        & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=1)
-    )
-    if len(camera.model.distortion_indices):
-        unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        back = camera.unproject(pixels[inside])
-        inside[inside] = np.linalg.norm(back - unit[inside], axis=1) < 1e-3
+    pixels, inside = project_visible(camera, rays)
     pixels = np.nan_to_num(pixels, nan=-1e4, posinf=1e4, neginf=-1e4).clip(-1e4, 1e5)
     return pixels.astype(np.float32).reshape(*shape, 2), inside.reshape(shape)
 

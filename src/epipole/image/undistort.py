@@ -1,44 +1,69 @@
-"""Pictures without lens distortion."""
+"""Images without lens distortion."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from epipole._checks import check_pixels
 from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
+from epipole.cameras.visibility import project_visible
+from epipole.errors import DegenerateGeometryError
+
+WIDEST = 3.0
+"""Tangent of the widest angle from the axis: a plane cannot show 90 degrees to the side."""
+MAX_GROWTH = 4.0
+"""Pixels of the undistorted image per pixel of the distorted one, at most: a wider view is cropped."""
+MIN_SIDE = 0.05
+"""Sides of the undistorted image in units of the distorted one's: a smaller crop is refused."""
+ENOUGH = 0.8
+"""Of the area of the largest view: the one within the border is taken from there on, where corners have no ray."""
+GRID = 129
+"""Rays along each side of the view in which the largest rectangle is searched."""
+BORDER, COARSE = 65, 33
+"""Rays along each side of a view that is checked, and of one while its sides are moved."""
+BISECTIONS = 12
+
+
+class _View(NamedTuple):
+    """A rectangle on the plane z = 1."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+    @property
+    def area(self) -> float:
+        return max(0.0, self.right - self.left) * max(0.0, self.bottom - self.top)
 
 
 @checked
 def undistorted_camera(camera: Camera) -> Camera:
-    """The PINHOLE camera whose picture shows nothing beyond this camera's border.
+    """The PINHOLE camera whose image shows nothing beyond this camera's border.
 
-    The focal length stays; the picture is cropped to the largest rectangle whose rays all lie inside.
+    The focal length stays; the image is cropped to a rectangle whose rays the camera all sees. Where the distortion
+    does not reach the border of the image (it folds over before, or the ray is more than 90 degrees from the axis), that is
+    the largest such rectangle within 71 degrees of the axis to each side.
+
+    Raises:
+        DegenerateGeometryError: the distortion describes less than a twentieth of the image's width or height.
     """
+    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
-        params = np.array([camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]])
-        return Camera(CameraModel.PINHOLE, camera.width, camera.height, params)
-    w, h = camera.width, camera.height
-    x, y = np.linspace(-0.5, w - 0.5, 65), np.linspace(-0.5, h - 0.5, 65)
-    sides = []
-    for pixels, axis in (
-        (np.stack([np.full(65, -0.5), y], 1), 0),
-        (np.stack([np.full(65, w - 0.5), y], 1), 0),
-        (np.stack([x, np.full(65, -0.5)], 1), 1),
-        (np.stack([x, np.full(65, h - 0.5)], 1), 1),
-    ):
-        rays = camera.unproject(pixels)
-        usable = rays[:, 2] > 0.05
-        sides.append((rays[usable, axis] / rays[usable, 2]) if usable.any() else np.array([0.0]))
-    left, right, top, bottom = sides[0].max(), sides[1].min(), sides[2].max(), sides[3].min()
-    fx, fy = camera.K[0, 0], camera.K[1, 1]
-    # A camera cannot show 90 degrees to the side on a plane: bound the picture at three times the focal length.
-    left, top = max(left, -3.0), max(top, -3.0)
-    right, bottom = min(right, 3.0), min(bottom, 3.0)
-    width, height = max(1, int(fx * (right - left))), max(1, int(fy * (bottom - top)))
-    params = np.array([fx, fy, -fx * left - 0.5, -fy * top - 0.5])
+        return Camera(CameraModel.PINHOLE, camera.width, camera.height, np.array([fx, fy, cx, cy]))
+    view = _limited(_view_of_lens(camera), MAX_GROWTH * camera.width * camera.height / (fx * fy))
+    width, height = _size_of(camera, view)
+    if width < max(1.0, MIN_SIDE * camera.width) or height < max(1.0, MIN_SIDE * camera.height):
+        raise DegenerateGeometryError(
+            f"{camera} cannot be undistorted: its distortion describes only {width}x{height} pixels of the image;"
+            " calibrate the camera, or choose a model with fewer coefficients"
+        )
+    params = np.array([fx, fy, -fx * view.left - 0.5, -fy * view.top - 0.5])
     return Camera(CameraModel.PINHOLE, width, height, params)
 
 
@@ -46,10 +71,10 @@ def undistorted_camera(camera: Camera) -> Camera:
 def undistort_image(
     rgb: UInt8[np.ndarray, "h w 3"], camera: Camera, pinhole: Camera
 ) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """Resample a picture of `camera` as `pinhole` sees it (bilinear); black where the camera saw nothing.
+    """Resample an image of `camera` as `pinhole` sees it (bilinear); black where the camera saw nothing.
 
     Raises:
-        ConfigError: the new picture is too large.
+        ConfigError: the new image is too large.
     """
     if camera.model in (CameraModel.SIMPLE_PINHOLE, CameraModel.PINHOLE):
         return rgb
@@ -58,15 +83,167 @@ def undistort_image(
 
 
 def undistortion_map_px(camera: Camera, pinhole: Camera) -> Float32[np.ndarray, "h w 2"]:
-    """Where each pixel of `pinhole` lies in the picture of `camera`; far outside where that saw nothing.
+    """Position of each pixel of `pinhole` in the image of `camera`; far outside where that saw nothing.
 
     Raises:
-        ConfigError: the new picture is too large.
+        ConfigError: the new image is too large.
     """
     check_pixels(pinhole.width, pinhole.height)
     u, v = np.meshgrid(
         np.arange(pinhole.width, dtype=np.float64), np.arange(pinhole.height, dtype=np.float64)
     )
     rays = pinhole.unproject(np.stack([u.ravel(), v.ravel()], axis=1))
-    source = np.nan_to_num(camera.project(rays), nan=-1e4).astype(np.float32)
+    if _is_visible(camera, _view_of(pinhole)):
+        source = camera.project(rays)
+    else:
+        source, visible_mask = project_visible(camera, rays)
+        inside = (source > -1.0).all(axis=1) & (source < [camera.width, camera.height]).all(axis=1)
+        source[inside & ~visible_mask] = np.nan
+    source = np.nan_to_num(source, nan=-1e4).astype(np.float32)
     return source.reshape(pinhole.height, pinhole.width, 2)
+
+
+def _view_of_lens(camera: Camera) -> _View:
+    """The view between the sides of the image; the largest one where the distortion does not reach all of them."""
+    within, is_whole = _view_within_border(camera)
+    is_visible = within is not None and _is_visible(camera, _in_pixels(camera, within))
+    if within is not None and is_visible and is_whole:
+        return within
+    largest = _largest_view(camera)
+    return within if within is not None and is_visible and within.area > ENOUGH * largest.area else largest
+
+
+def _view_within_border(camera: Camera) -> tuple[_View | None, bool]:
+    """The view between the rays of the four sides of the image (None where a side has none), and whether all have one."""
+    w, h = camera.width, camera.height
+    x, y = np.linspace(-0.5, w - 0.5, BORDER), np.linspace(-0.5, h - 0.5, BORDER)
+    sides, is_whole = [], True
+    for pixels, axis in (
+        (np.stack([np.full(BORDER, -0.5), y], 1), 0),
+        (np.stack([np.full(BORDER, w - 0.5), y], 1), 0),
+        (np.stack([x, np.full(BORDER, -0.5)], 1), 1),
+        (np.stack([x, np.full(BORDER, h - 0.5)], 1), 1),
+    ):
+        rays = camera.unproject(pixels)
+        in_front = rays[:, 2] > 0.05
+        if not in_front.any():
+            return None, False
+        sides.append(rays[in_front, axis] / rays[in_front, 2])
+        is_whole &= not np.isnan(rays).any()
+    view = _View(
+        max(float(sides[0].max()), -WIDEST),
+        min(float(sides[1].min()), WIDEST),
+        max(float(sides[2].max()), -WIDEST),
+        min(float(sides[3].min()), WIDEST),
+    )
+    return view, is_whole
+
+
+def _size_of(camera: Camera, view: _View) -> tuple[int, int]:
+    """Width and height of a view's image."""
+    return int(camera.K[0, 0] * (view.right - view.left)), int(camera.K[1, 1] * (view.bottom - view.top))
+
+
+def _in_pixels(camera: Camera, view: _View) -> _View:
+    """The part of a view that its image of whole pixels shows."""
+    width, height = _size_of(camera, view)
+    return view._replace(right=view.left + width / camera.K[0, 0], bottom=view.top + height / camera.K[1, 1])
+
+
+def _view_of(pinhole: Camera) -> _View:
+    fx, fy, cx, cy = pinhole.K[0, 0], pinhole.K[1, 1], pinhole.K[0, 2], pinhole.K[1, 2]
+    left, top = (-0.5 - cx) / fx, (-0.5 - cy) / fy
+    return _View(left, left + pinhole.width / fx, top, top + pinhole.height / fy)
+
+
+def _is_visible(camera: Camera, view: _View, num_rays: int = BORDER) -> bool:
+    """Whether the camera sees the centres of all pixels of a view, by a grid from border to border."""
+    if view.area <= 0.0:
+        return False
+    half_x, half_y = 0.5 / camera.K[0, 0], 0.5 / camera.K[1, 1]
+    left, right, top, bottom = (
+        view.left + half_x,
+        view.right - half_x,
+        view.top + half_y,
+        view.bottom - half_y,
+    )
+    if right < left or bottom < top:
+        return False
+    x, y = np.linspace(left, right, num_rays), np.linspace(top, bottom, num_rays)
+    return bool(_visible_mask(camera, x, y).all())
+
+
+def _visible_mask(camera: Camera, x: np.ndarray, y: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    """Whether the camera sees the rays (x, y, 1) of a grid."""
+    columns, rows = np.meshgrid(x, y)
+    rays = np.stack([columns.ravel(), rows.ravel(), np.ones(columns.size)], axis=1)
+    return project_visible(camera, rays)[1].reshape(columns.shape)
+
+
+def _largest_view(camera: Camera) -> _View:
+    """The largest rectangle of rays that the camera sees, to a pixel.
+
+    Raises:
+        DegenerateGeometryError: it sees none.
+    """
+    u = np.linspace(0.0, camera.width - 1.0, GRID)
+    v = np.linspace(0.0, camera.height - 1.0, GRID)
+    rays = camera.unproject(np.stack([np.tile(u, GRID), np.repeat(v, GRID)], axis=1))
+    rays = rays[rays[:, 2] > 0.05]  # neither behind nor NaN
+    if not len(rays):
+        raise DegenerateGeometryError(f"{camera} cannot be undistorted: no pixel has a ray in front of it")
+    plane = np.clip(rays[:, :2] / rays[:, 2:], -WIDEST, WIDEST)
+    (left, top), (right, bottom) = plane.min(axis=0), plane.max(axis=0)
+    x, y = np.linspace(left, right, GRID), np.linspace(top, bottom, GRID)
+    columns, rows = largest_rectangle(_visible_mask(camera, x, y))
+    view = _View(x[columns[0]], x[columns[1]], y[rows[0]], y[rows[1]])
+    steps = _View(x[0] - x[1], x[1] - x[0], y[0] - y[1], y[1] - y[0])
+    for side in ("left", "right", "top", "bottom"):
+        view = _extended(camera, view, side, getattr(steps, side))
+    return view
+
+
+def largest_rectangle(mask: Bool[np.ndarray, "h w"]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last column, and first and last row, of the largest rectangle in which a mask is true.
+
+    Row by row, with a stack of the columns whose run of true values upwards rises. The sizes are those between the middles
+    of the first and the last: a single row or column is no rectangle.
+    """
+    best, found = -1, ((0, 0), (0, 0))
+    heights = np.zeros(mask.shape[1], np.int64)
+    for row, line in enumerate(mask):
+        heights = np.where(line, heights + 1, 0)
+        stack: list[tuple[int, int]] = []
+        for column, height in enumerate([*heights.tolist(), 0]):
+            start = column
+            while stack and stack[-1][1] >= height:
+                start, tallest = stack.pop()
+                area = (column - 1 - start) * (tallest - 1)
+                if tallest > 0 and area > best:
+                    best, found = area, ((start, column - 1), (row - tallest + 1, row))
+            stack.append((start, height))
+    return found
+
+
+def _extended(camera: Camera, view: _View, side: str, step: float) -> _View:
+    """A view with a side moved outwards, by less than a step of the grid, to where the camera's view ends."""
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        moved = view._replace(**{side: np.clip(getattr(view, side) + middle * step, -WIDEST, WIDEST)})
+        low, high = (middle, high) if _is_visible(camera, moved, COARSE) else (low, middle)
+    return view._replace(**{side: float(np.clip(getattr(view, side) + low * step, -WIDEST, WIDEST))})
+
+
+def _limited(view: _View, max_area: float) -> _View:
+    """A view, or where it is larger than that, the part of it about the axis."""
+    shrink = np.sqrt(max_area / view.area) if view.area > max_area else 1.0
+    if shrink == 1.0:
+        return view
+    x, y = np.clip(0.0, view.left, view.right), np.clip(0.0, view.top, view.bottom)
+    return _View(
+        float(x + shrink * (view.left - x)),
+        float(x + shrink * (view.right - x)),
+        float(y + shrink * (view.top - y)),
+        float(y + shrink * (view.bottom - y)),
+    )

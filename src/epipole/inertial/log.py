@@ -19,6 +19,8 @@ class ImuLog(Declared):
     timestamp_s: Float64[np.ndarray, " n"]
     gyro_rad_s: Float64[np.ndarray, "n 3"]
     accel_m_s2: Float64[np.ndarray, "n 3"]
+    notes: tuple[str, ...] = ()
+    """What was done to the file's rows to make it, in words."""
 
     def __post_init__(self) -> None:
         """Check the values.

@@ -55,6 +55,11 @@ def is_depth(topic: str, encoding: str) -> bool:
     return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
 
 
+def values_per_metre(encoding: str) -> float:
+    """What REP 118 has for depth of this encoding: 16 bits are millimetres, floats are metres."""
+    return 1.0 if "32FC1" in encoding else _MM
+
+
 def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
     """The picture of a message in grey of 8 bits.
 

@@ -23,6 +23,7 @@ from PIL.PpmImagePlugin import PpmImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
+from epipole.cameras.image_fit import inverse_orientation
 from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
 from epipole.io._deep_pixels import GreyRange, colour_16, has_16_bits, range_of, sample_of, stretched
 from epipole.io._image_formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
@@ -194,26 +195,37 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
 
 
 def decode(
-    path: Path, grey: bool, max_size_px: int | None, limits: GreyRange | None = None
+    path: Path,
+    grey: bool,
+    max_size_px: int | None,
+    limits: GreyRange | None = None,
+    orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
-    return decode_bytes(path, file_bytes(path), grey, max_size_px, limits)
+    """Decode to grey or RGB, shrink to `max_size_px`, turn upright (or by another orientation than the file's)."""
+    return decode_bytes(path, file_bytes(path), grey, max_size_px, limits, orientation)
 
 
 def decode_bytes(
-    path: Path, data: bytes, grey: bool, max_size_px: int | None, limits: GreyRange | None = None
+    path: Path,
+    data: bytes,
+    grey: bool,
+    max_size_px: int | None,
+    limits: GreyRange | None = None,
+    orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w *channels"]:
     """As `decode`, of bytes that stand in some file."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
     refuse_panorama(path, image)
     if isinstance(image, JpegImageFile):
-        orientation = orientation_of(exif_of(image))
+        own = orientation_of(exif_of(image))
         full_size = image.size
         reduction = _jpeg_reduction(full_size, max_size_px)
         pixels = _decode_jpeg(path, data, image, grey, reduction)
-        return turn(_shrink(pixels, full_size, reduction, max_size_px), orientation)
-    pixels, orientation = pillow_pixels(path, image, data)
+        return turn(_shrink(pixels, full_size, reduction, max_size_px), orientation or own)
+    stored = orientation_of(exif_of(image)) if isinstance(image, TiffImageFile) else None
+    pixels, own = pillow_pixels(path, image, data)
+    pixels = as_stored(pixels, stored, own, orientation)
     if pixels.dtype != np.uint8:
         pixels = stretched(pixels, limits)
     if grey and pixels.ndim == 3:
@@ -221,7 +233,7 @@ def decode_bytes(
     elif not grey and pixels.ndim == 2:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
     size_now = (pixels.shape[1], pixels.shape[0])
-    return turn(_shrink(pixels, size_now, 1, max_size_px), orientation)
+    return turn(_shrink(pixels, size_now, 1, max_size_px), orientation or own)
 
 
 def _jpeg_reduction(size: tuple[int, int], max_size_px: int | None) -> int:
@@ -369,6 +381,19 @@ def _shrink(
     return cv2.warpAffine(
         pixels, reduced_from_new, (new_width, new_height), flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
+
+
+def as_stored(
+    pixels: np.ndarray, stored: int | None, left: int, orientation: int | None
+) -> UInt8[np.ndarray, "h w *channels"]:
+    """The pixels to which another orientation than the file's is to be applied.
+
+    Pillow turns a TIFF as it loads it: what is `left` of its `stored` orientation then is 1. Where another one is asked
+    for, that is taken back.
+    """
+    if orientation is None or stored is None or stored == left:
+        return pixels
+    return turn(pixels, inverse_orientation(stored))
 
 
 def turn(

@@ -25,6 +25,7 @@ from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
 from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
 from epipole.io._deep_pixels import GreyScale
+from epipole.io._imu_units import check_imu_units
 from epipole.io._named_numbers import is_rotation
 from epipole.io._photograph_pixels import MOST_SAMPLED
 from epipole.scene import StereoRig
@@ -62,6 +63,8 @@ class BagSequence:
     warnings: tuple[str, ...] = ()
     scales: tuple[GreyScale | None, ...] = ()
     """How pictures of 16 bits become 8, by topic: the same way for all of a topic."""
+    depth_values_per_m: float | None = None
+    """Stored values for a metre by the encoding of the depth (REP 118); None without depth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,6 +140,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings), scales=scales)
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
+    per_m = pictures.values_per_metre(pictures.encoding_of(firsts[1]))
     return BagSequence(
         path,
         found,
@@ -147,6 +151,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         depth_camera=depth_camera,
         warnings=tuple(warnings),
         scales=scales,
+        depth_values_per_m=per_m,
     )
 
 
@@ -181,7 +186,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
         topic: of the IMU; None where there is only one.
 
     Raises:
-        FileFormatError: the recording cannot be read, or a number is not finite.
+        FileFormatError: the recording cannot be read, a number is not finite, or measurements are in another unit.
         ConfigError: there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
@@ -202,6 +207,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
     values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time; one of a doubled stamp
+    check_imu_units(path, values[:, 0], values[:, 1:4], values[:, 4:])
     return ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:].copy())
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from epipole.cameras import Camera, CameraModel
+from epipole.cameras import Camera, CameraModel, camera_model_named
+from epipole.cameras.image_fit import ImageShape, likely_size
 from epipole.errors import ConfigError
 from epipole.io.colmap import params_from_colmap, params_to_colmap
 
@@ -30,6 +32,23 @@ def params_of_text(text: str) -> tuple[float, ...]:
     if not all(math.isfinite(number) for number in known):
         raise ConfigError(f"camera_params must be finite numbers, got {text!r}")
     return known
+
+
+def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str) -> Camera:
+    """The camera of an option `camera_params`, of the stored or upright size of its images that its numbers are of.
+
+    Args:
+        model: name of the camera model; None: PINHOLE.
+        shapes: of the images.
+        text: the numbers, as for `camera_of_text`.
+
+    Raises:
+        ConfigError: not the numbers of this model, such as no lens has, or the images have several sizes.
+    """
+    lens, known = camera_model_named(model or "PINHOLE"), params_of_text(text)
+    cx, cy = lens.principal_point_indices
+    point = (known[cx], known[cy]) if len(known) == lens.num_params else None
+    return camera_of_text(lens, likely_size(point, shapes), text)
 
 
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,14 @@ from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise
 from epipole.io._camera_chains import camera_from_imu
+from epipole.io._imu_units import check_imu_units, seconds_of_imu
 from epipole.io.bags import is_bag, read_bag_imu
 from epipole.io.calibration_files import parsed_file, read_body_from_camera
 from epipole.io.files import file_text
 
-_COLUMNS, _NS, _IN_NS = 7, 1e-9, 1e12
+_COLUMNS = 7
+_MOST_BLOCKS, _OVERLAP_S = 4, 1.0
+"""Times that begin anew so rarely, and overlap by more than this, are of several recordings."""
 _DENSITIES = {
     "gyro_density": "gyroscope_noise_density",
     "accel_density": "accelerometer_noise_density",
@@ -26,12 +30,15 @@ _DENSITIES = {
 def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
     """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
 
+    Rows out of order are sorted, and of a doubled time the first is taken: `notes` of the log says so.
+
     Args:
         path: EuRoC's `imu0` folder or its `data.csv` (the `sensor.yaml` beside it tells the noise), a text of
             `SECONDS wx wy wz ax ay az` lines (or nanoseconds), or a recording of ROS with one IMU.
 
     Raises:
-        FileFormatError: no such file, a line that is none, or times that do not rise.
+        FileFormatError: no such file, a line that is none, times of several recordings, or measurements in another unit (g,
+            degrees a second, milliseconds) or without gravity.
         MissingDependencyError: the package rosbags is needed and not installed.
     """
     path = Path(path)
@@ -39,14 +46,44 @@ def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
         return read_bag_imu(path), ImuNoise()
     table = path / "data.csv" if path.is_dir() else path
     values = _table(table)
-    times = values[:, 0] * (_NS if values[0, 0] > _IN_NS else 1.0)
-    if (np.diff(times) <= 0).any():
-        raise FileFormatError(
-            table, f"the time of sample {int(np.argmax(np.diff(times) <= 0)) + 2} does not rise"
-        )
+    values[:, 0], said = seconds_of_imu(table, values[:, 0])
+    values, more = _sorted(table, values)
+    check_imu_units(table, values[:, 0], values[:, 1:4], values[:, 4:7])
     about = table.with_name("sensor.yaml")
     noise = _noise(about) if about.is_file() else ImuNoise()
-    return ImuLog(times, values[:, 1:4].copy(), values[:, 4:7].copy()), noise
+    log = ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:7].copy(), (*said, *more))
+    return log, noise
+
+
+def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Rows in order of time, each time once, and what had to be done for it, in words.
+
+    Raises:
+        FileFormatError: the rows are those of several recordings.
+    """
+    times = values[:, 0]
+    falls = np.flatnonzero(np.diff(times) < 0) + 1
+    blocks = np.split(times, falls)
+    if 0 < len(falls) <= _MOST_BLOCKS and len(times) > 2 * len(blocks):
+        spans = sorted((float(block[0]), float(block[-1])) for block in blocks)
+        if any(later[0] < earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans)):
+            raise FileFormatError(
+                path,
+                f"the time of sample {int(falls[0]) + 1} is before that of the one above, and the times from there on overlap with those "
+                "before: it holds several recordings, or its clock was set back; give one of them",
+            )
+    order = np.argsort(times, kind="stable")
+    is_first = np.diff(times[order], prepend=-np.inf) > 0
+    said = []
+    if len(falls):
+        said.append(
+            f"{path.name}: {len(falls)} samples are earlier than those before them, and all are sorted by time"
+        )
+    if not is_first.all():
+        said.append(
+            f"{path.name}: {int((~is_first).sum())} samples repeat a time; of each the first is taken"
+        )
+    return values[order[is_first]], tuple(said)
 
 
 def read_camera_from_imu(path: str | Path) -> Rigid3:

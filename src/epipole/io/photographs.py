@@ -181,7 +181,11 @@ def read_header(path: Path | str) -> PhotographHeader:
 
 
 def read_grey(
-    path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
+    path: Path | str,
+    max_size_px: int | None = None,
+    *,
+    limits: GreyRange | None = None,
+    orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w"]:
     """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
 
@@ -190,16 +194,21 @@ def read_grey(
         max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x
             lies at (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
         limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
+        orientation: applied in place of the file's EXIF orientation; 1: the pixels as they are stored. None: the file's.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), True, max_size_px, limits)
+    return decode(Path(path), True, max_size_px, limits, orientation)
 
 
 def read_rgb(
-    path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
+    path: Path | str,
+    max_size_px: int | None = None,
+    *,
+    limits: GreyRange | None = None,
+    orientation: int | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture upright as 8-bit RGB.
 
@@ -207,12 +216,13 @@ def read_rgb(
         path: the picture.
         max_size_px: longest side of the result, as in `read_grey`.
         limits: as in `read_grey`.
+        orientation: the same.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), False, max_size_px, limits)
+    return decode(Path(path), False, max_size_px, limits, orientation)
 
 
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:

@@ -10,16 +10,28 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from epipole.io._image_formats import format_of
-from epipole.io._photograph_pixels import open_with_pillow, refuse_huge, stored_pixels, turn
+from epipole.io._photograph_pixels import (
+    as_stored,
+    exif_of,
+    open_with_pillow,
+    refuse_huge,
+    stored_pixels,
+    turn,
+)
 from epipole.io._spherical import refuse_panorama
 from epipole.io.atomic import atomic_write
+from epipole.io.exif import orientation_of
 from epipole.io.files import file_bytes
 
 _WITH_ALPHA = ("PNG", "TIFF", "WEBP", "AVIF", "HEIF")
 
 
-def read_rgba(path: Path | str) -> UInt8[np.ndarray, "h w 4"] | None:
-    """Read an image with transparency upright: colours as they are stored, and alpha; None where there is none.
+def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.ndarray, "h w 4"] | None:
+    """Read an image with transparency: colours not composited, and alpha; None where there is none.
+
+    Args:
+        path: the image.
+        orientation: applied in place of the file's EXIF orientation, as in `read_rgb`.
 
     Raises:
         FileFormatError: it is damaged, too large or not a picture.
@@ -34,8 +46,11 @@ def read_rgba(path: Path | str) -> UInt8[np.ndarray, "h w 4"] | None:
     if "A" not in image.getbands() and "transparency" not in image.info:
         return None
     refuse_huge(path, image, data)
-    pixels, orientation = stored_pixels(path, image, data)
-    return turn(pixels, orientation) if pixels.ndim == 3 and pixels.shape[2] == 4 else None
+    stored = orientation_of(exif_of(image)) if kind == "TIFF" else None
+    pixels, own = stored_pixels(path, image, data)
+    if pixels.ndim != 3 or pixels.shape[2] != 4:
+        return None
+    return turn(as_stored(pixels, stored, own, orientation), orientation or own)
 
 
 def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:

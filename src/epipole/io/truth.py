@@ -63,6 +63,15 @@ def read_truth(path: str | Path) -> TruthCameras:
     raise FileFormatError(path, f"{problem}; readable are {_FORMS}")
 
 
+def is_truth_of_images(folder: Path) -> bool:
+    """Whether a folder holds cameras of images by name, which `read_truth` reads, rather than a path."""
+    names = [f"cameras.{suffix}" for suffix in ("bin", "txt")]
+    is_model = any((folder / name).is_file() for name in names)
+    return is_model or any(
+        next(folder.glob(pattern), None) is not None for pattern in ("*.camera", "*_par.txt")
+    )
+
+
 def _truth(names: list[str], cams_from_world: list[Rigid3]) -> TruthCameras:
     rotation = np.array([motion.rotation for motion in cams_from_world]).reshape(-1, 3, 3)
     translation = np.array([motion.translation for motion in cams_from_world]).reshape(-1, 3)

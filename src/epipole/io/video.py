@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.io._photograph_pixels import turn
 from epipole.io._spherical import refuse_spherical_video
 from epipole.io.atomic import atomic_folder
 from epipole.io.files import open_file, read_json, require_file
@@ -87,6 +88,31 @@ def frame_size(path: Path | str) -> tuple[int, int] | None:
     capture = opened_video(Path(path))
     size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
     return size if min(size) > 0 else None
+
+
+def frame_orientation(path: Path | str) -> int:
+    """The EXIF orientation that the rotation of a video's metadata amounts to; 1 for none. Its frames are read upright.
+
+    Raises:
+        FileFormatError: it is no video that can be read.
+    """
+    capture = opened_video(Path(path))
+    try:
+        if not capture.get(cv2.CAP_PROP_ORIENTATION_META) or not capture.get(cv2.CAP_PROP_ORIENTATION_AUTO):
+            return 1
+        is_read, upright = capture.read()
+    finally:
+        capture.release()
+    raw = opened_video(Path(path))
+    try:
+        raw.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        is_stored, stored = raw.read()
+    finally:
+        raw.release()
+    if not (is_read and is_stored):
+        return 1
+    turned = {orientation: turn(stored, orientation) for orientation in (1, 3, 6, 8)}
+    return next((o for o, frame in turned.items() if np.array_equal(frame, upright)), 1)
 
 
 def extract_frames(

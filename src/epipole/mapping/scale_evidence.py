@@ -34,7 +34,7 @@ MOST_VIEWS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScaleEvidence(Declared):
-    """Estimates of a scale, and why other things that were given tell nothing."""
+    """Estimates of a scale, why other things that were given tell nothing, and what is odd about their files."""
 
     estimates: tuple[ScaleEstimate, ...]
     refusals: tuple[str, ...]
@@ -110,6 +110,7 @@ def scale_evidence(
         found.try_one("odometry", lambda: _of_odometry(everywhere, options))
     imu = mounted_imu(options)
     if imu is not None:
+        found.refusals += imu.log.notes
         found.try_one("IMU", partial(_of_imu, everywhere, imu))
     return ScaleEvidence(tuple(found.estimates), tuple(found.refusals))
 

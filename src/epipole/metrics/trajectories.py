@@ -92,9 +92,19 @@ def associate(
 ) -> tuple[Int64[np.ndarray, " k"], Int64[np.ndarray, " k"]]:
     """Rows of both that belong together: each instant of the one with fewer, and the nearest in time of the other.
 
+    Where one of them has no times (`is_timed` is False), rows belong together in their order.
+
     Raises:
-        DegenerateGeometryError: none do.
+        DegenerateGeometryError: none do, or one has no times and they differ in length.
     """
+    if not (estimate.is_timed and truth.is_timed):
+        if len(estimate) != len(truth):
+            raise DegenerateGeometryError(
+                f"trajectories of {len(estimate)} and {len(truth)} instants of which one holds no times (KITTI's form): which rows"
+                " belong together is unknown"
+            )
+        every = np.arange(len(estimate), dtype=np.int64)
+        return every, every.copy()
     first, second = estimate.timestamp_s, truth.timestamp_s
     if len(first) > len(second):
         rows_of_truth, rows = associate(truth, estimate, max_difference_s)

@@ -53,6 +53,8 @@ class TrajectoryEvaluation:
     step_rotation_rmse_deg: float
     kitti_deg_per_100m: float | None
     """KITTI's r_rel; None for a path of less than 100."""
+    assumptions: tuple[str, ...] = ()
+    """How the files were read and paired, where another way is possible, in words."""
 
     @property
     def coverage(self) -> float:

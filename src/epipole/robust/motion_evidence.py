@@ -92,7 +92,7 @@ class Matches:
         self.ray1, self.spread1 = camera1.unproject_with_jacobian(pixels1)
         self.ray2, self.spread2 = camera2.unproject_with_jacobian(pixels2)
         self.jacobian2 = camera2.project_with_jacobian(self.ray2)[1]
-        self.log_area = float(np.log(camera2.width * camera2.height))
+        self.log_area = float(np.log(float(camera2.width) * float(camera2.height)))
 
     def __len__(self) -> int:
         return len(self.ray1)
@@ -317,7 +317,7 @@ def _likelihood(
     """(...) log likelihood of motions near the fitted one; the scene's depths keep their density there, `depth` (n,)."""
     residual, behind = _residuals(matches, rotation, translation, model)
     right = np.log(model.share) - 0.5 * (residual**2 + behind**2) + depth
-    return np.logaddexp(right, np.log1p(-model.share) - matches.log_area).sum(axis=-1)
+    return np.asarray(np.logaddexp(right, np.log1p(-model.share) - matches.log_area).sum(axis=-1))
 
 
 def _sign_evidence(matches: Matches, rotation: np.ndarray, translation: np.ndarray, model: _Model) -> float:

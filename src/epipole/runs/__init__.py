@@ -4,6 +4,7 @@ from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
+from epipole.runs.folder import holds_own_model as holds_own_model
 from epipole.runs.folder import read_mark as read_mark
 from epipole.runs.interrupts import heeded_interrupts as heeded_interrupts
 from epipole.runs.progress import Progress as Progress

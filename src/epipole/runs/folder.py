@@ -249,6 +249,19 @@ def _whose(held: OutputFolder) -> str:
     return f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}; {advice}"
 
 
+MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})
+"""Jobs that write models; these are of upright images."""
+
+
+def holds_own_model(root: Path) -> bool:
+    """Whether the model in a folder was made here, by its mark."""
+    try:
+        mark = read_mark(root)
+    except WorkspaceError:
+        return False
+    return mark is not None and mark.kind in MODEL_KINDS
+
+
 def read_mark(root: Path) -> OutputFolder | None:
     """What the mark of a folder says; None for a folder without one.
 

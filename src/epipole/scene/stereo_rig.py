@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from epipole._declared import check_fields, checked
 from epipole.cameras import MAX_PARAMS, Camera
+from epipole.cameras.image_fit import fitted_camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
@@ -84,12 +85,38 @@ class StereoRig:
         )
         return StereoRig(left, right, Rigid3.exp(change[2 * MAX_PARAMS :]) @ self.right_from_left)
 
+    @checked
+    def scaled_to(self, left_size: tuple[int, int], right_size: tuple[int, int]) -> StereoRig:
+        """The rig for images resampled to these sizes, with its covariance; the same one where these are its own.
+
+        Raises:
+            ConfigError: an image does not show what its camera's images show at one scale.
+        """
+        left, right = fitted_camera(self.left, *left_size), fitted_camera(self.right, *right_size)
+        if left is self.left and right is self.right:
+            return self
+        covariance = self.covariance
+        if covariance is not None:
+            factors = np.concatenate([_factors(self.left, left), _factors(self.right, right), np.ones(6)])
+            covariance = covariance * np.outer(factors, factors)
+        return StereoRig(left, right, self.right_from_left, covariance)
+
     def swapped(self) -> StereoRig:
         """The same rig with left and right exchanged; without covariance."""
         return StereoRig(self.right, self.left, self.right_from_left.inverse())
 
     def __repr__(self) -> str:
         return f"StereoRig(baseline {self.baseline:.6g}, left {self.left!r}, right {self.right!r})"
+
+
+def _factors(camera: Camera, scaled: Camera) -> np.ndarray:
+    """Of each parameter, padded: what its changes are multiplied by where images are scaled."""
+    out = np.ones(MAX_PARAMS)
+    for index in camera.model.focal_indices:
+        out[index] = scaled.params[index] / camera.params[index]
+    cx, cy = camera.model.principal_point_indices
+    out[cx], out[cy] = scaled.width / camera.width, scaled.height / camera.height
+    return out
 
 
 def _is_covariance(matrix: np.ndarray) -> bool:

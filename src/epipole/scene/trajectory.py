@@ -21,6 +21,8 @@ class Trajectory:
     world_from_body: Rigid3
     covariance: Float64[np.ndarray, "n 6 6"] | None = None
     """Of xi = (translation, rotation) in the body's axes: body_from_world = exp(xi) @ what is stated."""
+    is_timed: bool = True
+    """False where `timestamp_s` holds the numbers of the rows, 0, 1, 2, ..., for want of times (KITTI's files)."""
 
     def __post_init__(self) -> None:
         """Check the rows.
@@ -49,7 +51,7 @@ class Trajectory:
     def __getitem__(self, rows: Int64[np.ndarray, " k"]) -> Trajectory:
         """The trajectory of these rows, in their order."""
         covariance = None if self.covariance is None else self.covariance[rows]
-        return Trajectory(self.timestamp_s[rows], self.world_from_body[rows], covariance)
+        return Trajectory(self.timestamp_s[rows], self.world_from_body[rows], covariance, self.is_timed)
 
     def __repr__(self) -> str:
         if not len(self):

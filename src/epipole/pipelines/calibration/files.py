@@ -27,7 +27,7 @@ class CalibrationRun:
     pictures: tuple[tuple[Path, ...], ...]
     """By `[camera][view]`."""
     problems: dict[str, str]
-    """Pictures that could not be read, and why."""
+    """Images that could not be read, and why; and how images that EXIF turns differently were read."""
 
     def __repr__(self) -> str:
         return f"CalibrationRun({self.calibration!r}, {self.verdict.sentence!r}, in {self.out})"

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
+from epipole.cameras.image_fit import ImagePixels, ImageShape
 from epipole.config import BoardConfig, options_of
-from epipole.errors import DegenerateGeometryError, FileFormatError
+from epipole.errors import DegenerateGeometryError, FileFormatError, MissingDependencyError
 from epipole.features.boards import BoardView, find_board, whole_chessboard
-from epipole.io.photographs import list_photographs, read_grey
+from epipole.io.photographs import list_photographs, read_grey, read_header
 from epipole.io.stereo_folders import pair_folders, pair_within
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check
@@ -100,8 +101,10 @@ def _look_at_all(
     total, done = sum(len(p) for p in pictures), 0
     for own in pictures:
         found, shapes = [], []
+        orientation, note = _common_orientation(own)
+        problems |= note
         for path in own:
-            view, shape = _look(path, config, problems)
+            view, shape = _look(path, config, problems, orientation)
             found.append(view)
             shapes.append(shape)
             done += 1
@@ -160,11 +163,33 @@ def _pictures(folder: Path) -> list[Path]:
     return [folder / name for name in names]
 
 
+def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, str]]:
+    """The EXIF orientation to apply to all images of one sensor (None: each one's own), and a note by its folder.
+
+    One camera can describe images that are turned differently by their stored pixels alone, unless only the upright ones
+    have one size.
+    """
+    shapes = []
+    for path in images:
+        with suppress(FileFormatError, MissingDependencyError):
+            header = read_header(path)
+            shapes.append(ImageShape(header.width, header.height, header.orientation))
+    turned = len({shape.orientation for shape in shapes})
+    stored, upright = (len({shape.size(pixels) for shape in shapes}) for pixels in ImagePixels)
+    if turned < 2 or stored > upright:
+        return None, {}
+    note = (
+        f"the images in {images[0].parent.name} are turned differently by EXIF: the calibration describes their stored pixels,"
+        " without EXIF orientation"
+    )
+    return 1, {f"{images[0].parent} {images[0].name}: orientation": note}
+
+
 def _look(
-    path: Path, config: CalibrationConfig, problems: dict[str, str]
+    path: Path, config: CalibrationConfig, problems: dict[str, str], orientation: int | None
 ) -> tuple[BoardView, tuple[int, int] | None]:
     try:
-        grey = read_grey(path)
+        grey = read_grey(path, orientation=orientation)
     except FileFormatError as error:
         problems[str(path)] = str(error)
         return BoardView(np.zeros(0, np.int64), np.zeros((0, 2))), None

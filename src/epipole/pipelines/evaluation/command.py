@@ -23,7 +23,8 @@ def evaluate(
 
     Args:
         out: Output folder, a COLMAP model, or a trajectory (TUM, KITTI or EuRoC).
-        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, or a trajectory.
+        truth: COLMAP model, transforms.json, folder of Strecha .camera files, Middlebury _par.txt file, a trajectory, or a folder
+            of frames that brings one (7-Scenes, ScanNet, TUM RGB-D, KITTI, EuRoC).
         max_difference_s: Trajectories: instants further apart are not compared.
         json: Print JSON.
     """
@@ -60,6 +61,8 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
         highlight=False,
         markup=False,
     )
+    for words in result.assumptions:
+        console.print(f"  {words}", highlight=False, markup=False)
     if 2 * result.num_compared < min(result.num_instants, result.num_truth):
         console.print(
             "  Most instants have no counterpart: are the clocks and their units the same?", highlight=False

@@ -16,11 +16,13 @@ from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.llff import LLFF, read_llff
+from epipole.io.model_images import ModelImage, ModelImages
 from epipole.io.names import path_inside
-from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file, read_rgb
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms_scene
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.runs import holds_own_model
 from epipole.scene import Reconstruction
 from epipole.scene.local_origin import local_origin
 
@@ -123,6 +125,8 @@ class _Source:
     model: Reconstruction
     folder: Path
     """Where the names of the images start from."""
+    is_own: bool = False
+    """Whether a run of epipole made the model, which then describes upright images."""
     masks: Mapping[str, Path] = field(default_factory=dict)
     """Of images, by their names."""
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -174,7 +178,7 @@ def _transforms_source(file: Path, problems: list[str]) -> _Source:
     scene = read_transforms_scene(file, image_folder="")
     problems.extend(f"{file.name}: {warning}" for warning in scene.warnings)
     masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
-    return _Source(scene.reconstruction, file.parent, masks, scene.splits)
+    return _Source(scene.reconstruction, file.parent, masks=masks, splits=scene.splits)
 
 
 def _source_of(source: Path, max_side_px: int, photographs: Path | None, problems: list[str]) -> _Source:
@@ -194,7 +198,7 @@ def _source_of(source: Path, max_side_px: int, photographs: Path | None, problem
         at = folder.resolve()
         places = (source, folder, at.parent, at.parent.parent)
         workspace = next((place for place in places if (place / "images").is_dir()), source)
-        found = _Source(read_colmap_model(folder), workspace / "images")
+        found = _Source(read_colmap_model(folder), workspace / "images", holds_own_model(workspace))
     return found if photographs is None else replace(found, folder=photographs)
 
 
@@ -210,16 +214,16 @@ def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[
         problems.append("the masks that the file names are not used, because masks is given")
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
+    files = ModelImages(model, source.folder, is_own=source.is_own)
     limits = _grey_range(source.folder, [model.images.name[row] for row in rows.tolist()])
     for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
         name = model.images.name[row]
         try:
-            camera = model.cameras[int(model.camera_of_image[row])]
-            mask = _mask(source, options, name, (camera.width, camera.height))
+            image = files.find(name)
+            mask = _mask(source, options, name, (image.camera.width, image.camera.height))
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
-            path = path_inside(source.folder, name)
-            picture = _read(path, camera, limits)
-            view = _view(name, picture, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            picture = _read(image, limits)
+            view = _view(name, picture, image.camera, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -269,17 +273,14 @@ def _view(
     return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(path: Path, camera: Camera, limits: GreyRange | None) -> np.ndarray:
+def _read(image: ModelImage, limits: GreyRange | None) -> np.ndarray:
     """RGB, or RGBA where something is transparent.
 
     Raises:
-        FileFormatError: it cannot be read, or is not of its camera's size.
+        FileFormatError: it cannot be read.
     """
-    rgba = read_rgba(path)
-    picture = read_rgb(path, limits=limits) if rgba is None else rgba
-    if picture.shape[:2] != (camera.height, camera.width):
-        h, w = picture.shape[:2]
-        raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")
+    rgba = read_rgba(image.path, orientation=image.orientation)
+    picture = image.read(limits=limits) if rgba is None else rgba
     is_plain = rgba is None or (rgba[..., 3] == 255).all()
     return np.ascontiguousarray(picture[..., :3]) if is_plain else picture
 
@@ -297,9 +298,4 @@ def _fitted(camera: Camera, max_side_px: int) -> Camera:
     factor = max(camera.width, camera.height) / max_side_px
     if factor <= 1:
         return camera
-    size = max(1, round(camera.width / factor)), max(1, round(camera.height / factor))
-    params = camera.params.copy()
-    ratio = np.array([size[0] / camera.width, size[1] / camera.height])
-    params[:2] *= ratio
-    params[2:4] = (params[2:4] + 0.5) * ratio - 0.5
-    return Camera(camera.model, *size, params)
+    return camera.scaled_to(max(1, round(camera.width / factor)), max(1, round(camera.height / factor)))

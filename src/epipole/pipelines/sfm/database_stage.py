@@ -10,10 +10,11 @@ import numpy as np
 
 from epipole.errors import ConfigError
 from epipole.io.colmap_database import DatabaseContents, read_database
+from epipole.io.photographs import read_header
 from epipole.pipelines.sfm.feature_stage import as_unit_arrays, read_picture
 from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, block_units, filled
 from epipole.pipelines.sfm.photographs import ImageSet
-from epipole.runs import Unit, digest
+from epipole.runs import Unit, digest, holds_own_model
 
 FORMAT = 2
 Matches = dict[tuple[int, int], np.ndarray]
@@ -86,6 +87,8 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
             raise ConfigError(
                 f"{images.names[i]} is {own.width}x{own.height} upright, but {theirs.width}x{theirs.height} in {path}"
             )
+    if not holds_own_model(path.resolve().parent):
+        _refuse_turned(path, images)
     if keep_cameras:
         return source, images
     sources = tuple(
@@ -94,6 +97,20 @@ def open_source(path: Path, images: ImageSet, *, keep_cameras: bool) -> tuple[Da
     return source, replace(
         images, cameras=contents.cameras, camera_of_image=camera_rows.astype(np.int32), focal_sources=sources
     )
+
+
+def _refuse_turned(path: Path, images: ImageSet) -> None:
+    """A database from elsewhere may be of stored pixels (COLMAP ignores EXIF orientation); images are worked on upright.
+
+    Where EXIF turns by 90 degrees, the sizes have told already.
+    """
+    for name in images.names:
+        header = read_header(images.folder / name)
+        if header.orientation in (2, 3, 4) or (header.orientation != 1 and header.width == header.height):
+            raise ConfigError(
+                f"{name} has EXIF orientation {header.orientation}, and the keypoints in {path} may be of its stored pixels:"
+                " store the images upright, without orientation, and extract features again"
+            )
 
 
 def feature_units(source: DatabaseSource, images: ImageSet, folder: Path, max_size_px: int) -> list[Unit]:

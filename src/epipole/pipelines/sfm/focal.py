@@ -26,7 +26,7 @@ PRIOR_VOTE, PRIOR_WIDTH = 50.0, 0.7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Ballot:
+class Ballot:
     """The vote of one pair of images: its disagreement for every combination of both cameras' factors."""
 
     first: int
@@ -53,16 +53,9 @@ def estimate_focals(
         Cameras with the new guesses, and the factor found for each camera that got one.
     """
     unknown = ~cameras.is_focal_trusted & ~cameras.is_constant
-    ballots = _ballots(cameras, camera_of_image, view_graph, unknown)
-    of_camera: dict[int, list[_Ballot]] = {}
-    for ballot in ballots:
-        for c in {ballot.first, ballot.second}:
-            if unknown[c]:
-                of_camera.setdefault(c, []).append(ballot)
-    middle = len(FACTORS) // 2
-    chosen = dict.fromkeys(sorted(of_camera, key=lambda c: -sum(b.weight for b in of_camera[c])), middle)
-    for width in WIDTHS:
-        _climb(chosen, ballots, of_camera, width)
+    ballots = ballots_of(cameras, camera_of_image, view_graph, unknown)
+    of_camera = _by_camera(ballots, unknown)
+    chosen = climbed(ballots, unknown)
     found = {}
     for c, index in sorted(chosen.items()):
         votes = _votes(c, chosen, of_camera[c], WIDTHS[-1])
@@ -76,9 +69,31 @@ def estimate_focals(
     return replace(cameras, params=params, is_focal_trusted=trusted), found
 
 
-def _ballots(
+def climbed(
+    ballots: list[Ballot], unknown: np.ndarray, start: int = len(FACTORS) // 2, factor: float = 1.0
+) -> dict[int, int]:
+    """The factor, as a row of FACTORS, that each unknown camera gets by the votes; all begin at a row times a factor."""
+    of_camera = _by_camera(ballots, unknown)
+    first = int(np.argmin(np.abs(np.log(FACTORS / (factor * FACTORS[start])))))
+    chosen = dict.fromkeys(sorted(of_camera, key=lambda c: -sum(b.weight for b in of_camera[c])), first)
+    for width in WIDTHS:
+        _climb(chosen, ballots, of_camera, width)
+    return chosen
+
+
+def _by_camera(ballots: list[Ballot], unknown: np.ndarray) -> dict[int, list[Ballot]]:
+    of_camera: dict[int, list[Ballot]] = {}
+    for ballot in ballots:
+        for c in {ballot.first, ballot.second}:
+            if unknown[c]:
+                of_camera.setdefault(c, []).append(ballot)
+    return of_camera
+
+
+def ballots_of(
     cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph, unknown: np.ndarray
-) -> list[_Ballot]:
+) -> list[Ballot]:
+    """The votes of the pairs that have enough matches, strongest first, and at most MAX_PAIRS_OF_CAMERA of a camera."""
     first, second = camera_of_image[view_graph.image1], camera_of_image[view_graph.image2]
     inliers = view_graph.num_inliers()
     usable = (view_graph.kind == PairKind.UNCALIBRATED) & (inliers >= MIN_INLIERS)
@@ -99,7 +114,7 @@ def _ballots(
             rows = FACTORS[:, None] if unknown[a] else one[:, None]
             columns = FACTORS[None] if unknown[b] else one[None]
             table = singular_value_disagreement(F, K1, K2, rows, columns)
-        out.append(_Ballot(a, b, float(min(inliers[edge], FULL_WEIGHT_INLIERS)), table))
+        out.append(Ballot(a, b, float(min(inliers[edge], FULL_WEIGHT_INLIERS)), table))
     return out
 
 
@@ -129,7 +144,7 @@ def singular_value_disagreement(
 
 
 def _climb(
-    chosen: dict[int, int], ballots: list[_Ballot], of_camera: dict[int, list[_Ballot]], width: float
+    chosen: dict[int, int], ballots: list[Ballot], of_camera: dict[int, list[Ballot]], width: float
 ) -> None:
     """Move each camera, then all together, to the factor with most votes until nothing moves."""
     for _ in range(MAX_SWEEPS):
@@ -148,7 +163,7 @@ def _climb(
             break
 
 
-def _votes(c: int, chosen: dict[int, int], ballots: list[_Ballot], width: float) -> np.ndarray:
+def _votes(c: int, chosen: dict[int, int], ballots: list[Ballot], width: float) -> np.ndarray:
     """Votes for every factor of camera c, the other cameras standing as chosen."""
     votes = _prior_votes()
     for b in ballots:
@@ -162,7 +177,7 @@ def _votes(c: int, chosen: dict[int, int], ballots: list[_Ballot], width: float)
     return votes
 
 
-def _total(chosen: dict[int, int], ballots: list[_Ballot], width: float) -> float:
+def _total(chosen: dict[int, int], ballots: list[Ballot], width: float) -> float:
     votes = float(_prior_votes()[list(chosen.values())].sum())
     for b in ballots:
         column = 0 if b.first == b.second else chosen.get(b.second, 0)

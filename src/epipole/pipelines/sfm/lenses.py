@@ -2,49 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int32
 
 from epipole.cameras import Camera, CameraModel, camera_model_named
+from epipole.cameras.image_fit import (
+    ImagePixels,
+    ImageShape,
+    camera_of_image,
+    described_pixels,
+    fit_notes,
+    with_likely_principal_point,
+)
 from epipole.errors import ConfigError
 from epipole.io.calibration_files import read_calibration
-from epipole.io.camera_params import camera_of_text, refuse_impossible
+from epipole.io.camera_params import camera_of_images, refuse_impossible
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
 
 PRIOR_FOCAL = 1.2
 """Focal length assumed where nothing is known, in units of the longer side."""
-FAR_OFF_MIDDLE = 0.2
-"""A known principal point further from the middle, in units of the picture's side, is remarked on."""
 
 
-def group_cameras(
-    headers: Mapping[str, PhotographHeader], config: ReconstructConfig
-) -> tuple[Cameras, Int32[np.ndarray, " n"], tuple[str, ...]]:
-    """Cameras, the camera of each picture, and where each camera's focal length comes from, in words.
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupedCameras:
+    """Cameras, and which image each of them took."""
 
-    Pictures of the same make, model, size and focal length share a camera; so do all of one size where none of
-    this is recorded.
+    cameras: Cameras
+    camera_of_image: Int32[np.ndarray, " n"]
+    sources: tuple[str, ...]
+    """Where each camera's focal length comes from, in words."""
+    notes: tuple[str, ...] = ()
+    """How known parameters were fitted to the images, and what is odd about them."""
+
+
+def group_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:
+    """Cameras of upright images, and the camera of each image.
+
+    Images of the same make, model, size and focal length share a camera; so do all of one size where none of
+    this is recorded. A known camera is turned and scaled with each image.
 
     Raises:
-        ConfigError: the camera options do not fit the pictures.
+        ConfigError: the camera options do not fit the images.
         FileFormatError: the calibration cannot be read.
     """
-    is_known = config.has_known_camera
-    model = camera_model_named(config.camera_model or ("PINHOLE" if is_known else "SIMPLE_RADIAL"))
-    if is_known or config.single_camera:
-        width, height = _only_size(headers)
+    if config.has_known_camera:
+        return _known_cameras(headers, config)
+    model = camera_model_named(config.camera_model or "SIMPLE_RADIAL")
+    if config.single_camera:
+        _check_one_size(headers)
         one = np.zeros(len(headers), np.int32)
-        if is_known:
-            camera, source = _known_camera(config, model, width, height)
-            return Cameras.from_list([camera], is_constant=[not config.refine_known]), one, (source,)
         found = [h for h in headers.values() if h.focal_px]
         camera, source = _camera_of(found[0] if found else next(iter(headers.values())), model)
-        return Cameras.from_list([camera], is_focal_trusted=[bool(found)]), one, (source,)
+        return GroupedCameras(Cameras.from_list([camera], is_focal_trusted=[bool(found)]), one, (source,))
     groups: dict[tuple, int] = {}
     cameras: list[Camera] = []
     sources: list[str] = []
@@ -59,57 +74,56 @@ def group_cameras(
             sources.append(source)
         rows.append(groups[key])
     trusted = [not s.startswith("assumed") for s in sources]
-    return Cameras.from_list(cameras, is_focal_trusted=trusted), np.array(rows, np.int32), tuple(sources)
+    columns = Cameras.from_list(cameras, is_focal_trusted=trusted)
+    return GroupedCameras(columns, np.array(rows, np.int32), tuple(sources))
 
 
-def _only_size(headers: Mapping[str, PhotographHeader]) -> tuple[int, int]:
+def _check_one_size(headers: Mapping[str, PhotographHeader]) -> None:
     sizes = {(h.width, h.height) for h in headers.values()}
     if len(sizes) > 1:
         listed = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
         raise ConfigError(f"a single camera needs pictures of one size, but there are {listed}")
-    return next(iter(sizes))
 
 
-def _known_camera(
-    config: ReconstructConfig, model: CameraModel, width: int, height: int
-) -> tuple[Camera, str]:
+def _known_cameras(headers: Mapping[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:
+    """One camera per size and orientation of the images, all from the one that is known."""
+    shapes = [_shape_of(header) for header in headers.values()]
+    known, source, what = _known_camera(config, shapes)
+    size = known.width, known.height
+    described = described_pixels(size, shapes, what)
+    known, odd = with_likely_principal_point(known)
+    kinds = sorted(set(shapes))
+    cameras = Cameras.from_list(
+        [camera_of_image(known, shape, described) for shape in kinds],
+        is_constant=[not config.refine_known] * len(kinds),
+    )
+    rows = np.array([kinds.index(shape) for shape in shapes], np.int32)
+    notes = [*fit_notes(known, shapes, described, what), odd]
+    return GroupedCameras(cameras, rows, (source,) * len(kinds), tuple(filter(None, notes)))
+
+
+def _known_camera(config: ReconstructConfig, shapes: Sequence[ImageShape]) -> tuple[Camera, str, str]:
+    """The camera as it is given, where it comes from, and what holds it."""
     if config.calibration is not None:
-        camera = _calibrated_camera(config.calibration, width, height)
+        what = f"calibration {config.calibration}"
+        camera = _calibrated_camera(config.calibration, shapes[0].size(ImagePixels.STORED))
         refuse_impossible(camera, str(config.calibration))
-        return camera, f"given by {config.calibration.name}"
-    return camera_of_text(model, (width, height), config.camera_params or ""), "given"
+        return camera, f"given by {config.calibration.name}", what
+    found = camera_of_images(config.camera_model, shapes, config.camera_params or "")
+    return found, "given", "the camera of camera_params"
 
 
-def _calibrated_camera(path: Path, width: int, height: int) -> Camera:
-    found = read_calibration(path, size=(width, height)).cameras
+def _calibrated_camera(path: Path, size: tuple[int, int]) -> Camera:
+    found = read_calibration(path, size=size).cameras
     if len(found) != 1:
         raise ConfigError(
             f"calibration {path} holds {len(found)} cameras; one that took all pictures is needed"
         )
-    if (found[0].width, found[0].height) != (width, height):
-        raise ConfigError(
-            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {width}x{height}"
-        )
     return found[0]
 
 
-def principal_point_note(camera: Camera) -> str:
-    """What is odd about a known principal point; empty where nothing is.
-
-    A lens stands over the middle of its sensor to within a few per cent; crops and rectified pictures may differ.
-    """
-    size = np.array([camera.width, camera.height])
-    middle, point = (size - 1) / 2, camera.K[:2, 2]
-    far = bool((np.abs(point - middle) > FAR_OFF_MIDDLE * size).any())
-    is_swapped = np.abs(point[::-1] - middle).sum() < 0.25 * np.abs(point - middle).sum()
-    if not (far or is_swapped):
-        return ""
-    ask = "were cx and cy swapped?" if is_swapped else "right only for a cropped or rectified picture"
-    cx, cy = point + 0.5
-    return (
-        f"the known principal point, cx = {cx:g} and cy = {cy:g}, is far from the middle of the pictures "
-        f"({camera.width / 2:g}, {camera.height / 2:g}): {ask}"
-    )
+def _shape_of(header: PhotographHeader) -> ImageShape:
+    return ImageShape(header.width, header.height, header.orientation)
 
 
 def _camera_of(header: PhotographHeader, model: CameraModel) -> tuple[Camera, str]:

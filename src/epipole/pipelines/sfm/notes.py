@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole.image.pixels_without_ray import no_ray_warning
 from epipole.io.video import is_video
+from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mapping_stage import gps_notes
 from epipole.pipelines.sfm.pipeline import Solution
@@ -44,7 +46,28 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
                 "parts of it are probably wrong (a wrong focal length, or things that look alike)"
             )
-    return [*out, *gps_notes(solution.images, mapped, config)]
+    for number, model in enumerate(mapped.models):
+        used = np.unique(model.camera_of_image[model.is_registered()])
+        cameras = [(int(c), model.cameras[int(c)]) for c in used]
+        out += [f"model {number}, camera {c}: {words}" for c, one in cameras for words in no_ray_warning(one)]
+    out += gps_notes(solution.images, mapped, config)
+    return [*out, *_wrong_focals(solution)]
+
+
+def _wrong_focals(solution: Solution) -> list[str]:
+    """Known focal lengths that the images contradict."""
+    known = solution.images.cameras.is_constant
+    wrong = [
+        f"{pictures_of_camera(solution, c)}: {focal.model_px:.0f} px is given, {_with_sigma(focal.focal_px, focal)} estimated"
+        for c, focal in solution.focals.items()
+        if known[c] and focal.contradicts_model
+    ]
+    if not wrong:
+        return []
+    return [
+        f"the images contradict the known focal length ({_first_of(wrong)}): if it is wrong, the models are bent; check the size"
+        " of the images that it was measured with, or leave it out"
+    ]
 
 
 def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
@@ -63,7 +86,7 @@ def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:
 
 def _focal_notes(solution: Solution) -> list[str]:
     """Focal lengths that nobody gave: those that came out of the pictures, and those that did not."""
-    found, unknown = [], []
+    found, unknown, doubtful = [], [], []
     for c in np.flatnonzero(
         ~(solution.images.cameras.is_focal_trusted | solution.images.cameras.is_constant)
     ):
@@ -71,15 +94,26 @@ def _focal_notes(solution: Solution) -> list[str]:
         if final_px is None:
             continue
         of_pictures, first_px = pictures_of_camera(solution, int(c)), solution.cameras[int(c)].focal_px
+        accuracy = solution.focals.get(int(c))
+        final = _with_sigma(final_px, accuracy)
         if int(c) in solution.guessed_cameras:
             first = f" (first estimate {first_px:.0f} px)" if f"{first_px:.0f}" != f"{final_px:.0f}" else ""
-            found.append(f"{of_pictures}: {final_px:.0f} px{first}")
+            found.append(f"{of_pictures}: {final}{first}")
+            if accuracy is None or not accuracy.is_determined:
+                doubtful.append(f"{of_pictures}: {_share_of(accuracy)}")
         else:
-            unknown.append(f"{of_pictures}: {final_px:.0f} px from a guess of {first_px:.0f} px")
+            unknown.append(f"{of_pictures}: {final} from a guess of {first_px:.0f} px")
     notes = []
     if found:
         words = "focal length" if len(found) == 1 else "focal lengths"
-        notes.append(f"{words} found from the pictures themselves: {_first_of(found)}")
+        doubt = (
+            f". The images do not determine {'it' if len(found) == 1 else 'all of them'} well (standard deviation of"
+            f" {_first_of(doubtful)}): angles and proportions may be wrong by as much. Known values are given by"
+            " --calibration or --camera-params"
+        )
+        notes.append(
+            f"{words} found from the pictures themselves: {_first_of(found)}{doubt if doubtful else ''}"
+        )
     if unknown:
         notes.append(
             "nothing tells the focal length, and the pictures do not agree on one, so that it, and with it angles and "
@@ -97,6 +131,25 @@ def focal_source(solution: Solution, camera: int) -> str:
     if camera in solution.guessed_cameras:
         return f"found from the pictures ({source} at first)"
     return f"{source}, then adjusted with the model"
+
+
+def _with_sigma(focal_px: float, accuracy: FocalAccuracy | None) -> str:
+    """A focal length and its standard deviation, where that is known."""
+    if accuracy is None or not np.isfinite(accuracy.sigma_px):
+        return f"{focal_px:.0f} px"
+    return f"{focal_px:.0f} px +- {accuracy.sigma_px:.0f} px"
+
+
+def focal_verdict(accuracy: FocalAccuracy) -> str:
+    """Whether the images determine a focal length, in words."""
+    verdict = "determined" if accuracy.is_determined else "not determined"
+    return f"{verdict} by the images, {_with_sigma(accuracy.focal_px, accuracy)}"
+
+
+def _share_of(accuracy: FocalAccuracy | None) -> str:
+    if accuracy is None or not accuracy.sigma_px < accuracy.focal_px:
+        return "100 % or more"
+    return f"{100 * accuracy.sigma_px / accuracy.focal_px:.1f} %"
 
 
 def _final_focal_px(solution: Solution, camera: int) -> float | None:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from epipole._jit import compile_seconds
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
-from epipole.pipelines.sfm.notes import focal_source, pictures_of_camera, title_of
+from epipole.pipelines.sfm.notes import focal_source, focal_verdict, pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
@@ -126,10 +126,11 @@ def page_content(
 
 def _camera_line(solution: Solution, camera: int) -> str:
     """Whose a camera is, what became of it, and where its focal length came from."""
-    first_px = solution.images.cameras[camera].focal_px
+    first_px, accuracy = solution.images.cameras[camera].focal_px, solution.focals.get(camera)
+    verdict = "" if accuracy is None else f"; {focal_verdict(accuracy)}"
     return (
         f"{pictures_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
-        f"focal length first {first_px:.0f} px, {focal_source(solution, camera)}"
+        f"focal length first {first_px:.0f} px, {focal_source(solution, camera)}{verdict}"
     )
 
 

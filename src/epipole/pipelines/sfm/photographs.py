@@ -14,7 +14,7 @@ from epipole.errors import ConfigError, FileFormatError, MissingDependencyError,
 from epipole.io.photographs import PhotographHeader, list_photographs, mask_names, mask_of, read_header
 from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.lenses import group_cameras, principal_point_note
+from epipole.pipelines.sfm.lenses import group_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests
 from epipole.scene import Cameras
 
@@ -80,6 +80,7 @@ def read_image_set(
     *,
     ignore: tuple[Path, ...] = (),
     timestamps_s: dict[str, float] | None = None,
+    video_orientation: int = 1,
     progress: ProgressCallback,
 ) -> ImageSet:
     """Read the headers of all pictures of a folder and group them by camera.
@@ -90,6 +91,7 @@ def read_image_set(
         memory: file that remembers what the pictures held, by size and time.
         ignore: folders that are no pictures.
         timestamps_s: of each frame of a video, by name.
+        video_orientation: by which the frames of a video were turned upright.
         progress: told how many headers are read.
 
     Raises:
@@ -102,7 +104,7 @@ def read_image_set(
         what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
         raise NoModelError(" ".join([what, *filter(None, hints)]))
     names, notes = _chosen(listed.names, config)
-    headers, left_out = _read_headers(folder, names, progress)
+    headers, left_out = _read_headers(folder, names, progress, video_orientation)
     unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
     left_out = {**listed.unusable, **dict.fromkeys(unreadable, listed.advice), **left_out}
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
@@ -113,16 +115,15 @@ def read_image_set(
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
     times = timestamps_s or {}
-    cameras, camera_of_image, sources = group_cameras(headers, config)
-    lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
+    grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
     digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
     return ImageSet(
         folder,
         tuple(headers),
-        cameras,
-        camera_of_image,
-        sources,
+        grouped.cameras,
+        grouped.camera_of_image,
+        grouped.sources,
         np.array([_gps_row(h) for h in headers.values()]),
         np.array([h.up_in_camera or (np.nan,) * 3 for h in headers.values()]),
         np.array([times.get(n, np.nan) for n in headers]),
@@ -130,12 +131,12 @@ def read_image_set(
         tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
         bool(times),
-        tuple(filter(None, [*notes, lens_note, mask_note])),
+        tuple(filter(None, [*notes, *grouped.notes, mask_note])),
     )
 
 
 def _read_headers(
-    folder: Path, names: Sequence[str], progress: ProgressCallback
+    folder: Path, names: Sequence[str], progress: ProgressCallback, video_orientation: int
 ) -> tuple[dict[str, PhotographHeader], dict[str, str]]:
     """Headers of the pictures that can be used, and why the others cannot."""
     headers: dict[str, PhotographHeader] = {}
@@ -144,6 +145,8 @@ def _read_headers(
     for n, name in enumerate(names):
         try:
             header = read_header(folder / name)
+            if video_orientation != 1:
+                header = replace(header, orientation=video_orientation)
             if min(header.width, header.height) < MIN_SIZE_PX:
                 left_out[name] = f"too small ({header.width}x{header.height}) to hold features"
             else:

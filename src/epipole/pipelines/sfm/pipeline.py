@@ -7,15 +7,16 @@ features, matches, two-view geometries, models.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
-from epipole.io.video import extract_frames, is_video
+from epipole.io.video import extract_frames, frame_orientation, is_video
+from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
 from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units
@@ -26,6 +27,7 @@ from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
 from epipole.pipelines.sfm.match_stage import PairWork, load_view_graph, match_units, verification_units
 from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
+from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
@@ -50,6 +52,15 @@ class Solution:
     guessed_cameras: tuple[int, ...]
     """Cameras whose focal lengths were estimated from the pictures themselves; `cameras` has the estimates."""
     mapped: Mapped
+    focals: Mapping[int, FocalAccuracy] = field(default_factory=dict)
+    """How well the models determine the focal length of each camera, by its row."""
+
+    def with_focals(self) -> Solution:
+        """The solution with the accuracy of its focal lengths, of each camera in the largest model that it is in."""
+        found: dict[int, FocalAccuracy] = {}
+        for model in self.mapped.models:
+            found = {**focal_accuracies(model), **found}
+        return replace(self, focals=dict(sorted(found.items())))
 
     def worth(self) -> tuple[int, int]:
         """Images and observations of the largest model."""
@@ -100,7 +111,8 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
     detected = _Detected(features, keypoints, colors, database, given, pairs)
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:
-        again = _match_and_map(replace(images, cameras=corrected), detected, run, config, "-again")
+        images = replace(solution.images, cameras=corrected)
+        again = _match_and_map(images, detected, run, config, "-again")
         solution = max(solution, again, key=Solution.worth)
         run.report("map", solution.mapped.num_placed(), len(images))
     return solution
@@ -121,6 +133,8 @@ def _match_and_map(
     with run.stage("verify"):
         folder = run.root / UNITS / f"geometry{suffix}"
         view_graph = _verify(todo, matches, folder, run)
+        images = _without_contradictions(images, view_graph, config)
+        todo = replace(todo, cameras=images.cameras, camera_of_image=images.camera_of_image)
         cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
         if found:  # focal lengths were guessed: repeat with those that the pairs agree on
             again = folder.with_name(f"{folder.name}-calibrated")
@@ -138,6 +152,34 @@ def _match_and_map(
     return Solution(
         *(images, detected.features, detected.keypoints, tuple(matches), cameras, view_graph),
         *(tuple(found), mapped),
+    )
+
+
+def _without_contradictions(images: ImageSet, view_graph: ViewGraph, config: ReconstructConfig) -> ImageSet:
+    """The images with a camera for each where one that they share for want of EXIF cannot have one focal length."""
+    wrong = contradicted_cameras(images.cameras, images.camera_of_image, view_graph)
+    if not wrong:
+        return images
+    lens = [images.cameras[c] for c in wrong]
+    sizes = ", ".join(f"{camera.width}x{camera.height}" for camera in lens)
+    if config.single_camera or images.is_video:
+        why = "single_camera" if config.single_camera else "a video"
+        note = (
+            f"the images of {sizes} contradict one shared focal length, which {why} asks for: if the zoom changed, or they are of"
+            " several cameras, the models are bent"
+        )
+        return replace(images, notes=(*images.notes, note) if note not in images.notes else images.notes)
+    cameras, camera_of_image = with_own_cameras(images.cameras, images.camera_of_image, wrong)
+    first = {int(c): int(images.camera_of_image[row]) for row, c in enumerate(camera_of_image)}
+    counts = [int((images.camera_of_image == c).sum()) for c in wrong]
+    note = f"{sum(counts)} images of {sizes} without a known focal length contradict a shared one: each has a camera of its own"
+    sources = tuple(images.focal_sources[first.get(c, c)] for c in range(len(cameras)))
+    return replace(
+        images,
+        cameras=cameras,
+        camera_of_image=camera_of_image,
+        focal_sources=sources,
+        notes=(*images.notes, note),
     )
 
 
@@ -194,7 +236,13 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
             progress=lambda done, total: run.report("video", done, total),
         )
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
-        return read_image_set(folder, config, memory, timestamps_s=times, progress=run.job.progress)
+        orientation = frame_orientation(source) if config.has_known_camera else 1
+        return read_image_set(
+            *(folder, config, memory),
+            timestamps_s=times,
+            video_orientation=orientation,
+            progress=run.job.progress,
+        )
     if not source.is_dir():
         raise NoModelError(
             f"{source} is neither a video nor a folder: give the folder that holds the photographs"

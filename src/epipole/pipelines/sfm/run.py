@@ -90,8 +90,9 @@ def reconstruct(
         if solution.mapped.models:
             with run.stage("anchor"):
                 mapped, notes = with_scale(solution, config)
-            solution = replace(solution, mapped=mapped)
             run.warnings += notes
+            with run.stage("check"):
+                solution = replace(solution, mapped=mapped).with_focals()
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
@@ -166,6 +167,16 @@ def _summary(
         "median_gps_residual_m": None if gps is None else gps.median_m,
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
         "focal_sources": [focal_source(solution, c) for c in range(len(images.focal_sources))],
+        "focals": [
+            {
+                "camera": c,
+                "focal_px": focal.model_px,
+                "estimated_px": focal.focal_px,
+                "sigma_px": _finite(focal.sigma_px),
+                "is_determined": focal.is_determined,
+            }
+            for c, focal in solution.focals.items()
+        ],
         "not_registered": reasons,
         "warnings": warnings,
         "seconds": seconds,

@@ -12,10 +12,13 @@ import numpy as np
 from epipole.errors import FileFormatError
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
+from epipole.io.model_images import ModelImages
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.report.space_model import scene_of_model
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+from epipole.runs import holds_own_model
+from epipole.scene import Reconstruction
 
 PICTURE_PX = 640
 
@@ -32,7 +35,7 @@ def scene(path: Path) -> SpaceScene:
         model,
         title=_title(path),
         unit=METRES if summary.get("is_metric") is True else NO_UNIT,
-        load_picture=picture_loader(path / "images"),
+        load_picture=picture_loader(path / "images", model, is_own=holds_own_model(path)),
         num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
     )
     others = [other for other in sorted((path / "sparse").glob("[0-9]*")) if other.is_dir()][1:]
@@ -58,8 +61,18 @@ def _summary(path: Path) -> dict[str, Any]:
     return summary if isinstance(summary, dict) else {}
 
 
-def picture_loader(folder: Path) -> Callable[[str], np.ndarray | None]:
-    """Reads a picture by its name; gives None for one that cannot be read."""
+def picture_loader(
+    folder: Path, model: Reconstruction | None = None, *, is_own: bool = False
+) -> Callable[[str], np.ndarray | None]:
+    """Reads an image by its name; gives None for one that cannot be read.
+
+    Args:
+        folder: of the images.
+        model: whose cameras describe them; None: they are read upright.
+        is_own: the model was made here.
+    """
+    if model is not None:
+        return ModelImages(model, folder, is_own=is_own).loader(PICTURE_PX)
 
     def load_picture(name: str) -> np.ndarray | None:
         try:

@@ -83,6 +83,8 @@ def show_slam(result: SlamResult) -> None:
     unit = "m" if summary["is_metric"] else "units of the map, not metres"
     table.add_row("length of the path", f"{length:.4g} {unit}")
     table.add_row("scale", summary["scale"])
+    for label, words in _source_rows(summary["source"]):
+        table.add_row(label, words)
     ms = summary["ms_per_frame"]
     for name, found in summary.get("truth", {}).items():
         if name in ("final", "causal") and found is not None:
@@ -99,6 +101,21 @@ def show_slam(result: SlamResult) -> None:
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)
+
+
+def _source_rows(source: dict[str, Any]) -> list[tuple[str, str]]:
+    """Where the camera and the unit of depth come from."""
+    out = []
+    if source.get("camera_source"):
+        out.append(("camera from", source["camera_source"]))
+    if "depth_scale" in source:
+        out.append(
+            (
+                "depth scale",
+                f"{source['depth_scale']:g} values for a metre, from {source['depth_scale_source']}",
+            )
+        )
+    return out
 
 
 def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:

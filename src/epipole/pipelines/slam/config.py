@@ -15,6 +15,7 @@ from epipole.errors import ConfigError
 
 if TYPE_CHECKING:
     from epipole.cameras import Camera
+    from epipole.cameras.image_fit import ImageShape
     from epipole.scene import StereoRig
 
 
@@ -93,6 +94,8 @@ class CameraOptions:
     """Calibration file, as `epipole calibrate` writes it (OpenCV's, ROS' and Kalibr's too)."""
     readout_s: float = 0.0
     """Of a rolling shutter: seconds from the first row to the one after the last; 0: all rows at once."""
+    depth_scale: float | None = None
+    """Depth images: stored values for a metre, such as 1000 or 5000 (what the files and the layout say unless given)."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -101,40 +104,61 @@ class CameraOptions:
             ConfigError: a value makes no sense.
         """
         check_fields(self)
+        if self.depth_scale is not None and not 0 < self.depth_scale < 1e6:
+            raise ConfigError(f"depth_scale must be positive and below a million, got {self.depth_scale}")
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 
     def camera(self, size: tuple[int, int]) -> Camera | None:
-        """The camera for pictures of this size; None where nothing is given.
+        """The camera for images of this size, that are not turned; None where nothing is given.
 
         Raises:
-            ConfigError: the parameters are not those of the model.
+            ConfigError: the parameters are not those of the model, or the calibration does not fit the images.
             FileFormatError: the calibration cannot be read.
         """
+        from epipole.cameras.image_fit import ImageShape
+
+        found = self.fitted_camera(ImageShape(*size))
+        return None if found is None else found[0]
+
+    def fitted_camera(self, shape: ImageShape) -> tuple[Camera, list[str]] | None:
+        """The camera of upright images of this shape, and how it was fitted to them; None where nothing is given.
+
+        Raises:
+            ConfigError: the parameters are not those of the model, or the calibration does not fit the images.
+            FileFormatError: the calibration cannot be read.
+        """
+        from epipole.cameras.image_fit import (
+            ImagePixels,
+            camera_of_image,
+            described_pixels,
+            fit_notes,
+            with_likely_principal_point,
+        )
         from epipole.io.calibration_files import read_calibration
+        from epipole.io.camera_params import camera_of_images
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
                 raise ConfigError("calibration tells model and parameters: give it, or camera_params")
-            found = read_calibration(self.calibration, size=size).cameras[0]
-            if (found.width, found.height) != size:
-                raise ConfigError(
-                    f"calibration {self.calibration} is of pictures of {found.width}x{found.height}, "
-                    f"but these are {size[0]}x{size[1]}"
-                )
-            return found
-        if self.camera_params is None:
+            what = f"calibration {self.calibration}"
+            found = read_calibration(self.calibration, size=shape.size(ImagePixels.STORED)).cameras[0]
+        elif self.camera_params is not None:
+            what = "the camera of camera_params"
+            found = camera_of_images(self.camera_model, [shape], self.camera_params)
+        else:
             return None
-        from epipole.cameras import camera_model_named
-        from epipole.io.camera_params import camera_of_text
-
-        return camera_of_text(camera_model_named(self.camera_model or "PINHOLE"), size, self.camera_params)
+        described = described_pixels((found.width, found.height), [shape], what)
+        found, odd = with_likely_principal_point(found)
+        notes = [*fit_notes(found, [shape], described, what), *([odd] if odd else [])]
+        return camera_of_image(found, shape, described), notes
 
     def rig(self, size: tuple[int, int]) -> StereoRig | None:
         """The pair of cameras for pictures of this size; None where no calibration is given.
 
         Raises:
             ConfigError: camera_params, which are of one camera, are given.
+            ConfigError: the calibration does not fit the images.
             FileFormatError: the calibration cannot be read, or is not of two cameras.
         """
         if self.camera_params is not None:
@@ -143,7 +167,7 @@ class CameraOptions:
             return None
         from epipole.io.calibration_files import read_stereo_rig
 
-        return read_stereo_rig(self.calibration, size=size)
+        return read_stereo_rig(self.calibration, size=size).scaled_to(size, size)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -83,6 +83,7 @@ class Feed:
             "num_dropped": self.num_dropped,
             "interrupted": self.is_interrupted,
             "is_live": self.source.is_live,
+            "source": dict(self.source.about),
         }
 
     @property

@@ -64,6 +64,13 @@ class FoundCamera:
             f"+- {self.sigma_px:.1f} px). A calibration is more accurate"
         )
 
+    @property
+    def source(self) -> str:
+        """Where it comes from, in words."""
+        return (
+            f"found from {self.num_pictures} of the images" if self.num_pictures else "that of the known map"
+        )
+
     def summary(self) -> dict[str, Any]:
         """For the run's summary."""
         return {"camera": repr(self.camera), "pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
@@ -117,11 +124,10 @@ def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
     if is_video(source):
         return _Pictures(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)
-    if job.sensor not in ("auto", "mono") or sequence.camera or sequence.rig or sequence.depth:
-        return None
-    read_header(
-        sequence.frames[0].picture
-    )  # an image of another kind, such as a panorama, is refused with the reason
+    is_known = sequence.camera or sequence.camera_problem or sequence.rig or sequence.depth
+    if job.sensor not in ("auto", "mono") or is_known:
+        return None  # what lies beside the images but does not fit them is refused where they are opened
+    read_header(sequence.frames[0].picture)  # an image of another kind is refused with the reason
     return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
 
 
@@ -230,4 +236,10 @@ def _judged(found: ReconstructionResult) -> FoundCamera:
             f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
             f"--camera-model {lens.model.name} --camera-params {text_of_camera(lens)}"
         )
-    return FoundCamera(lens, count, sigma_px)
+    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px))
+
+
+def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
+    """The deviation of the focal length that the reconstruction tells, with what its lens lacks; else the formal one."""
+    told = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
+    return max(formal_px, float(told[0])) if told and told[0] is not None else formal_px

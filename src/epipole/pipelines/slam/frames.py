@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -12,6 +12,7 @@ from epipole._declared import check_fields
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.image.pixels_without_ray import pixels_without_ray
 
 
 class TrackingState(StrEnum):
@@ -68,8 +69,8 @@ class SlamCamera:
         """Whether a single frame has depth."""
         return self.depth is not None or self.baseline is not None
 
-    def check(self, frame: Frame, before: Frame | None = None) -> None:
-        """Check that a frame is this camera's, and later than the one before.
+    def checked(self, frame: Frame, before: Frame | None = None) -> Frame:
+        """The frame, without the pixels that have no ray, once it is known to be this camera's and later than the one before.
 
         Raises:
             ShapeError: the pictures are not of the camera's size.
@@ -85,6 +86,14 @@ class SlamCamera:
             raise ShapeError(f"the picture is {size}, the camera's {lens.width} x {lens.height}")
         if self.baseline is not None and frame.right_grey is None:
             raise ConfigError("a frame of a stereo camera needs its right picture")
+        self._check_depth(frame)
+        blind = pixels_without_ray(lens)
+        if blind is None:
+            return frame
+        ignored = blind if frame.ignored_mask is None else blind | frame.ignored_mask
+        return replace(frame, ignored_mask=ignored)
+
+    def _check_depth(self, frame: Frame) -> None:
         if self.depth is None:
             if frame.depth is not None:
                 raise ConfigError(

@@ -4,12 +4,13 @@ A wrong focal length is partly absorbed by path and points (all of it, where the
 wrong distortion. What they cannot absorb is what tells: the covariance says how much that is (Triggs et al. 2000,
 section 9). It knows nothing of what the model lacks (rows that are read one after another, higher terms of the lens), nor of
 the observations that were given up because they did not fit the lens that was given; on real sequences the focal length
-found differs by 1 to 3 % from the true one, many times the formal deviation. `MODEL_ERROR` is for these.
+found differs by 1 to 3 % from the true one, many times the formal deviation. `FOCAL_ERROR` is for these. A focal length
+counts as wrong where the images disagree with it both with the principal point as given and with it free.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -37,15 +38,15 @@ LEAST_VIEWS = 3
 MAX_ITERATIONS = 40
 WIDEST = 1.5
 """Tangent of the widest angle from the axis, in x and y: beyond, pixels without distortion have other errors."""
-MODEL_ERROR = 0.015
+FOCAL_ERROR, K1_ERROR = 0.02, 0.015
 """Deviation of what is found, as a share of the focal length (k1: of the radius at the picture's edge), besides the formal."""
 EDGE = 0.8
 """Of half the picture's diagonal: the radius at which a distortion is told in pixels."""
 MOST_SIGMAS = 3.0
 MOST_SHIFT_PX = 1.0
 """By which the principal point of a pair's second camera may be off, once it was rectified."""
-FOCAL, K1 = 0, 3
-"""Columns of SIMPLE_RADIAL's parameters."""
+FOCAL, CX, CY, K1, K2 = range(5)
+"""Columns of RADIAL's parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +61,14 @@ class LensCheck:
     k1_sigma: float
     edge: float
     """Radius r near the picture's edge."""
+    sigmas_off: float
+    """Between the focal length given and the one found, in standard deviations: the smaller one of a lens whose principal point is
+    as given, and of one whose is free."""
 
     @property
     def is_focal_wrong(self) -> bool:
-        """Whether the focal length given is not one that the pictures agree with."""
-        return abs(self.focal_px - self.given_focal_px) > MOST_SIGMAS * self.focal_sigma_px
+        """Whether the images agree with another focal length than the one given, whatever else of the lens is free."""
+        return self.sigmas_off > MOST_SIGMAS
 
     @property
     def is_distortion_wrong(self) -> bool:
@@ -102,6 +106,41 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
     if seen is None:
         return None
     problem = _problem(seen, model, camera.focal_px)
+    narrow, wide = _adjusted(problem, (FOCAL, K1)), _adjusted(problem, (FOCAL, CX, CY, K1, K2))
+    if narrow is None or wide is None:
+        return None
+    focal_px, k1 = narrow.focal_px, narrow.k1
+    edge = EDGE * 0.5 * float(np.hypot(camera.width, camera.height)) / focal_px
+    return LensCheck(
+        camera.focal_px,
+        focal_px,
+        narrow.whole_sigma_px,
+        k1,
+        float(np.hypot(narrow.k1_sigma, K1_ERROR / edge**2)),
+        edge,
+        min(abs(lens.focal_px - camera.focal_px) / lens.whole_sigma_px for lens in (narrow, wide)),
+    )
+
+
+class _Lens(NamedTuple):
+    """What an adjustment finds, and its formal deviations."""
+
+    focal_px: float
+    focal_sigma_px: float
+    k1: float
+    k1_sigma: float
+
+    @property
+    def whole_sigma_px(self) -> float:
+        """Deviation of the focal length, with what the model lacks."""
+        return float(np.hypot(self.focal_sigma_px, FOCAL_ERROR * self.focal_px))
+
+
+def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _Lens | None:
+    """The lens, with these of its parameters free; None where they are not determined."""
+    params_free = np.zeros_like(problem.params_free)
+    params_free[0, list(free)] = 1.0
+    problem = replace(problem, params_free=params_free)
     config = BundleConfig(
         loss=Loss.CAUCHY, loss_scale_px=1.0, max_iterations=MAX_ITERATIONS, function_tolerance=1e-5
     )
@@ -110,19 +149,11 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
         found = bundle_covariance(with_result(problem, result), result, config, clustered=True)
     except DegenerateGeometryError:
         return None
-    spread = found.camera_params[0]
-    focal_px, k1 = (float(result.camera_params[0, column]) for column in (FOCAL, K1))
-    variance_focal, variance_k1 = float(spread[FOCAL, FOCAL]), float(spread[K1, K1])
-    if not (np.isfinite([focal_px, k1, variance_focal, variance_k1]).all() and focal_px > 0):
+    lens, variance = result.camera_params[0], np.diagonal(found.camera_params[0])
+    if not (np.isfinite([*lens[list(free)], *variance[[FOCAL, K1]]]).all() and lens[FOCAL] > 0):
         return None
-    edge = EDGE * 0.5 * float(np.hypot(camera.width, camera.height)) / focal_px
-    return LensCheck(
-        camera.focal_px,
-        focal_px,
-        float(np.hypot(np.sqrt(variance_focal), MODEL_ERROR * focal_px)),
-        k1,
-        float(np.hypot(np.sqrt(variance_k1), MODEL_ERROR / edge**2)),
-        edge,
+    return _Lens(
+        float(lens[FOCAL]), float(np.sqrt(variance[FOCAL])), float(lens[K1]), float(np.sqrt(variance[K1]))
     )
 
 
@@ -165,18 +196,18 @@ def _observations(views: list[Keyframe], model: SlamMap, camera: Camera) -> _See
 
 
 def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
-    """One lens of two numbers for all; lengths have no unit."""
+    """One lens for all, about the principal point given; lengths have no unit."""
     rows, point = np.unique(seen.point, return_inverse=True)
     order = np.argsort(point, kind="stable")
     none = np.zeros(len(order), np.int32)
-    params, free = np.zeros((1, 12)), np.zeros((1, 12))
-    params[0, FOCAL], free[0, [FOCAL, K1]] = focal_px, 1.0
+    params = np.zeros((1, 12))
+    params[0, FOCAL] = focal_px
     places = [keyframe.cam_from_world for keyframe in seen.views]
     return with_fixed_gauge(
         BundleProblem(
             Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])),
             Rigid3(np.eye(3)[None], np.zeros((1, 3))),
-            np.array([int(CameraModel.SIMPLE_RADIAL)], np.int32),
+            np.array([int(CameraModel.RADIAL)], np.int32),
             params,
             model.xyz[rows].copy(),
             np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(rows)))]).astype(np.int64),
@@ -185,7 +216,7 @@ def _problem(seen: _Seen, model: SlamMap, focal_px: float) -> BundleProblem:
             none,
             seen.pixels[order],
             np.ones((len(places), 6)),
-            free,
+            np.zeros((1, 12)),
             np.ones(len(rows)),
         )
     )

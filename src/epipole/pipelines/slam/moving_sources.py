@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 
 from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
-from epipole.io.video import announced_frames, opened_video
+from epipole.io.video import announced_frames, frame_orientation, opened_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.source import (
@@ -28,6 +29,7 @@ from epipole.pipelines.slam.source import (
 )
 
 _USUAL_HZ = 30.0
+_GIVEN = "given"
 _WHOLE = 0.98
 """Share of the announced frames with which a video or a recording counts as whole: containers round."""
 
@@ -58,16 +60,16 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     capture.release()
     if not is_read:
         raise FileFormatError(path, "no frame of the video can be decoded")
-    lens = found or given.camera((first.shape[1], first.shape[0]))
-    if lens is None:
+    shape = ImageShape(first.shape[1], first.shape[0], frame_orientation(path))
+    known = (found, []) if found else given.fitted_camera(shape)
+    if known is None:
         raise ConfigError(
             "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
         )
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
-    made, counted = (
-        of_one_camera(lens),
-        _Counted(count if is_counted else 0, "the video ends after {} of {} announced frames"),
-    )
+    lens, notes = known
+    end = "the video ends after {} of {} announced frames"
+    made, counted = of_one_camera(lens), _Counted(count if is_counted else 0, end)
 
     def frames() -> Generator[QueuedFrame, None, None]:
         video, seconds = opened_video(path), -1.0 / rate
@@ -84,7 +86,11 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
         finally:
             video.release()
 
-    return FrameSource(made.camera, max(count, 1), frames, made.body_from_camera, counted.notes)
+    def all_notes() -> list[str]:
+        return [*notes, *counted.notes()]
+
+    about = {"layout": "video", "sensor": "mono", "camera_source": _GIVEN}
+    return FrameSource(*(made.camera, max(count, 1), frames, made.body_from_camera, all_notes), about=about)
 
 
 def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
@@ -96,20 +102,21 @@ def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameS
         MissingDependencyError: the package rosbags is not installed.
     """
     bag = read_bag(path, job.sensor, job.topic_names)
-    made = _preparation_of(bag, given)
+    made, factor = _preparation_of(bag, given), _depth_factor(bag, given)
     what = "could be read" if bag.sensor == "mono" else "have a partner in the other topic, by their stamps"
     counted = _Counted(bag.num_frames, f"{{}} of {{}} frames of the recording {what}")
 
     def frames() -> Generator[QueuedFrame, None, None]:
         for frame in bag_frames(bag):
-            yield _queued(counted.num, frame.timestamp_s, partial(_of_bag, made, frame))
+            yield _queued(counted.num, frame.timestamp_s, partial(_of_bag, made, factor, frame))
             counted.num += 1
         counted.is_over = True
 
     def notes() -> list[str]:
         return [*bag.warnings, *counted.notes(), *made.notes()]
 
-    return FrameSource(made.camera, bag.num_frames, frames, made.body_from_camera, notes)
+    about = _about_bag(bag, given)
+    return FrameSource(made.camera, bag.num_frames, frames, made.body_from_camera, notes, about=about)
 
 
 def open_camera(
@@ -143,7 +150,8 @@ def open_camera(
         for number, seconds, picture in newest.pictures():
             yield _queued(number, seconds, partial(_of_color, made, seconds, picture))
 
-    return FrameSource(made.camera, 0, frames, made.body_from_camera, is_live=True)
+    about = {"layout": "camera", "sensor": "mono", "camera_source": _GIVEN}
+    return FrameSource(made.camera, 0, frames, made.body_from_camera, is_live=True, about=about)
 
 
 class _Counted:
@@ -234,9 +242,36 @@ def _queued(number: int, seconds: float, read: Callable[[], Frame]) -> QueuedFra
     return QueuedFrame(number, seconds, f"frame_{number:06d}.jpg", read)
 
 
-def _of_bag(made: Preparation, frame: BagFrame) -> Frame:
-    second = frame.right_grey or frame.depth
-    return made.frame(frame.timestamp_s, frame.grey(), *([] if second is None else [second()]))
+def _of_bag(made: Preparation, depth_factor: float, frame: BagFrame) -> Frame:
+    if frame.depth is not None:
+        return made.frame(frame.timestamp_s, frame.grey(), np.float32(depth_factor) * frame.depth())
+    return made.frame(
+        frame.timestamp_s, frame.grey(), *([] if frame.right_grey is None else [frame.right_grey()])
+    )
+
+
+def _depth_factor(bag: BagSequence, given: CameraOptions) -> float:
+    """Metres for each metre that the depth would be by its encoding.
+
+    Raises:
+        ConfigError: a depth scale is given, and no depth is used.
+    """
+    if given.depth_scale is None:
+        return 1.0
+    if bag.depth_values_per_m is None:
+        raise ConfigError(f"depth_scale is given, but no depth of {bag.path} is used (sensor, topics)")
+    return bag.depth_values_per_m / given.depth_scale
+
+
+def _about_bag(bag: BagSequence, given: CameraOptions) -> dict[str, Any]:
+    is_given = given.calibration is not None or given.camera_params is not None
+    out: dict[str, Any] = {"layout": "ROS", "sensor": bag.sensor}
+    out["camera_source"] = _GIVEN if is_given else "CameraInfo"
+    if bag.depth_values_per_m is not None:
+        known = given.depth_scale
+        out["depth_scale"] = bag.depth_values_per_m if known is None else known
+        out["depth_scale_source"] = "the encoding (REP 118)" if known is None else _GIVEN
+    return out
 
 
 def _of_color(made: Preparation, seconds: float, picture: np.ndarray) -> Frame:

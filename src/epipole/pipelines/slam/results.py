@@ -11,10 +11,12 @@ import numpy as np
 
 from epipole.errors import NoModelError
 from epipole.geometry import Rigid3
+from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
 from epipole.io.colmap import write_colmap_model
 from epipole.io.frame_tables import FRAME_TABLE
 from epipole.io.ply import write_scene_ply
 from epipole.io.trajectories import write_trajectory
+from epipole.io.true_paths import Truth
 from epipole.mapping import Anchoring
 from epipole.pipelines.slam.anchors import moved_path
 from epipole.pipelines.slam.config import JobOptions
@@ -30,10 +32,10 @@ from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
 from epipole.pipelines.slam.record import FrameRecord, without_numbers, write_records
-from epipole.pipelines.slam.shutter_check import find_readout
+from epipole.pipelines.slam.shutter_check import find_readout, with_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
-from epipole.pipelines.slam.truth import Truth, truth_at_frames, truth_summary
+from epipole.pipelines.slam.truth import truth_at_frames, truth_summary
 from epipole.runs import Run
 from epipole.scene import Reconstruction, Trajectory
 
@@ -142,12 +144,16 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         model, config = system.maps[0], system.config
         mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
         shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
-        lens = check_lens(model, system.camera.camera)
-        bent = lens_warnings(lens, model.right_shift_px) if shutter is None else [shutter.warning()]
-        run.warnings += [*bent, *doubts(tracked, path)]
+        with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
+            lens = check_lens(model, system.camera.camera)
+        blind = pixels_without_ray(system.camera.camera)
+        run.warnings += no_ray_warning(system.camera.camera)
+        run.warnings += [] if shutter is None else [shutter.warning()]
+        run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
+            "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),
         }

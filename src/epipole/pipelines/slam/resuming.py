@@ -85,6 +85,7 @@ def key_of(
         "the version of epipole": __version__,
         "the source's files": "" if source.is_live else digest(*sketch),
         "the camera": digest(*seen),
+        "the depth scale": str(source.about.get("depth_scale", "")),
         "the IMU's log": ""
         if imu is None
         else digest(imu.log.timestamp_s, imu.log.gyro_rad_s, imu.log.accel_m_s2),

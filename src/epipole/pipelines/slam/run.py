@@ -12,6 +12,7 @@ from typing import Any
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.io.bags import is_bag
@@ -22,7 +23,7 @@ from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
 from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed
-from epipole.pipelines.slam.found_camera import find_camera
+from epipole.pipelines.slam.found_camera import FoundCamera, find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
@@ -79,11 +80,11 @@ def slam(
     wanted = _job_of(job, options)
     config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
     given = options_of(CameraOptions, camera)
-    _check_source(source, wanted)
+    _check_source(source, wanted, given)
     check_anchor_files(wanted.anchors)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
-    frames = _open(source, wanted, given, None if found is None else found.camera)
+    frames = _open(source, wanted, given, found)
     if given.readout_s:
         frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
@@ -95,7 +96,7 @@ def slam(
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [] if found is None else [found.note()]
+        run.warnings += _notes(found, system)
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -107,6 +108,11 @@ def slam(
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
+
+
+def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
+    """What is odd about what was known besides the frames."""
+    return [*([] if found is None else [found.note()]), *(() if system.imu is None else system.imu.log.notes)]
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
@@ -135,7 +141,7 @@ def _anchored(
     except DegenerateGeometryError as error:
         run.warnings.append(f"the path stays up to scale: {error}")
         return None
-    run.warnings += found.scale.warnings()
+    run.warnings += [words for words in found.scale.warnings() if words not in run.warnings]
     return found
 
 
@@ -149,7 +155,7 @@ def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     return options_of(JobOptions, job, own)
 
 
-def _check_source(source: Path, job: JobOptions) -> None:
+def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
     """Check that the options are of such a source.
 
     Raises:
@@ -164,20 +170,32 @@ def _check_source(source: Path, job: JobOptions) -> None:
             raise ConfigError("fps is for folders of pictures without times: a video has its own")
         if job.sensor not in ("auto", "mono"):
             raise ConfigError("a video is of one camera")
+        if given.depth_scale is not None:
+            raise ConfigError("depth_scale is for sources with depth images: a video and a camera have none")
 
 
-def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
+def _open(source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)
     if index is not None:
         return open_camera(index, given)
     if is_video(source):
-        return open_video_frames(source, given, found)
-    sequence = read_sequence(source, job.fps)
+        frames = open_video_frames(source, given, None if found is None else found.camera)
+    else:
+        frames = _open_folder(source, job, given, None if found is None else found.camera)
+    return frames if found is None else replace(frames, about={**frames.about, "camera_source": found.source})
+
+
+def _open_folder(folder: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
+    sequence = read_sequence(folder, job.fps, given.depth_scale)
     header = read_header(sequence.frames[0].picture)
-    lens = found or given.camera((header.width, header.height))
-    return open_sequence(sequence, job.sensor, lens, job.masks)
+    known = given.fitted_camera(ImageShape(header.width, header.height, header.orientation))
+    lens, notes = (found, []) if found or known is None else known
+    opened = open_sequence(sequence, job.sensor, lens, job.masks)
+    if given.depth_scale is not None and opened.camera.depth is None:
+        raise ConfigError("depth_scale is given, but the depth images are not used (sensor)")
+    return replace(opened, notes=lambda: [*notes, *opened.notes()])
 
 
 def _input(source: Path) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +36,27 @@ class ReadoutFound:
             f"the rows of the pictures are read one after another, in {1e3 * self.readout_s:.1f} ms, and the path is bent by "
             f"it: follow again with --readout-s {self.readout_s:.4f}"
         )
+
+
+@contextmanager
+def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Iterator[None]:
+    """The map's keyframes as a shutter of one instant would have seen them, inside the block.
+
+    Args:
+        mapper: of the map.
+        path: of all its frames.
+        readout_s: from the first row to the one after the last; 0 leaves the keyframes as they are.
+    """
+    keyframes = [keyframe for keyframe in mapper.map.keyframes if len(keyframe.point)]
+    kept = [keyframe.shift_px for keyframe in keyframes]
+    try:
+        if readout_s > 0:
+            for keyframe, motion in zip(keyframes, motions_at(path, keyframes)):
+                keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, mapper.camera, readout_s)
+        yield
+    finally:
+        for keyframe, shift in zip(keyframes, kept):
+            keyframe.shift_px = shift
 
 
 def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:

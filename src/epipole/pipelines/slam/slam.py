@@ -104,7 +104,7 @@ class Slam:
             ShapeError: the pictures are not of the camera's size.
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
-        self.camera.check(frame, self._before)
+        frame = self.camera.checked(frame, self._before)
         self._look = self._watch.look(frame)
         if not self.map.num_points:
             answer = self._begin(frame)

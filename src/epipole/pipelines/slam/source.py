@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from epipole.cameras import Camera, CameraModel
+from epipole.cameras.image_fit import ImagePixels, ImageShape, fit_notes
 from epipole.disparity_search.rectification import Rectification, rectify
-from epipole.errors import ConfigError, ShapeError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import common_range, mask_of, read_grey, read_mask
-from epipole.io.sequences import FrameFiles, ImageSequence
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_grey, read_header, read_mask
+from epipole.io.sequences import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.scene import StereoRig
@@ -58,6 +59,8 @@ class FrameSource:
     """What is odd about the frames that were read so far, in words."""
     is_live: bool = False
     """A camera, that gives each frame once, at its time."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """For the summary: the layout, and where the camera and the unit of the depth come from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,9 +154,12 @@ def open_sequence(
         raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
     lens = sequence.camera if camera is None else camera
     if lens is None:
+        why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
+        why = f"{why}. " if why else ""
         raise ConfigError(
-            f"nothing tells the camera of these {sequence.kind.value}: give camera_params (fx,fy,cx,cy), or a calibration"
+            f"{why}Unknown camera intrinsics for {sequence.kind.value}: pass --camera-params fx,fy,cx,cy or --calibration FILE"
         )
+    notes = [] if camera is not None else _fit_to_folder(sequence, lens)
     if kind == "stereo":
         if camera is not None:
             raise ConfigError("the folder's calibration of both cameras is used: give no other")
@@ -166,12 +172,14 @@ def open_sequence(
         made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
         read = partial(_read_with_depth, unit=sequence.depth.unit)
 
+    read = partial(read, made)
+
     def frames() -> Generator[QueuedFrame, None, None]:
         # All frames are mapped alike: tracking compares their grey.
         limits = common_range([files.picture for files in sequence.frames])
-        read_picture = partial(read_grey, limits=limits)
+        turning = _Turning(sequence.frames[0], limits)
         for number, files in enumerate(sequence.frames):
-            plain = partial(read, read_picture, made, files)
+            plain = partial(read, turning, files)
             masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
             yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
 
@@ -180,8 +188,43 @@ def open_sequence(
         len(sequence),
         frames,
         made.body_from_camera,
-        lambda: [*sequence.warnings, *made.notes()],
+        lambda: [*notes, *sequence.warnings, *made.notes()],
+        about=_about(sequence, kind, is_camera_given=camera is not None),
     )
+
+
+def _about(sequence: ImageSequence, kind: str, *, is_camera_given: bool) -> dict[str, Any]:
+    """What was assumed of the folder, for the summary."""
+    out: dict[str, Any] = {"layout": sequence.kind.value, "sensor": kind}
+    out["camera_source"] = "given" if is_camera_given else sequence.camera_source
+    if kind == "rgbd" and sequence.depth is not None:
+        out["depth_scale"], out["depth_scale_source"] = sequence.depth.unit, sequence.depth.unit_source
+        is_registered = sequence.depth.camera is None and sequence.depth.depth_from_color is None
+        out["is_depth_registered"] = is_registered
+    return out
+
+
+def _fit_to_folder(sequence: ImageSequence, lens: Camera) -> list[str]:
+    """Check that a camera of the folder is of its upright images; one image alone may be damaged. Gives what is odd about it.
+
+    Raises:
+        ConfigError: it is of another size than all that were looked at.
+    """
+    shapes = []
+    for row in sorted({0, len(sequence) // 2, len(sequence) - 1}):
+        try:
+            header = read_header(sequence.frames[row].picture)
+        except FileFormatError:
+            continue
+        shapes.append(ImageShape(header.width, header.height, header.orientation))
+    sizes = {(shape.width, shape.height) for shape in shapes}
+    if sizes and (lens.width, lens.height) not in sizes:
+        size = " x ".join(map(str, sizes.pop()))
+        raise ConfigError(
+            f"the camera ({sequence.camera_source}) is of images of {lens.width} x {lens.height} pixels, but these are {size}: pass"
+            " --camera-params fx,fy,cx,cy or --calibration FILE"
+        )
+    return fit_notes(lens, shapes[:1], ImagePixels.UPRIGHT, f"the camera ({sequence.camera_source})")
 
 
 def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, picture: Path) -> Frame:
@@ -198,30 +241,65 @@ def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, pictu
 def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     has_right = sequence.rig is not None and sequence.frames[0].right is not None
     if sensor == "stereo" and not has_right:
-        raise ConfigError("there is no second camera with a calibration in these frames")
+        why = f": {sequence.camera_problem}" if sequence.camera_problem else ""
+        raise ConfigError(f"there is no second camera with a calibration in these frames{why}")
     if sensor == "rgbd" and sequence.depth is None:
-        raise ConfigError("there are no depth pictures in these frames")
+        why = "".join(
+            f"; {words}" for words in sequence.warnings if words.startswith("the depth images are not used")
+        )
+        raise ConfigError(f"there are no depth pictures in these frames{why}")
     if sensor != "auto":
         return sensor
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
-def _read_one(read_picture: ReadPicture, made: Preparation, files: FrameFiles) -> Frame:
-    return made.frame(files.timestamp_s, read_picture(files.picture))
+class _Turning:
+    """Reads the images of each camera turned as its first one: a sensor stays as it is mounted, whatever EXIF says later."""
+
+    def __init__(self, first: FrameFiles, limits: GreyRange | None) -> None:
+        self._first = first
+        self._limits = limits
+
+    @cached_property
+    def _left(self) -> int | None:
+        return _orientation_of(self._first.picture)
+
+    @cached_property
+    def _right(self) -> int | None:
+        assert self._first.right is not None
+        return _orientation_of(self._first.right)
+
+    def left(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the (left) camera."""
+        return read_grey(files.picture, limits=self._limits, orientation=self._left)
+
+    def right(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the right camera."""
+        assert files.right is not None
+        return read_grey(files.right, limits=self._limits, orientation=self._right)
 
 
-def _read_pair(read_picture: ReadPicture, made: Preparation, files: FrameFiles) -> Frame:
-    assert files.right is not None
-    return made.frame(files.timestamp_s, read_picture(files.picture), read_picture(files.right))
+def _orientation_of(path: Path) -> int | None:
+    """None where it cannot be read: each image is turned by its own, then."""
+    try:
+        return read_header(path).orientation
+    except EpipoleError:
+        return None
 
 
-def _read_with_depth(
-    read_picture: ReadPicture, made: Preparation, files: FrameFiles, *, unit: float
-) -> Frame:
+def _read_one(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files))
+
+
+def _read_pair(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files), turning.right(files))
+
+
+def _read_with_depth(unit: float, made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
     assert files.depth is not None
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
-    return made.frame(files.timestamp_s, read_picture(files.picture), depth)
+    return made.frame(files.timestamp_s, turning.left(files), depth)
 
 
 def _rectified(

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
-from epipole.geometry import Rigid3, Similarity3
-from epipole.io.calibration_files import read_body_from_camera
-from epipole.io.sequences import SequenceKind, read_sequence
-from epipole.io.trajectories import read_pose_matrix, read_trajectory, trajectory_format
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.geometry import Similarity3
+from epipole.io.true_paths import Truth
+from epipole.io.true_paths import true_path_at as true_path_at
 from epipole.metrics import absolute_error, associate, score_trajectory
 from epipole.metrics.numbered_truth import at_numbers_of_pictures
 from epipole.pipelines.slam.record import FrameRecord
@@ -23,74 +22,6 @@ MAX_DIFFERENCE_S = 0.01
 """Frames and truth further apart in time are not compared."""
 LEAST_COVERAGE = 0.2
 """Share of the frames, or of the truth where that has fewer rows, below which no error is told."""
-FILES_OF_FOLDERS = ("groundtruth.txt", "poses.txt")
-"""TUM RGB-D's, KITTI's."""
-FILES_OF_EUROC = tuple(f"{root}state_groundtruth_estimate0/data.csv" for root in ("mav0/", ""))
-_PICTURE, _POSE = ".color.", ".pose.txt"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """A known path."""
-
-    path: Path
-    """Where it was read."""
-    trajectory: Trajectory
-    has_times: bool
-    """Else there is a row for each frame (KITTI)."""
-
-
-def true_path_at(path: Path) -> Truth:
-    """A known path from a file, or that which a folder of frames brings (7-Scenes, TUM RGB-D, KITTI, EuRoC).
-
-    EuRoC's is that of the IMU: where the truth lies in the set's folder, that of its left camera is made of it (T_BS).
-
-    Raises:
-        FileFormatError: the file is no trajectory, or the folder brings none.
-    """
-    if path.is_dir():
-        return _of_folder(path)
-    trajectory, kind = read_trajectory(path), trajectory_format(path)
-    sensor = _camera_of_euroc(path)
-    if kind == "euroc" and sensor is not None:
-        places = trajectory.world_from_body @ read_body_from_camera(sensor)
-        trajectory = Trajectory(trajectory.timestamp_s, places)
-    return Truth(path, trajectory, kind != "kitti")
-
-
-def _camera_of_euroc(path: Path) -> Path | None:
-    """What tells the place of the left camera, where a file lies in a folder of EuRoC."""
-    folder = path.resolve().parent
-    for at in (folder.parent, folder, folder / "mav0"):
-        if (at / "cam0" / "sensor.yaml").is_file():
-            return at / "cam0" / "sensor.yaml"
-    return None
-
-
-def _of_folder(folder: Path) -> Truth:
-    for name in FILES_OF_FOLDERS:
-        if (folder / name).is_file():
-            return true_path_at(folder / name)
-    for path in (*(folder / name for name in FILES_OF_EUROC), *sorted(folder.glob("*.csv"))):
-        if path.is_file() and _camera_of_euroc(path) is not None:
-            return true_path_at(path)
-    sequence = read_sequence(folder)
-    if sequence.kind is SequenceKind.SEVEN_SCENES:
-        rows = [
-            (frame.timestamp_s, frame.picture.with_name(frame.picture.name.split(_PICTURE)[0] + _POSE))
-            for frame in sequence.frames
-        ]
-        rows = [(time, path) for time, path in rows if path.is_file()]
-        if rows:
-            places = [read_pose_matrix(path) for _, path in rows]
-            together = Rigid3(
-                np.stack([p.rotation for p in places]), np.stack([p.translation for p in places])
-            )
-            times = np.array([time for time, _ in rows])
-            return Truth(folder / f"frame-*{_POSE}", Trajectory(times, together), has_times=True)
-    raise FileFormatError(
-        folder, f"holds no true path that is known here ({', '.join(FILES_OF_FOLDERS)}, *{_POSE})"
-    )
 
 
 def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
@@ -150,7 +81,11 @@ def truth_summary(
         paths: the final one, and the causal one.
         num_frames: of the source.
     """
-    out: dict[str, Any] = {"source": str(truth.path), "max_difference_s": MAX_DIFFERENCE_S}
+    out: dict[str, Any] = {
+        "source": str(truth.path),
+        "max_difference_s": MAX_DIFFERENCE_S,
+        "read_as": list(truth.assumptions),
+    }
     warnings = []
     for name, path in zip(("final", "causal"), paths):
         try:

@@ -14,13 +14,13 @@ from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
-from epipole.io.names import path_inside
-from epipole.io.photographs import read_rgb
+from epipole.io.model_images import ModelImages
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo
 from epipole.pipelines.stereo.page import render_page
 from epipole.pipelines.stereo.pair import StereoResult, measure_pair
+from epipole.pipelines.stereo.pair_files import PairFiles, files_of_pair
 from epipole.pipelines.stereo.pairs import (
     StereoBatch,
     is_many,
@@ -29,7 +29,7 @@ from epipole.pipelines.stereo.pairs import (
     run_batch,
     summary_of,
 )
-from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
 from epipole.scene import RectifiedRig, StereoRig
 
 
@@ -60,9 +60,16 @@ def stereo(
         WorkspaceError: the output folder cannot be used.
     """
     config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
-    job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
-    with open_run(job, as_path(out)) as run:
-        result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
+    settings = _settings(config, rig, left, right)
+    return _measured(files_of_pair(left, right, rig), as_path(out), config, settings)
+
+
+def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[str, Any]) -> StereoResult:
+    """The job of a pair."""
+    job = Job(kind="stereo", inputs=(files.left, files.right), settings=settings)
+    with open_run(job, out) as run:
+        measured = measure_pair(*files.read(), config, files.rig)
+        result = replace(measured, warnings=(*files.notes, *measured.warnings))
         with run.folder.publish("stereo") as aside:
             write_stereo(result, aside)
             (aside / "report.html").write_text(render_page(result), encoding="utf-8")
@@ -135,18 +142,16 @@ def stereo_of_model(
             raise ConfigError(f"{name} has no place in the model in {workspace}{hint}")
     if first == second:
         raise DegenerateGeometryError("the two pictures of a pair must differ")
-    one, two = rows[first], rows[second]
-    cameras, of_image = model.cameras, model.camera_of_image
-    rig = StereoRig(
-        cameras[int(of_image[one])], cameras[int(of_image[two])], places[two] @ places[one].inverse()
-    )
+    files = ModelImages(model, workspace / "images", is_own=holds_own_model(workspace))
+    left, right = files.find(first), files.find(second)
+    rig = StereoRig(left.camera, right.camera, places[rows[second]] @ places[rows[first]].inverse())
     note: tuple[str, ...] = ()
     if is_right_of_left(rig):
-        rig, first, second = rig.swapped(), second, first
+        rig, left, right, first, second = rig.swapped(), right, left, second, first
         note = (f"{first} stands left of {second}: the depth is that of its pixels",)
-    pictures = workspace / "images"
-    found = stereo(path_inside(pictures, first), path_inside(pictures, second), out, config, rig)
-    return replace(found, warnings=(*note, *found.warnings), unit="the model's unit")
+    pair = PairFiles(left.path, right.path, rig, (left.orientation, right.orientation), note)
+    settings = _settings(config, rig, left.path, right.path)
+    return replace(_measured(pair, as_path(out), config, settings), unit="the model's unit")
 
 
 def examine_stereo(
@@ -165,20 +170,23 @@ def examine_stereo(
     """
     left, right = as_path(left), as_path(right)
     if not is_many(left, right):
-        return examine([(read_rgb(left), read_rgb(right))], rig)
+        files = files_of_pair(left, right, rig)
+        found = examine([files.read()], files.rig)
+        return replace(found, notes=(*found.notes, *files.notes))
     with tempfile.TemporaryDirectory() as scratch:
         pairs = list(list_pairs(left, right, Path(scratch), max_frames).values())
         chosen = np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), max_frames)).astype(int))
-        read, unread = [], []
+        read, unread, files = [], [], PairFiles(left, right, rig)
         for k in chosen:
             try:
-                read.append((read_rgb(pairs[k][0]), read_rgb(pairs[k][1])))
+                files = files_of_pair(pairs[k][0], pairs[k][1], rig)
+                read.append(files.read())
             except FileFormatError as error:
                 unread.append(str(error))
         if not read:
             raise FileFormatError(left, "no pair of it can be read")
-        found = examine(read, rig)
-        return replace(found, notes=(*found.notes, *unread))
+        found = examine(read, files.rig)
+        return replace(found, notes=(*found.notes, *files.notes, *unread))
 
 
 def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *pictures: Path) -> dict[str, Any]:

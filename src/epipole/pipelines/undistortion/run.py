@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,10 @@ from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
-from epipole.io.names import path_inside
+from epipole.io.model_images import ModelImage, ModelImages
 from epipole.io.photograph_writing import write_photograph
-from epipole.io.photographs import common_range, read_rgb
-from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.io.photographs import common_range
+from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 
@@ -38,32 +39,58 @@ def undistort(
         The folder: `images/` and `sparse/0/`.
 
     Raises:
-        FileFormatError: there is no such model, a picture is missing, or its format cannot be written.
+        FileFormatError: there is no such model, an image is missing, does not fit its camera, or its format cannot be written.
+        DegenerateGeometryError: the distortion of a camera describes nearly nothing of its images.
         WorkspaceError: the folder holds something else, or cannot be written.
     """
     given = as_path(out)
     folder = find_model(given) if model is None else _model_numbered(given, model)
     workspace = _workspace_of(folder, given)
     found = read_colmap_model(folder)
-    pinholes = [undistorted_camera(found.cameras[c]) for c in range(len(found.cameras))]
     registered = np.flatnonzero(found.is_registered())
     names = [found.images.name[image] for image in registered]
-    pictures = [path_inside(workspace / "images", name) for name in names]
+    files = ModelImages(found, workspace / "images", is_own=holds_own_model(workspace))
+    images = [files.find(name) for name in names]
+    pinholes = _pinholes(found, registered, images)
     is_further = folder.parent.name == "sparse" and folder.name != "0"
     usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
-    limits = common_range(pictures)
+    limits = common_range([image.path for image in images])
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
     with open_run(job, usual if target is None else as_path(target)) as run:
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
-            for n, (image, name, picture) in enumerate(zip(registered, names, pictures), 1):
-                c = int(found.camera_of_image[image])
-                rgb = undistort_image(read_rgb(picture, limits=limits), found.cameras[c], pinholes[c])
+            for n, (row, name, image) in enumerate(zip(registered, names, images), 1):
+                pinhole = pinholes[int(found.camera_of_image[row])]
+                rgb = undistort_image(image.read(limits=limits), image.camera, pinhole)
                 write_photograph(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
         run.finish()
         return run.root
+
+
+def _pinholes(model: Reconstruction, registered: np.ndarray, images: Sequence[ModelImage]) -> list[Camera]:
+    """The model's cameras without distortion, at the scale of their image files.
+
+    Raises:
+        FileFormatError: images of one camera have different sizes.
+        DegenerateGeometryError: the distortion of one describes nearly nothing of its images.
+    """
+    used: dict[int, Camera] = {}
+    for row, image in zip(registered, images):
+        own, first = image.camera, used.setdefault(int(model.camera_of_image[row]), image.camera)
+        if (own.width, own.height) != (first.width, first.height):
+            raise FileFormatError(
+                image.path,
+                f"is {own.width} x {own.height}, but other images of its camera are {first.width} x {first.height}: scale all"
+                " of them alike",
+            )
+    out = []
+    for c in range(len(model.cameras)):
+        lens, K = model.cameras[c], model.cameras[c].K
+        unused = Camera("PINHOLE", lens.width, lens.height, [K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+        out.append(undistorted_camera(used[c]) if c in used else unused)
+    return out
 
 
 def _model_numbered(workspace: Path, number: int) -> Path:

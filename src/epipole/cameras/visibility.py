@@ -1,0 +1,39 @@
+"""Which rays a camera sees: those that it projects into its image, and that its image leads back to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole._checks import as_points
+from epipole._declared import checked
+from epipole.cameras.camera import Camera
+
+MAX_DEVIATION = 1e-3
+"""Between a unit ray and the one that its pixel leads back to: beyond, the pixel shows another ray."""
+
+
+@checked
+def project_visible(
+    camera: Camera, rays_in_cam: Any
+) -> tuple[Float64[np.ndarray, "n 2"], Bool[np.ndarray, " n"]]:
+    """Pixels of rays (n, 3) of any length, and whether the camera sees each of them.
+
+    Beyond its fold a polynomial distortion comes back into the image: a pixel that unprojects to another ray does not
+    show this one. Pixels that are not visible have the value of the formula, or NaN.
+    """
+    rays = as_points(rays_in_cam, "rays_in_cam", 3)
+    pixels = camera.project(rays)
+    visible_mask = (
+        np.isfinite(pixels).all(axis=1)
+        & (pixels > -0.5).all(axis=1)
+        & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=1)
+    )
+    if len(camera.model.distortion_indices):
+        seen = rays[visible_mask]
+        back = camera.unproject(pixels[visible_mask])
+        unit = seen / np.linalg.norm(seen, axis=1, keepdims=True)
+        visible_mask[visible_mask] = np.linalg.norm(back - unit, axis=1) < MAX_DEVIATION
+    return pixels, visible_mask

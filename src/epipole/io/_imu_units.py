@@ -1,0 +1,128 @@
+"""Whether an IMU's log can be in rad/s and m/s^2, and its times in seconds: another unit is named and refused.
+
+Gravity is in every accelerometer's values, whatever the motion: the median norm is about 9.8 m/s^2. A gyroscope turns
+gravity's direction in the unit's axes, u(t2) = R^T u(t1), and so shows its own unit where the unit tilts.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.geometry import Rotation3
+from epipole.io._time_units import unit_of_clock
+
+_MIN_SAMPLES = 10
+"""Fewer show no unit."""
+_ACCEL_M_S2 = 5.0, 25.0
+"""Median norms that are believed: a unit that is carried, driven or flown."""
+_ACCEL_UNITS = (
+    (0.7, 1.4, "g", "multiply it by 9.80665"),
+    (700.0, 1400.0, "thousandths of g", "multiply it by 0.00980665"),
+)
+_MEDIAN_TURN_RAD_S, _FAST_TURN_RAD_S = 5.0, 20.0
+"""Median and 95th percentile of the norm of angular velocities beyond which they are in degrees: 290 and 1150 deg/s."""
+_RAD = np.pi / 180.0
+_WINDOW_S = 0.25
+_MIN_WINDOWS = 8
+_CONTRADICTION, _MIN_TILT_RAD = 3.0, 0.05
+"""By the angular velocities as they are, gravity's direction is off by at least so many times as much as by a 57th of them,
+and by so much."""
+_STEPS = ((2e5, "nanoseconds", 1e9), (200.0, "microseconds", 1e6), (0.2, "milliseconds", 1e3))
+"""Median time between samples from which on times are in the unit: IMUs measure 5 to 5000 times a second."""
+
+
+def seconds_of_imu(path: Path, times: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Times in seconds, and words about their unit where it was another.
+
+    Raises:
+        FileFormatError: samples are as far apart as no IMU's in seconds.
+    """
+    clock = unit_of_clock(times)
+    steps = np.diff(np.sort(times))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    found = next(((name, divisor) for least, name, divisor in _STEPS if step >= least), None)
+    if found is None or len(times) < _MIN_SAMPLES:
+        return (times, ()) if clock is None else (times * clock[0], ())
+    name, divisor = found
+    if name == "nanoseconds":
+        return times / divisor, ()
+    if clock is not None and clock[1] == name:
+        return times / divisor, (f"{path.name}: its times are in {name}",)
+    raise FileFormatError(
+        path,
+        f"its samples are {step:g} apart, and those of an IMU at most 0.2 s: its times are probably in {name} "
+        f"(divide them by {divisor:g})",
+    )
+
+
+def check_imu_units(path: Path, timestamp_s: np.ndarray, gyro: np.ndarray, accel: np.ndarray) -> None:
+    """Check that measurements can be in rad/s and m/s^2, gravity being in them.
+
+    Args:
+        path: of the log, for errors.
+        timestamp_s: (n,) rising.
+        gyro: (n, 3).
+        accel: (n, 3).
+
+    Raises:
+        FileFormatError: they are in another unit, without gravity, or in another order.
+    """
+    if len(timestamp_s) < _MIN_SAMPLES:
+        return
+    pull, turn = (float(np.median(np.linalg.norm(values, axis=1))) for values in (accel, gyro))
+    low, high = _ACCEL_M_S2
+    said = f"the median norm of its accelerometer is {pull:.3g}, and gravity alone is 9.81 m/s^2"
+    if not low <= pull <= high:
+        if low <= turn <= high:
+            raise FileFormatError(
+                path,
+                f"{said}, but that of its gyroscope is {turn:.3g}: columns are expected as time, wx wy wz, ax ay az",
+            )
+        raise FileFormatError(path, f"{said}: {_why(pull)}")
+    fast = float(np.percentile(np.linalg.norm(gyro, axis=1), 95.0))
+    if turn > _MEDIAN_TURN_RAD_S or fast > _FAST_TURN_RAD_S:
+        raise FileFormatError(
+            path,
+            f"its angular velocities have a median norm of {turn:.3g} and reach {fast:.3g}, too fast for rad/s: they are probably in "
+            "degrees a second (multiply them by pi / 180)",
+        )
+    plain, reduced = (_tilt_error_rad(timestamp_s, factor * gyro, accel) for factor in (1.0, _RAD))
+    if plain > _MIN_TILT_RAD and plain > _CONTRADICTION * reduced:
+        raise FileFormatError(
+            path,
+            f"its angular velocities turn gravity's direction by {plain / reduced:.0f} times more than its accelerometer shows, and in "
+            "degrees a second they would agree with it: multiply them by pi / 180",
+        )
+
+
+def _why(pull: float) -> str:
+    without = "gravity has been taken out (the specific force with gravity is needed, as sensors measure it)"
+    for low, high, name, remedy in _ACCEL_UNITS:
+        if low <= pull <= high:
+            return f"it is probably in {name} ({remedy})" + (f", or {without}" if name == "g" else "")
+    return (
+        f"probably {without}" if pull < _ACCEL_M_S2[0] else "it is in another unit than m/s^2, or raw counts"
+    )
+
+
+def _tilt_error_rad(times: np.ndarray, gyro_rad_s: np.ndarray, accel: np.ndarray) -> float:
+    """Median angle between gravity's direction in a window, and that of the window before turned by the gyroscope; 0 for few."""
+    window = np.floor((times - times[0]) / _WINDOW_S).astype(np.int64)
+    starts = np.flatnonzero(np.diff(window, prepend=-1))
+    counts = np.diff([*starts, len(times)])
+    if len(starts) < _MIN_WINDOWS:
+        return 0.0
+    middle_s = np.add.reduceat(times, starts) / counts
+    direction = np.add.reduceat(accel, starts) / counts[:, None]
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    # The integral of the angular velocity up to each sample; between two middles it is the turn, as long as that is small.
+    step_s = np.diff(times, prepend=times[0])
+    travelled = np.cumsum(gyro_rad_s * step_s[:, None], axis=0)
+    at_middle = np.stack([np.interp(middle_s, times, travelled[:, axis]) for axis in range(3)], axis=1)
+    turns = Rotation3.exp(np.diff(at_middle, axis=0)).matrix
+    foretold = np.einsum("nji,nj->ni", turns, direction[:-1])
+    cosine = np.clip(np.einsum("ni,ni->n", foretold, direction[1:]), -1.0, 1.0)
+    return float(np.median(np.arccos(cosine)))

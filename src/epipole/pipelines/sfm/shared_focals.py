@@ -1,0 +1,88 @@
+"""Whether images that share a camera for want of EXIF can have one focal length: if not, each gets a camera of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Int32
+
+from epipole.pipelines.sfm.focal import FACTORS, Ballot, ballots_of, climbed
+from epipole.robust import PairKind
+from epipole.scene import Cameras, ViewGraph
+
+WIDTH = 0.05
+"""Disagreement at which a pair's vote for a focal length is worth half."""
+MAX_RATIO = 0.75
+"""Of the votes for the best shared focal length to those for focal lengths of each image's own: below, the images contradict a shared
+one. With one camera it was 0.91 and more (photographs, video frames, noise of 1 px), with focal lengths that differ by 10 %
+0.7 and less."""
+LEAST_PAIRS, LEAST_IMAGES, MAX_IMAGES = 3, 3, 20
+"""Pairs and images of a camera that can contradict a shared focal length; of more images those with most matches are looked at."""
+STARTS = (0.5, 0.7, 1.0, 1.4, 2.0)
+"""Factors of the best shared focal length from which those of single images are searched."""
+
+
+def contradicted_cameras(
+    cameras: Cameras, camera_of_image: Int32[np.ndarray, " n"], view_graph: ViewGraph
+) -> list[int]:
+    """Cameras of unknown focal length whose images cannot share one.
+
+    Every pair of images votes for the focal lengths that make its two cameras an essential matrix (see `estimate_focals`):
+    once for one focal length of all, once for one of each image. Images of one camera lose nearly nothing by sharing it.
+    """
+    unknown = np.flatnonzero(~cameras.is_focal_trusted & ~cameras.is_constant)
+    return [int(c) for c in unknown if _is_contradicted(int(c), cameras, camera_of_image, view_graph)]
+
+
+def _is_contradicted(c: int, cameras: Cameras, camera_of_image: np.ndarray, view_graph: ViewGraph) -> bool:
+    rows = _most_matched(np.flatnonzero(camera_of_image == c), view_graph)
+    if len(rows) < LEAST_IMAGES:
+        return False
+    inside = np.isin(view_graph.image1, rows) & np.isin(view_graph.image2, rows)
+    own = replace(
+        view_graph, kind=np.where(inside, view_graph.kind, int(PairKind.NO_MOTION)).astype(np.int32)
+    )
+    alone, each = with_own_cameras(cameras, camera_of_image, [c])
+    others = np.ones(len(alone), bool)
+    ballots = ballots_of(alone, each, own, others)
+    if len(ballots) < LEAST_PAIRS:
+        return False
+    shared = np.zeros(len(FACTORS))
+    for ballot in ballots:
+        shared += ballot.weight / (1.0 + (np.diagonal(ballot.disagreement) / WIDTH) ** 2)
+    best = int(np.argmax(shared))
+    apart = max(_votes(ballots, climbed(ballots, others, best, factor)) for factor in STARTS)
+    return bool(shared[best] < MAX_RATIO * apart)
+
+
+def _most_matched(rows: np.ndarray, view_graph: ViewGraph) -> np.ndarray:
+    """The images that share most matches with others of them."""
+    inside = np.isin(view_graph.image1, rows) & np.isin(view_graph.image2, rows)
+    inside &= view_graph.kind == PairKind.UNCALIBRATED
+    matches = view_graph.num_inliers()[inside].astype(np.float64)
+    ends = np.concatenate([view_graph.image1[inside], view_graph.image2[inside]])
+    total = np.bincount(ends, np.tile(matches, 2), minlength=int(rows.max(initial=0)) + 1)[rows]
+    return np.sort(rows[np.argsort(-total, kind="stable")[:MAX_IMAGES]])
+
+
+def _votes(ballots: list[Ballot], chosen: dict[int, int]) -> float:
+    total = 0.0
+    for ballot in ballots:
+        disagreement = ballot.disagreement[chosen[ballot.first], chosen[ballot.second]]
+        total += ballot.weight / (1.0 + (disagreement / WIDTH) ** 2)
+    return float(total)
+
+
+def with_own_cameras(
+    cameras: Cameras, camera_of_image: Int32[np.ndarray, " n"], split: list[int]
+) -> tuple[Cameras, Int32[np.ndarray, " n"]]:
+    """The cameras with one per image in place of those that are split: the first image keeps the row, others get new ones."""
+    source, out = list(range(len(cameras))), camera_of_image.copy()
+    for c in split:
+        for image in np.flatnonzero(camera_of_image == c)[1:]:
+            out[image] = len(source)
+            source.append(c)
+    rows = np.array(source)
+    columns = {name: getattr(cameras, name)[rows] for name in cameras.__slots__}
+    return Cameras(**columns), out

@@ -1,0 +1,113 @@
+"""The two image files of a pair, in the pixels and at the scale that their cameras describe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole.cameras.image_fit import ImagePixels, ImageShape, is_same_view
+from epipole.disparity_search.rectification import rectify
+from epipole.errors import EpipoleError
+from epipole.io.photographs import read_header, read_rgb
+from epipole.pipelines.stereo.rows import match_features
+from epipole.scene import RectifiedRig, StereoRig
+
+LEAST_MATCHES, CLEAR, SLACK_PX = 20, 2.0, 2.0
+"""Matches that agree with the rig if its calibration is of these pixels: the least, how many times those of the other pixels, and
+what they may be off by."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairFiles:
+    """Two image files and the cameras of their pixels."""
+
+    left: Path
+    right: Path
+    rig: RectifiedRig | StereoRig | None
+    """At the scale of the files."""
+    orientations: tuple[int | None, int | None] = (None, None)
+    """EXIF orientations to apply; None: the file's own."""
+    notes: tuple[str, ...] = ()
+    """How the calibration was fitted to the files, in words."""
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """Both images as RGB.
+
+        Raises:
+            FileFormatError: one is damaged.
+        """
+        left, right = self.orientations
+        return read_rgb(self.left, orientation=left), read_rgb(self.right, orientation=right)
+
+
+def files_of_pair(left: Path, right: Path, rig: RectifiedRig | StereoRig | None) -> PairFiles:
+    """The files of a pair, and its calibration at their scale.
+
+    The sizes decide whether a calibration is of stored or of upright pixels; where they fit both ways, the matches that agree with
+    it; where these do not decide either, files that are turned differently are taken as stored. A calibration that fits
+    neither way is left as it is: measuring refuses it.
+
+    Raises:
+        FileFormatError: one cannot be read.
+    """
+    if not isinstance(rig, StereoRig):
+        return PairFiles(left, right, rig)
+    headers = [read_header(path) for path in (left, right)]
+    shapes = [ImageShape(h.width, h.height, h.orientation) for h in headers]
+    cameras = (rig.left, rig.right)
+    ways = [
+        pixels
+        for pixels in ImagePixels
+        if all(is_same_view((c.width, c.height), s.size(pixels)) for c, s in zip(cameras, shapes))
+    ]
+    if not ways:
+        return PairFiles(left, right, rig)
+    files = [_fitted(left, right, rig, shapes, pixels) for pixels in ways]
+    is_turned = {shape.orientation for shape in shapes} != {1}
+    if len(files) == 1 or not is_turned:
+        return files[-1]
+    counts = [_num_agreeing(file) for file in files]
+    if max(counts) >= LEAST_MATCHES and max(counts) >= CLEAR * min(counts):
+        return files[int(np.argmax(counts))]
+    return files[
+        ways.index(
+            ImagePixels.STORED if shapes[0].orientation != shapes[1].orientation else ImagePixels.UPRIGHT
+        )
+    ]
+
+
+def _fitted(
+    left: Path, right: Path, rig: StereoRig, shapes: list[ImageShape], pixels: ImagePixels
+) -> PairFiles:
+    """The files as stored or upright pixels, with the calibration at their scale."""
+    notes = []
+    scaled = rig.scaled_to(shapes[0].size(pixels), shapes[1].size(pixels))
+    if scaled is not rig:
+        notes.append(f"the calibration is of {_sizes(rig)} images: it is scaled to {_sizes(scaled)}")
+    is_stored = pixels is ImagePixels.STORED and {s.orientation for s in shapes} != {1}
+    if is_stored:
+        notes.append(
+            "the calibration is taken to describe the stored pixels: EXIF orientations are not applied"
+        )
+    return PairFiles(left, right, scaled, (1, 1) if is_stored else (None, None), tuple(notes))
+
+
+def _num_agreeing(files: PairFiles) -> int:
+    """Matches that lie in one row, before the cameras, once the pair is rectified; 0 where it cannot be."""
+    assert isinstance(files.rig, StereoRig)
+    try:
+        found = rectify(files.rig)
+        pair = found.apply(*(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY) for rgb in files.read()))
+    except EpipoleError:
+        return 0
+    matches = match_features(*pair)
+    in_front = matches.disparity_px + found.rig.principal_offset_px > -SLACK_PX
+    return int((in_front & (np.abs(matches.vertical_px) < SLACK_PX)).sum())
+
+
+def _sizes(rig: StereoRig) -> str:
+    sizes = [f"{camera.width}x{camera.height}" for camera in (rig.left, rig.right)]
+    return " and ".join(dict.fromkeys(sizes))
