@@ -385,7 +385,7 @@ def _shrink(
 
 def as_stored(
     pixels: np.ndarray, stored: int | None, left: int, orientation: int | None
-) -> UInt8[np.ndarray, "h w *channels"]:
+) -> np.ndarray:
     """The pixels to which another orientation than the file's is to be applied.
 
     Pillow turns a TIFF as it loads it: what is `left` of its `stored` orientation then is 1. Where another one is asked
@@ -396,9 +396,7 @@ def as_stored(
     return turn(pixels, inverse_orientation(stored))
 
 
-def turn(
-    pixels: UInt8[np.ndarray, "h w *channels"], orientation: int
-) -> UInt8[np.ndarray, "new_h new_w *channels"]:
+def turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Apply an EXIF orientation."""
     if orientation in (5, 6, 7, 8):
         pixels = cv2.transpose(pixels)
