@@ -142,9 +142,8 @@ def test_what_cannot_be_shared(result: Path, tmp_path: Path) -> None:
     with pytest.raises(WorkspaceError, match="not written by epipole"):
         share(result, tmp_path / "old.html")
     assert (tmp_path / "old.html").read_text() == "old"
-    (tmp_path / "empty.html").touch()
-    for _ in range(2):  # in the place of an empty one, and of one of ours
-        share(result, tmp_path / "empty.html")
+    for _ in range(2):  # the second time in the place of one of ours
+        share(result, tmp_path / "new.html")
 
 
 def test_the_command_writes_the_page_and_starts_no_server(result: Path, tmp_path: Path) -> None:

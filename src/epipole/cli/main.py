@@ -42,15 +42,19 @@ COMMANDS = (
 """Module and function of every command."""
 ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "version")
 """Commands that are run for what they print, which --quiet leaves."""
+WRITING_NOTHING = ("stereo-doctor", "evaluate", "version")
+"""Commands that have nothing to overwrite."""
 EVERYWHERE = {
     **{"-q": "quiet", "--quiet": "quiet"},
     **{"-v": "verbose", "--verbose": "verbose"},
     **{"-V": "version", "--version": "version"},
+    "--overwrite": "overwrite",
 }
 """Options of all commands, before the command's name or after it."""
 EVERYWHERE_HELP = (
     "Every command takes -q, --quiet (print errors alone, and the answer of commands that give one) and"
     " -v, --verbose (print each unit of work with its time, and where an error comes from)."
+    " --overwrite replaces your files."
 )
 WRONG_USAGE = 2
 
@@ -79,12 +83,14 @@ def main(arguments: list[str] | None = None) -> None:
         words = [*words[1:2], "--help"]
     if words[:2] == ["stereo", "doctor"]:
         words = ["stereo-doctor", *words[2:]]
+    if "overwrite" in asked and words[:1] and words[0] in WRITING_NOTHING:
+        _refuse(f"`epipole {words[0]}` writes nothing: leave out --overwrite", WRONG_USAGE)
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
     if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with _loudness(asked, words), _warnings_in_one_line():
+    with _loudness(asked, words), _warnings_in_one_line(), _overwriting(asked):
         _run(words)
 
 
@@ -161,6 +167,17 @@ def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
             from epipole._version import __version__
 
             logger.debug("epipole %s, Python %s, arguments %s", __version__, sys.version.split()[0], words)
+        yield
+
+
+@contextlib.contextmanager
+def _overwriting(asked: set[str]) -> Iterator[None]:
+    if "overwrite" not in asked:
+        yield
+        return
+    from epipole.runs.guard import overwriting
+
+    with overwriting():
         yield
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float32
 from epipole._checks import as_float_array
 from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
+from epipole.io.encoding import encoded_image
 from epipole.io.files import file_bytes
 
 PNG_SCALE = 256.0
@@ -74,11 +75,9 @@ def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None
     with np.errstate(invalid="ignore"):
         scaled = np.rint(scale * array)
         stored = np.where((scaled >= 1) & (scaled <= 65535), scaled, 0)
-    encoded, data = cv2.imencode(".png", stored.astype(np.uint16))
-    if not encoded:
-        raise ShapeError(f"a map of {array.shape} pixels cannot be a PNG")
+    data = encoded_image(".png", stored.astype(np.uint16))
     with atomic_write(path) as aside:
-        aside.write_bytes(data.tobytes())
+        aside.write_bytes(data)
 
 
 def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:

@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_write
+from epipole.io.encoding import encoded_image
 from epipole.io.files import require_file
 from epipole.io.video import opened_video
 
@@ -62,10 +63,8 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
 
 def _write(path: Path, picture: np.ndarray) -> None:
     """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(picture))
-    if not encoded:
-        raise WorkspaceError(f"a frame cannot be written to {path}")
-    if path.is_file() and path.read_bytes() == data.tobytes():
+    data = encoded_image(".png", picture)
+    if path.is_file() and path.read_bytes() == data:
         return
     with atomic_write(path) as aside:
-        aside.write_bytes(data.tobytes())
+        aside.write_bytes(data)

@@ -19,6 +19,7 @@ from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.atomic import atomic_folder
+from epipole.io.encoding import encoded_image
 from epipole.io.files import open_file, read_json, require_file
 from epipole.io.json_files import json_text
 
@@ -169,8 +170,7 @@ def _extract(
         progress(0, num_frames)
     for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
         name = f"frame_{index:06d}.jpg"
-        encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-        (folder / name).write_bytes(encoded.tobytes())
+        (folder / name).write_bytes(encoded_image(".jpg", frame, _JPEG_QUALITY))
         names.append(name)
         indices.append(index)
         times.append(time_s)

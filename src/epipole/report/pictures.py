@@ -5,12 +5,12 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from epipole.image import color_map, color_range, downscaled
+from epipole.io.encoding import encoded_image
 from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400
@@ -21,8 +21,7 @@ _SHOWN_PX = 1000  # longest side of the pictures in the page
 def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
     """The picture, reduced, as a data URI."""
     small = downscaled(rgb, _SHOWN_PX)
-    _, data = cv2.imencode(".png", np.ascontiguousarray(small[..., ::-1]))
-    return data_uri(data.tobytes(), "image/png")
+    return data_uri(encoded_image(".png", small[..., ::-1]), "image/png")
 
 
 def color_map_uri(values: Float[np.ndarray, "h w"]) -> str:

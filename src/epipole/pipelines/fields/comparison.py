@@ -18,7 +18,7 @@ from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.kinds import KINDS
 from epipole.pipelines.fields.nerf import NerfResult, nerf
-from epipole.pipelines.fields.page import drawn_name
+from epipole.pipelines.fields.page import rendered_names
 from epipole.pipelines.fields.run import SplatResult, splat
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MODEL, background_of, called, pictures_of
@@ -120,6 +120,7 @@ def _compared(
     for drawer in drawers.values():
         drawer(views[0])  # compiled, and in the caches
     with run.stage("compare"), run.folder.publish(PICTURES) as aside:
+        files = rendered_names(views)
         for n, view in enumerate(views):
             truth = view.over(background)
             beside = [truth]
@@ -132,7 +133,7 @@ def _compared(
                 each = {part: count / truth[..., 0].size for part, count in work().items()}
                 scores[name].append({**told, **each})
             whole = np.rint(255 * np.clip(np.hstack(beside), 0, 1)).astype(np.uint8)
-            write_png(aside / PICTURES / drawn_name(view.name), whole)
+            write_png(aside / PICTURES / files[n], whole)
             run.report("compare", n + 1, len(views))
     means = {
         name: {part: float(np.mean([one[part] for one in rows])) for part in rows[0]}

@@ -16,7 +16,7 @@ from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
 from epipole.pipelines.fields.surfaces import seen_from
-from epipole.runs import Progress, ProgressCallback, ignore_progress
+from epipole.runs import Progress, ProgressCallback, ignore_progress, refuse_existing, replacing_file
 
 
 def mesh(
@@ -42,13 +42,15 @@ def mesh(
         DegenerateGeometryError: no surface is seen.
         FileFormatError: the source, or the cameras, cannot be read.
         NoModelError: there is no camera.
-        WorkspaceError: the file cannot be written.
+        WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
     source, out, wanted = as_path(source), as_path(out), options_of(MeshJob, job, options)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
+    inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
+    refuse_existing([out], "mesh", inputs)
     shots = _shots(source, wanted)
     see, places = seen_from(source)
     low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
@@ -58,7 +60,8 @@ def mesh(
         volume.add(shot.camera, shot.cam_from_world, *see(shot))
         progress(Progress("fuse", n + 1, len(shots)))
     found = volume.mesh()
-    write_mesh_ply(out, found.vertices_in_world, found.faces, found.rgb)
+    with replacing_file(out, "mesh", inputs) as aside:
+        write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
     return found
 
 

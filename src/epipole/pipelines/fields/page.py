@@ -11,6 +11,7 @@ import numpy as np
 
 from epipole.fields.training_view import TrainingView
 from epipole.image import color_map
+from epipole.io.names import flat_names
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.report.charts import draw_curves, draw_timings
@@ -44,16 +45,19 @@ class _View:
     """Caption and data URI of truth, drawing and error."""
 
 
-def drawn_name(name: str) -> str:
-    """The file of a held-out view's drawing."""
-    return f"{Path(name).with_suffix('')}.png".replace("/", "_")
+def rendered_names(views: Sequence[TrainingView]) -> list[str]:
+    """The file of each held-out view's render."""
+    return [f"{name}.png" for name in flat_names([view.name for view in views])]
 
 
 def render_page(page: FieldPage) -> str:
     """One HTML page with everything inside it."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
-    shown = [_view(page, page.pictures.test[row], page.scores[row]) for row in rows if page.scores]
+    files = rendered_names(page.pictures.test)
+    shown = [
+        _view(page, page.pictures.test[row], files[row], page.scores[row]) for row in rows if page.scores
+    ]
     return render(
         __package__,
         "field.html.jinja",
@@ -100,9 +104,9 @@ def _curves(page: FieldPage) -> list[Any]:
     return drawn
 
 
-def _view(page: FieldPage, view: TrainingView, score: dict[str, Any]) -> _View:
+def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any]) -> _View:
     truth = np.rint(255 * view.over(page.background)).astype(np.uint8)
-    drawn = read_rgb(page.root / "test" / drawn_name(view.name))
+    drawn = read_rgb(page.root / "test" / file)
     error = np.abs(drawn.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
     captions = ("picture", "drawn", "error")

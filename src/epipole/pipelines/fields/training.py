@@ -18,12 +18,13 @@ from epipole.fields.training_view import TrainingView
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.page import FieldPage, drawn_name, render_page
+from epipole.pipelines.fields.page import FieldPage, render_page, rendered_names
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
+from epipole.runs.earlier import note_on_poorer
 
 METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
@@ -202,11 +203,10 @@ def compared(trainer: Trainer, pictures: FieldPictures, run: Run) -> list[dict[s
     """Draw the held-out views into `test`, and say how like they are."""
     scores = []
     with run.stage("test"), run.folder.publish("test") as aside:
+        files = rendered_names(pictures.test)
         for n, view in enumerate(pictures.test):
             drawn = trainer.draw(view)
-            write_png(
-                aside / "test" / drawn_name(view.name), np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
-            )
+            write_png(aside / "test" / files[n], np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8))
             scores.append({"name": view.name, **scores_of(drawn, view, trainer.background)})
             run.report("test", n + 1, len(pictures.test))
     return scores
@@ -232,6 +232,7 @@ def finished(
         "background": "white" if trainer.background[0] else "black",
         "timings_s": run.timings_s,
     }
+    run.warnings += note_on_poorer(run.root, "steps", trainer.num_steps, "steps of training")
     tables: dict[str, dict[str, list[Any]]] = {
         "curve": {"columns": ["s", "step", "loss", "size"], "rows": trained.curve},
         "held_out": {"columns": ["s", "step", "psnr"], "rows": trained.probes if pictures.test else []},

@@ -12,6 +12,7 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
+from epipole.io.encoding import encoded_image
 from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load
@@ -94,7 +95,7 @@ def as_unit_arrays(
     factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    _, jpeg = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    jpeg = np.frombuffer(encoded_image(".jpg", small[..., ::-1], jpeg_quality=80), np.uint8)
     return {
         "pixels": pixels,
         "scale_px": scale_px,

@@ -23,6 +23,7 @@ from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
 from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs.earlier import note_on_poorer
 from epipole.scene import Reconstruction
 
 
@@ -97,6 +98,8 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
+        num_registered = int(solution.mapped.models[0].is_registered().sum())
+        run.warnings += note_on_poorer(run.root, "num_registered", num_registered, "registered images")
         run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)

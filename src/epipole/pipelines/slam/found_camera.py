@@ -21,6 +21,7 @@ from epipole.geometry import Rigid3
 from epipole.io.bags import is_bag
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.camera_params import text_of_camera
+from epipole.io.encoding import encoded_image
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video, opened_video
@@ -175,7 +176,7 @@ def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> int:
             continue
         name = folder / f"{count:06d}{'.png' if file is None else file.suffix}"
         if file is None:
-            cv2.imwrite(str(name), grey)
+            name.write_bytes(encoded_image(".png", grey))
         else:
             copyfile(file, name)  # with what it says of its lens
         view.begin(grey)

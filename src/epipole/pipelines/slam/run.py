@@ -33,7 +33,15 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import Given, SlamResult, keyframe_names, write_results
+from epipole.pipelines.slam.results import (
+    PLACED,
+    PLACED_WORDS,
+    Given,
+    SlamResult,
+    keep_better,
+    keyframe_names,
+    write_results,
+)
 from epipole.pipelines.slam.resuming import (
     CHECKPOINT,
     TakenUp,
@@ -45,6 +53,8 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
+from epipole.runs.earlier import refuse_poorer
+from epipole.runs.folder import check_place
 
 
 def slam(
@@ -74,13 +84,12 @@ def slam(
         NoModelError: no frame got a place; the message says why.
         ConfigError: options do not fit the frames.
         FileFormatError: the source, or a file that is named, cannot be read.
-        WorkspaceError: the output folder cannot be used.
+        WorkspaceError: the output folder cannot be used, or holds an earlier result with more frames.
     """
-    wanted = _job_of(job, options)
+    wanted, given = _job_of(job, options), options_of(CameraOptions, camera)
     config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
-    given = options_of(CameraOptions, camera)
     _check_source(source, wanted)
-    check_anchor_files(wanted.anchors)
+    _check_target(source, out, wanted)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
     frames = _open(source, wanted, given, None if found is None else found.camera)
@@ -106,7 +115,19 @@ def slam(
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
+            keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
+
+
+def _check_target(source: Path, out: Path, job: JobOptions) -> None:
+    """Before any work: the output folder may be written, and its result is not replaced by fewer frames.
+
+    Raises:
+        WorkspaceError: it is not ours, or its result has more frames than are asked for.
+    """
+    check_place(out, "slam", (_input(source),))
+    if job.max_frames is not None:
+        refuse_poorer(out, PLACED, job.max_frames, PLACED_WORDS)
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
@@ -155,6 +176,7 @@ def _check_source(source: Path, job: JobOptions) -> None:
     Raises:
         ConfigError: one is not.
     """
+    check_anchor_files(job.anchors)
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():

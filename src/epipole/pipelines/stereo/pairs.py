@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.files import read_json
+from epipole.io.names import flat_names
 from epipole.io.stereo_folders import pair_folders
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import is_video
@@ -125,6 +127,11 @@ def read_summary(out: Path) -> dict[str, Any]:
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
-    """Names without suffix, unless two names differ in the suffix alone."""
+    """By names without suffix; folders stay folders, and no two pairs have one name."""
     short = [Path(name).with_suffix("").as_posix() for name in names]
-    return {a if short.count(a) == 1 else name: pair for a, name, pair in zip(short, names, pairs)}
+    count = Counter(own.casefold() for own in short)
+    keys = [
+        own if count[own.casefold()] == 1 else flat
+        for own, flat in zip(short, flat_names(names), strict=True)
+    ]
+    return dict(zip(keys, pairs, strict=True))

@@ -30,6 +30,7 @@ from epipole.pipelines.stereo.pairs import (
     summary_of,
 )
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs.folder import refuse_folder_of
 from epipole.scene import RectifiedRig, StereoRig
 
 
@@ -123,8 +124,10 @@ def stereo_of_model(
         FileFormatError: there is no model.
         ConfigError: a picture has no place in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
+        WorkspaceError: the output folder cannot be used.
     """
     config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
+    refuse_folder_of(as_path(out), (workspace,))
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
     registered, places = model.is_registered(), model.cams_from_world()
