@@ -77,7 +77,7 @@ def test_processes_give_the_same_files(tmp_path):
 
 
 def np_square(payload: int) -> dict[str, np.ndarray]:
-    return {"value": np.square(payload)}
+    return {"value": np.array(np.square(payload))}
 
 
 def test_a_damaged_file_is_done_again(tmp_path):
