@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -22,6 +22,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.progress import Progress as Bars
+from rich.segment import Segment
+
+from epipole._terminal import one_line, terminal_text
 
 if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
@@ -37,12 +40,40 @@ Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
 
 
+class _Readable:
+    """Something printed, whose text has nothing that a terminal acts on; styles and moves of the cursor are Rich's."""
+
+    def __init__(self, inner: ConsoleRenderable) -> None:
+        self.inner = inner
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for text, style, control in console.render(self.inner, options):
+            yield Segment(text if control else terminal_text(text), style, control)
+
+
+class _ReadableTexts(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Readable(each) for each in renderables]
+
+
+def open_console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """Where all commands print: names are never taken for markup or for commands to the terminal."""
+    console = Console(stderr=stderr, quiet=quiet, markup=False)
+    console.push_render_hook(_ReadableTexts())
+    return console
+
+
+class _Formatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return terminal_text(super().format(record))
+
+
 @contextmanager
 def loudness(asked: Loudness) -> Iterator[None]:
     """How much is printed in the block; verbose also shows what the package writes to Python's `logging`."""
     token, package = _LOUDNESS.set(asked), logging.getLogger("epipole")
     handler, level = logging.StreamHandler(), package.level
-    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(_Formatter("%(levelname)s %(name)s: %(message)s"))
     if asked == "verbose":
         package.addHandler(handler)
         package.setLevel(logging.DEBUG)
@@ -66,7 +97,7 @@ def progress_on_screen(
     """
     from epipole import _jit
 
-    console, begin = Console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
+    console, begin = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
     with _bars(console, words or {}) if _draws_on(console) else _lines(console, words or {}) as show:
         will_compile = compiles_much and not _jit.is_compiled()
 
@@ -166,7 +197,7 @@ def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallb
 @contextmanager
 def waiting_for_kernels() -> Iterator[None]:
     """A spinner while a short command works, which says so if kernels have to be compiled first."""
-    console = Console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
+    console = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
     from epipole import _jit
 
     begin, since = _jit.compile_seconds(), perf_counter()
@@ -197,4 +228,6 @@ def _say_compiling(console: Console, seconds: float) -> None:
 def print_warnings(console: Console, warnings: Iterable[str], word: str = "note") -> None:
     """Print one yellow line per warning."""
     for warning in warnings:
-        console.print(f"{word}: {warning}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+        console.print(
+            one_line(f"{word}: {warning}"), style="yellow", highlight=False, markup=False, soft_wrap=True
+        )

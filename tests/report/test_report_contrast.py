@@ -18,8 +18,11 @@ from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
 
 TESTS = Path(__file__).resolve().parents[1]
-for room in ("calibration", "fields", "slam", "stereo", "viewer"):
-    sys.path.insert(0, str(TESTS / room))
+sys.path.insert(0, str(TESTS / "calibration"))
+sys.path.insert(0, str(TESTS / "fields"))
+sys.path.insert(0, str(TESTS / "slam"))
+sys.path.insert(0, str(TESTS / "stereo"))
+sys.path.insert(0, str(TESTS / "viewer"))
 from fields_scenes import frames_of, lens, views
 from slam_rides import write_pairs
 from test_calibration_page import page as calibration_page
@@ -100,7 +103,9 @@ def test_every_template_of_a_page_is_here() -> None:
     source = Path(epipole.__file__).parent
     extending = [p for p in source.rglob("*.html.jinja") if "{% extends" in p.read_text(encoding="utf-8")]
     names = {path.name.removesuffix(".html.jinja") for path in extending if path.parts[-3] != "lesson"}
-    assert names == set(TEMPLATES) and {name for all_of in TEMPLATES.values() for name in all_of} == set(PAGES)
+    assert names == set(TEMPLATES) and {name for all_of in TEMPLATES.values() for name in all_of} == set(
+        PAGES
+    )
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -18,6 +18,7 @@ from typing import Any, NoReturn, get_args, get_origin
 
 import tyro
 
+from epipole._terminal import one_line, say
 from epipole.errors import ConfigError, EpipoleError
 
 COMMANDS = (
@@ -65,7 +66,7 @@ def version() -> None:
     """Print the version."""
     from epipole._version import __version__
 
-    print(f"epipole {__version__}")
+    say(f"epipole {__version__}")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -102,7 +103,7 @@ def _run(words: list[str]) -> None:
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
         code = WRONG_USAGE if isinstance(error, ConfigError) else 1
-        _refuse(_as_options(error, words, while_parsing=False), code)
+        _refuse(one_line(_as_options(error, words, while_parsing=False)), code)
     except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
@@ -113,7 +114,7 @@ def _run(words: list[str]) -> None:
         _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
     except KeyboardInterrupt:
         note = "epipole: stopped. What was finished is kept; the same command goes on from there or begins again."
-        print("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", file=sys.stderr)
+        say("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", to_stderr=True)
         sys.exit(130)
 
 
@@ -138,7 +139,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
             if category is RuntimeWarning and str(message).startswith("epipole: "):
-                print(message, file=sys.stderr)
+                say(one_line(str(message)), to_stderr=True)
             else:
                 plain(message, category, *rest, **named)
 
@@ -147,7 +148,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
 
 def _refuse(message: str, code: int) -> NoReturn:
-    print(f"epipole: {message}", file=sys.stderr)
+    say(f"epipole: {message}", to_stderr=True)
     sys.exit(code)
 
 

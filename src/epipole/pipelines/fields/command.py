@@ -86,16 +86,14 @@ def render(
         out: A video (.mp4), or a folder for PNG pictures.
         job: From where, and how large.
     """
-    from rich.console import Console
-
-    from epipole.screen import progress_on_screen
+    from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"draw": "Drawing"}) as progress:
         from epipole.pipelines.fields.rendering import render as run
 
         done = run(source, out, job, progress)
     text = f"Written {done.out}: {done.num_frames} pictures, {done.frames_per_s:.1f} drawn a second"
-    Console().print(text, highlight=False, markup=False)
+    open_console().print(text, highlight=False, markup=False)
 
 
 def mesh(
@@ -110,16 +108,14 @@ def mesh(
         out: The mesh, a PLY file with colours.
         job: From where, and how fine.
     """
-    from rich.console import Console
-
-    from epipole.screen import progress_on_screen
+    from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"fuse": "Fusing depth"}) as progress:
         from epipole.pipelines.fields.meshing import mesh as run
 
         found = run(source, out, job, progress)
     text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
-    Console().print(text, highlight=False, markup=False)
+    open_console().print(text, highlight=False, markup=False)
 
 
 def compare_fields(
@@ -136,15 +132,13 @@ def compare_fields(
         job: Which pictures, and for how long each is trained.
         config: Which field the Gaussians are compared with.
     """
-    from rich.console import Console
-
-    from epipole.screen import print_warnings, progress_on_screen
+    from epipole.screen import open_console, print_warnings, progress_on_screen
 
     with progress_on_screen({**WORDS, "compare": "Comparing"}) as progress:
         from epipole.pipelines.fields.comparison import compare_fields as run
 
         result = run(source, out, config, job, progress)
-    console = Console()
+    console = open_console()
     console.print(_compared(result.rows, config.kind))
     print_warnings(console, list(result.warnings[:10]))
     console.print(f"written   {result.out}", highlight=False, markup=False)
@@ -170,12 +164,11 @@ def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
 
 def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: Path) -> None:
     """What was trained and where it is; ends with the code of Ctrl-C where that ended it."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    console, table = Console(), Table(box=None, show_header=False)
+    console, table = open_console(), Table(box=None, show_header=False)
     table.add_row(count.removeprefix("num_"), f"{summary[count]:,}")
     table.add_row(
         "trained",

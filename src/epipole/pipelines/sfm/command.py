@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from epipole._terminal import one_line
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 if TYPE_CHECKING:
@@ -48,12 +49,11 @@ def reconstruct(
 
 def show_reconstruction(result: ReconstructionResult) -> None:
     """Print what was made and where it is."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    console, model, summary = Console(), result.model, result.summary
+    console, model, summary = open_console(), result.model, result.summary
     table = Table(box=None, show_header=False)
     table.add_row("images placed", f"{summary['num_registered']} of {summary['num_images']}")
     table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
@@ -72,7 +72,7 @@ def show_reconstruction(result: ReconstructionResult) -> None:
     console.print(table)
     print_warnings(console, result.warnings)
     for name, reason in list(result.reasons.items())[:10]:
-        console.print(f"  {name}: {reason}", highlight=False, markup=False)
+        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
     console.print(
         f"model   {result.out / 'sparse' / '0'}\nreport  {result.out / 'report.html'}",
         highlight=False,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from epipole._terminal import say
 from epipole.pipelines.sfm.command import STAGES
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
@@ -54,12 +55,11 @@ def slam(
 
 def show_slam(result: SlamResult) -> None:
     """Print how much of the path is known, and where it is."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    summary, console = result.summary, Console()
+    summary, console = result.summary, open_console()
     table = Table(box=None, show_header=False)
     causal = summary["num_placed_causal"]
     table.add_row(
@@ -119,9 +119,9 @@ def _stay(out: Path, job: JobOptions) -> None:
     try:
         handle = view_scene(scene(out), port=job.port, host=job.host, block=False)
     except FileFormatError as error:
-        print(f"epipole: {error}", file=sys.stderr)
+        say(f"epipole: {error}", to_stderr=True)
         return
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
+    say(f"Viewer at {handle.url} (Ctrl-C stops it)")
     try:
         threading.Event().wait()
     except KeyboardInterrupt:

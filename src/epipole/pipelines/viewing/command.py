@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from epipole._terminal import say
 from epipole.pipelines.viewing.config import USUAL_SHARED
 
 
@@ -34,12 +34,12 @@ def view(
 
     if share is not None:
         page = write_page(out, share, share_max=share_max)
-        print(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
+        say(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
         return
     handle = run(out, port=port, host=host, block=False)
     if handle.note:
-        print(f"epipole: {handle.note}", file=sys.stderr)
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
+        say(f"epipole: {handle.note}", to_stderr=True)
+    say(f"Viewer at {handle.url} (Ctrl-C stops it)")
     try:
         threading.Event().wait()
     finally:
