@@ -17,12 +17,11 @@ from epipole.pipelines.sfm.page_content import ReportContent
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
 
-TESTS = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(TESTS / "calibration"))
-sys.path.insert(0, str(TESTS / "fields"))
-sys.path.insert(0, str(TESTS / "slam"))
-sys.path.insert(0, str(TESTS / "stereo"))
-sys.path.insert(0, str(TESTS / "viewer"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "slam"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "stereo"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "viewer"))
 from fields_scenes import frames_of, lens, views
 from slam_rides import write_pairs
 from test_calibration_page import page as calibration_page

@@ -25,7 +25,7 @@ def view(
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
         share: Write one .html file that shows it in any browser instead, and start no server.
-        share_max: At most so many points, drawn evenly, and Gaussians, the most visible, are in that file.
+        share_max: Most points (sampled evenly) and Gaussians (merged) in that file.
     """
     import threading
 

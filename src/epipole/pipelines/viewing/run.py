@@ -73,7 +73,7 @@ def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -
     Args:
         out: as of `view`.
         file: the page; one that an earlier call wrote is replaced.
-        share_max: at most so many points, drawn evenly, and Gaussians, the most visible, are in it.
+        share_max: the page holds at most this many points, sampled evenly, and Gaussians, into which the others are merged.
 
     Raises:
         FileFormatError: the path holds nothing that can be shown, is damaged, or is not there.
