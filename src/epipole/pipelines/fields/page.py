@@ -16,7 +16,7 @@ from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render
-from epipole.report.pictures import picture_uri
+from epipole.report.pictures import photograph_uri
 
 MOST_VIEWS, LARGEST_ERROR = 8, 0.25
 """Views that are shown, spread over all; and the error that has the last colour, in shares of white."""
@@ -110,5 +110,5 @@ def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any])
     error = np.abs(drawn.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
     captions = ("picture", "drawn", "error")
-    sources = [picture_uri(one) for one in (truth, drawn, heat)]
+    sources = [photograph_uri(one) for one in (truth, drawn, heat)]
     return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))
