@@ -19,10 +19,11 @@ CAMERA = Camera("PINHOLE", 800, 600, [700.0, 700.0, 399.5, 299.5])
 
 
 def photograph(seed: int) -> np.ndarray:
-    """As rich as a photograph: noise of all sizes, with the usual fall of the spectrum."""
+    """As rich as a photograph: noise of all sizes, with the usual fall of the spectrum, and less of colour."""
     rng = np.random.default_rng(seed)
     frequency = np.hypot(np.fft.fftfreq(600)[:, None], np.fft.rfftfreq(800)[None])
-    spectrum = np.fft.rfft2(rng.normal(size=(3, 600, 800))) / np.maximum(frequency, 1e-3)
+    noise = rng.normal(size=(1, 600, 800)) + 0.2 * rng.normal(size=(3, 600, 800))
+    spectrum = np.fft.rfft2(noise) / np.maximum(frequency, 1e-3)
     grey = np.moveaxis(np.fft.irfft2(spectrum, (600, 800)), 0, 2)
     grey = 128 + 50 * grey / grey.std() + rng.normal(scale=3, size=grey.shape)
     return np.clip(grey, 0, 255).astype(np.uint8)
@@ -33,7 +34,14 @@ def test_eight_views_take_a_tenth_of_their_pngs(tmp_path: Path) -> None:
     for n, view in enumerate(own):
         write_png(tmp_path / "test" / f"{n}.png", photograph(n + 100) // 2 + view.picture // 2)
     summary = {
-        **{"num_gaussians": 1, "steps": 1, "train_s": 1.0, "num_train": 2, "num_test": 8, "background": "black"},
+        **{
+            "num_gaussians": 1,
+            "steps": 1,
+            "train_s": 1.0,
+            "num_train": 2,
+            "num_test": 8,
+            "background": "black",
+        },
         **{"interrupted": False, "psnr": None, "ssim": None, "timings_s": {"train": 1.0}},
     }
     tables = {"curve": {"rows": [[0.0, 1, 0.5, 1]]}, "held_out": {"rows": []}}

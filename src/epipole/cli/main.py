@@ -250,27 +250,27 @@ def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:
-    """Tyro's parsing of types, except that an option of two values always takes exactly two words.
+    """Tyro's parsing of types, except that an option of several values always takes exactly as many words.
 
     Tyro reads `tuple[int, int] | None` as two words or the word None, and gives it all words up to the next
     option, paths included.
     """
     registry = tyro.constructors.ConstructorRegistry()
-    registry.primitive_rule(_two_values_or_none)
+    registry.primitive_rule(_values_or_none)
     return registry
 
 
-def _two_values_or_none(
+def _values_or_none(
     info: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
     members = [member for member in get_args(info.type) if member is not NoneType]
     if NoneType not in get_args(info.type) or len(members) != 1 or get_origin(members[0]) is not tuple:
         return None
     kinds = get_args(members[0])
-    if len(kinds) != 2 or not all(kind in (int, float, str) for kind in kinds):
+    if not all(kind in (int, float, str) for kind in kinds):
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=2,
+        nargs=len(kinds),
         metavar=" ".join(kind.__name__.upper() for kind in kinds),
         instance_from_str=lambda words: tuple(kind(word) for kind, word in zip(kinds, words)),
         is_instance=lambda value: value is None or isinstance(value, tuple),

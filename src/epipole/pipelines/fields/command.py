@@ -115,6 +115,11 @@ def mesh(
 
         found = run(source, out, job, progress)
     text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
+    if found.num_removed:
+        text += (
+            f"; removed {found.num_removed:,} of {found.num_components:,} components, which have fewer triangles than"
+            f" {100 * job.least_component:g} % of the largest (--least-component)"
+        )
     open_console().print(text, highlight=False, markup=False)
 
 

@@ -133,6 +133,10 @@ class MeshJob:
     """Cameras that are used, spread over all."""
     around: float = 0.98
     """Share of what the field holds, along each axis, that the box takes in: the rest is far away or alone."""
+    box: tuple[float, float, float, float, float, float] | None = None
+    """Mesh this box of the world alone (x y z of its lowest corner, x y z of its highest), instead of --around."""
+    least_component: float = 0.01
+    """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
     """Of the depth pictures; as the cameras' own."""
 
@@ -149,5 +153,11 @@ class MeshJob:
             raise ConfigError(f"most_views must be 1 or more, got {self.most_views}")
         if not 0.0 < self.around <= 1.0:
             raise ConfigError(f"around must be above 0 and at most 1, got {self.around}")
+        if not 0.0 <= self.least_component <= 1.0:
+            raise ConfigError(f"least_component must be from 0 to 1, got {self.least_component}")
+        if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:])):
+            raise ConfigError(
+                f"box must be six numbers, the lowest x y z and then the highest, got {self.box}"
+            )
         if self.width is not None and not 1 <= self.width <= 16384:
             raise ConfigError(f"width must be from 1 to 16384, got {self.width}")

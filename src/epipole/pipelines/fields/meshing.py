@@ -53,16 +53,23 @@ def mesh(
     refuse_existing([out], "mesh", inputs)
     shots = _shots(source, wanted)
     see, places = seen_from(source)
-    low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
-    margin = 0.03 * float(np.max(high - low))
-    volume = DistanceVolume(low - margin, high + margin, wanted.voxels)
+    volume = DistanceVolume(*_box(places, wanted), wanted.voxels)
     for n, shot in enumerate(shots):
         volume.add(shot.camera, shot.cam_from_world, *see(shot))
         progress(Progress("fuse", n + 1, len(shots)))
-    found = volume.mesh()
+    found = volume.mesh().without_small_components(wanted.least_component)
     with replacing_file(out, "mesh", inputs) as aside:
         write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
     return found
+
+
+def _box(places: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest corner of what is meshed."""
+    if wanted.box is not None:
+        return np.array(wanted.box[:3]), np.array(wanted.box[3:])
+    low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
+    margin = 0.03 * float(np.max(high - low))
+    return low - margin, high + margin
 
 
 def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
