@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 from epipole.errors import WorkspaceError
 
@@ -39,8 +40,8 @@ def add_seal(path: Path, command: str) -> None:
         return
     insert(path, f"epipole-seal {command} {'0' * _DIGITS}".encode())
     found = _found(path)
-    if found is None:
-        raise WorkspaceError(f"{path} could not be sealed")
+    if found is None:  # a header of unusual length
+        return
     with path.open("r+b") as stream:
         stream.seek(found[1])
         stream.write(_digest(path, found[1]).encode())
@@ -101,24 +102,36 @@ def _append_to_mp4(path: Path, seal: bytes) -> None:
 
 def _insert_into_ply(path: Path, seal: bytes) -> None:
     """A comment in the last line before `end_header`."""
-    content = path.read_bytes()
-    end = content.index(b"end_header")
-    path.write_bytes(content[:end] + b"comment " + seal + b"\n" + content[end:])
+    with path.open("rb") as stream:
+        head = stream.read(_SEARCHED_BYTES)
+    end = head.find(b"end_header")
+    if end > 0:
+        _replace_head(path, end, head[:end] + b"comment " + seal + b"\n")
 
 
 def _comment_on_zip(path: Path, seal: bytes) -> None:
-    try:
-        with ZipFile(path, "a") as archive:
-            archive.comment = seal
-    except BadZipFile as error:
-        raise WorkspaceError(f"{path} could not be sealed: {error}") from error
+    with ZipFile(path, "a") as archive:
+        archive.comment = seal
 
 
 def _comment_on_gzip(path: Path, seal: bytes) -> None:
     """The header's comment (RFC 1952, section 2.3); headers with other fields are left as they are."""
-    content = path.read_bytes()
-    if content[3] == 0:
-        path.write_bytes(content[:3] + b"\x10" + content[4:10] + seal + b"\0" + content[10:])
+    with path.open("rb") as stream:
+        head = stream.read(10)
+    _replace_head(path, 10, head[:3] + b"\x10" + head[4:10] + seal + b"\0")
+
+
+def _replace_head(path: Path, size: int, head: bytes) -> None:
+    """Write other bytes instead of the first ones of a file, which may be larger than the memory."""
+    longer = path.with_name(path.name + ".sealed")
+    try:
+        with path.open("rb") as source, longer.open("wb") as out:
+            source.seek(size)
+            out.write(head)
+            shutil.copyfileobj(source, out, _CHUNK_BYTES)
+        longer.replace(path)
+    finally:
+        longer.unlink(missing_ok=True)
 
 
 _FORMATS: tuple[tuple[Callable[[bytes], bool], Callable[[Path, bytes], None]], ...] = (
