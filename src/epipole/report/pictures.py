@@ -17,7 +17,8 @@ MAX_FEATURES = 400
 """Features drawn on one thumbnail."""
 _SHOWN_PX = 1000  # longest side of the pictures in the page
 _PHOTOGRAPH_PX, _PHOTOGRAPH_QUALITY = 640, 85
-"""Longest side of photographs, which stand three beside each other, and the quality of their JPEGs."""
+_SMALL_BYTES = 1 << 15
+"""Longest side of photographs, which stand three beside each other, and the quality of their JPEGs; PNGs up to so many bytes stay exact."""
 
 
 def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
@@ -27,8 +28,11 @@ def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
 
 
 def photograph_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
-    """A photograph or a render, reduced, as a data URI of a JPEG: a tenth of the bytes of a PNG."""
+    """A photograph or a render, reduced, as a data URI: a JPEG, a tenth of the bytes, unless its PNG is small."""
     small = downscaled(rgb, _PHOTOGRAPH_PX)
+    exact = encoded_image(".png", small[..., ::-1])
+    if len(exact) <= _SMALL_BYTES:
+        return data_uri(exact, "image/png")
     return data_uri(encoded_image(".jpg", small[..., ::-1], _PHOTOGRAPH_QUALITY), "image/jpeg")
 
 
