@@ -12,8 +12,8 @@ from jaxtyping import Float32
 
 from epipole._checks import as_float_array
 from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
-from epipole.io.encoding import encoded_image
 from epipole.io.files import file_bytes
 
 PNG_SCALE = 256.0

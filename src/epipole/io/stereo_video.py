@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
-from epipole.io.encoding import encoded_image
 from epipole.io.files import require_file
 from epipole.io.video import opened_video
 

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole.errors import ConfigError, FileFormatError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_folder
-from epipole.io.encoding import encoded_image
 from epipole.io.files import open_file, read_json, require_file
 from epipole.io.json_files import json_text
 

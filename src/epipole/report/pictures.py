@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from epipole.image import color_map, color_range, downscaled
-from epipole.io.encoding import encoded_image
+from epipole.image.encoding import encoded_image
 from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400

@@ -12,7 +12,7 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
-from epipole.io.encoding import encoded_image
+from epipole.image.encoding import encoded_image
 from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.runs import Unit, digest, load

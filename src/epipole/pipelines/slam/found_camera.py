@@ -18,10 +18,10 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.features.flow import follow_points
 from epipole.geometry import Rigid3
+from epipole.image.encoding import encoded_image
 from epipole.io.bags import is_bag
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.camera_params import text_of_camera
-from epipole.io.encoding import encoded_image
 from epipole.io.photographs import read_grey
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video, opened_video

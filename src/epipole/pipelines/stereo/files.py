@@ -10,9 +10,9 @@ from jaxtyping import Float32, Float64, UInt8
 
 from epipole.disparity_search.rectification import Rectification
 from epipole.errors import FileFormatError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
-from epipole.io.encoding import encoded_image
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.photographs import read_rgb
