@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from rich.console import Console
 
 from epipole import _jit, screen
 from epipole.runs import Progress
@@ -93,3 +94,13 @@ def test_short_waits(capsys, loudness, monkeypatch):
         time.sleep(0.2)
     said = capsys.readouterr().err
     assert said == "" if loudness == "quiet" else said.startswith("Working") and "Done after 0.2 s" in said
+
+
+def test_warnings_that_are_not_printed_are_counted(capsys):
+    console = Console(width=200)
+    screen.print_warnings(console, [f"[w] {k}" for k in range(14)], rest_in="OUT/summary.json")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 11 and lines[0] == "note: [w] 0" and lines[-1] == "note: 4 more, in OUT/summary.json"
+    screen.print_warnings(console, map(str, range(11)), rest_in="OUT/summary.json")
+    screen.print_warnings(console, map(str, range(14)))
+    assert len(capsys.readouterr().out.splitlines()) == 25

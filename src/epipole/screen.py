@@ -30,9 +30,11 @@ ANSWER_IS_NO = 3
 """Exit code of a check that ran and did not pass; errors have 1, options that cannot be used 2."""
 COMPILE_NOTE = "Compiling kernels, once on this machine (half a minute to a minute; later runs start at once)"
 LINE_EVERY_S = 10.0
+"""Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
 SHORT_S = 1.0
 """Work that is over sooner needs no announcement."""
-"""Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
+MOST_PRINTED = 10
+"""Warnings on the screen, where a file holds them all."""
 Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
 
@@ -194,7 +196,18 @@ def _say_compiling(console: Console, seconds: float) -> None:
         )
 
 
-def print_warnings(console: Console, warnings: Iterable[str], word: str = "note") -> None:
-    """Print one yellow line per warning."""
-    for warning in warnings:
+def print_warnings(console: Console, warnings: Iterable[str], word: str = "note", rest_in: str = "") -> None:
+    """Print one yellow line per warning.
+
+    Args:
+        console: where to.
+        warnings: the warnings.
+        word: before each.
+        rest_in: the file that holds all of them, where only the first ten are printed and the others counted; empty: all
+            are printed.
+    """
+    listed = list(warnings)
+    shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed
+    more = len(listed) - len(shown)
+    for warning in [*shown, *([f"{more} more, in {rest_in}"] if more else [])]:
         console.print(f"{word}: {warning}", style="yellow", highlight=False, markup=False, soft_wrap=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
@@ -16,6 +16,7 @@ from epipole.io.gaussian_files import SUFFIXES, is_sog, read_gaussians, write_ga
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
+from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, open_run
 from epipole.scene import Reconstruction
 
@@ -33,6 +34,8 @@ class Conversion:
     """Pictures that lie in `images/` beside the model."""
     missing: tuple[str, ...]
     """Images of the model whose pictures were not found."""
+    warnings: tuple[str, ...] = ()
+    """What the reconstruction that is the source has lost: images and models that are not in what was written."""
 
 
 def format_told_by(source: Path, target: Path) -> str | None:
@@ -71,9 +74,9 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         raise FileFormatError(source, "there is no such file or folder")
     if format == "splat":
         return _convert_gaussians(source, target)
-    model = read_model(source)
+    model, losses = read_model(source), tuple(losses_in(source))
     if format == "ply":
-        return _convert_to_ply(model, target)
+        return replace(_convert_to_ply(model, target), warnings=losses)
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
     names = _names_with_place(model) if format in _WITH_PICTURES else []
@@ -85,8 +88,8 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
         with run.folder.publish(format) as aside:  # last: where it is, its pictures are
             FOLDER_WRITERS[format](model, aside)
-        run.finish()
-    return Conversion(target, len(found), tuple(name for name in names if name not in found))
+        run.finish({"num_pictures": len(found), "warnings": losses})
+    return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:

@@ -146,7 +146,7 @@ def compare_fields(
         result = run(source, out, config, job, progress)
     console = Console()
     console.print(_compared(result.rows, config.kind))
-    print_warnings(console, list(result.warnings[:10]))
+    print_warnings(console, result.warnings, rest_in=str(result.out / "compare.json"))
     console.print(f"written   {result.out}", highlight=False, markup=False)
     if result.is_interrupted:
         sys.exit(INTERRUPTED)
@@ -188,7 +188,7 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
-    print_warnings(console, list(warnings[:10]))
+    print_warnings(console, warnings, rest_in=str(model.parent / "summary.json"))
     console.print(f"written   {model}", highlight=False, markup=False)
     console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
     folder = quote(str(model.parent))

@@ -81,13 +81,14 @@ def compare_fields(
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]
         rows[SPLAT]["num_gaussians"] = len(gaussians.cloud)
+        run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings, *run.warnings]))
         told = {"kind": config.kind, "held_out": bool(pictures.test), "views": len(views), **rows}
         told["frames_ratio"] = rows[SPLAT]["frames_s"] / rows[NERF]["frames_s"]
+        told["warnings"] = run.warnings
         run.folder.write_json(FIGURES, told)
         is_interrupted = gaussians.summary["interrupted"] or field.summary["interrupted"]
-        run.warnings += [*gaussians.warnings, *field.warnings]
         run.finish(told)
-        return FieldComparison(run.root, rows, tuple(dict.fromkeys(run.warnings)), is_interrupted)
+        return FieldComparison(run.root, rows, tuple(run.warnings), is_interrupted)
 
 
 def _drawers(

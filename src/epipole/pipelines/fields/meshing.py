@@ -12,6 +12,7 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.fields.tsdf import DistanceVolume, Mesh
 from epipole.io.mesh_ply import write_mesh_ply
+from epipole.io.reconstruction_losses import losses_in
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
@@ -54,6 +55,8 @@ def mesh(
     low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
     margin = 0.03 * float(np.max(high - low))
     volume = DistanceVolume(low - margin, high + margin, wanted.voxels)
+    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
+        progress(Progress("fuse", 0, len(shots), loss))
     for n, shot in enumerate(shots):
         volume.add(shot.camera, shot.cam_from_world, *see(shot))
         progress(Progress("fuse", n + 1, len(shots)))

@@ -62,7 +62,6 @@ def nerf(
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
             pictures = pictures_of(source, run, wanted)
-        run.warnings += pictures.problems
         with run.stage("start"):
             trainer = kind.trainer(pictures.train, background_of(wanted, pictures), config.seed)
         with run.stage("train"):

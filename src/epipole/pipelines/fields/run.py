@@ -81,7 +81,6 @@ def splat(
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
             pictures = pictures_of(source, run, wanted)
-        run.warnings += pictures.problems
         most = _fitting(config, pictures, wanted)
         config = replace(config, max_gaussians=most)
         background = background_of(wanted, pictures)

@@ -15,6 +15,7 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.training_view import TrainingView
+from epipole.io.reconstruction_losses import losses_in, losses_of
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
@@ -108,13 +109,21 @@ class Trained(NamedTuple):
 
 
 def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
-    """Cameras and pictures of a source; those of photographs are found first, in a folder beside."""
+    """Cameras and pictures of a source; those of photographs are found first, in a folder beside.
+
+    What is lost on the way becomes warnings of the run.
+    """
+    model, photographs = source, None
     if is_model(source):
-        return gather_field_pictures(source, wanted)
-    model = run.root / MODEL
-    reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
-    pictures = source if source.is_dir() else model / "images"
-    return gather_field_pictures(model, wanted, pictures)
+        run.warnings += losses_in(source)
+    else:
+        model = run.root / MODEL
+        found = reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
+        run.warnings += losses_of(found.summary, model)
+        photographs = source if source.is_dir() else model / "images"
+    pictures = gather_field_pictures(model, wanted, photographs)
+    run.warnings += pictures.problems
+    return pictures
 
 
 def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
@@ -230,6 +239,7 @@ def finished(
         "train_s": trained.curve[-1][0] if trained.curve else 0.0,
         **{name: float(np.mean([one[name] for one in scores])) if scores else None for name in MEANS},
         "background": "white" if trainer.background[0] else "black",
+        "warnings": run.warnings,
         "timings_s": run.timings_s,
     }
     tables: dict[str, dict[str, list[Any]]] = {

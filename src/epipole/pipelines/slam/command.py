@@ -95,7 +95,7 @@ def show_slam(result: SlamResult) -> None:
             highlight=False,
             markup=False,
         )
-    print_warnings(console, result.warnings[:10])
+    print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)

@@ -95,7 +95,7 @@ def slam(
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [] if found is None else [found.note()]
+        run.warnings += [] if found is None else found.notes()
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)

@@ -28,7 +28,7 @@ class StereoBatch:
     problems: dict[str, str]
     """Why the others were not measured."""
     warnings: dict[str, tuple[str, ...]]
-    """Warnings of those that were measured now."""
+    """Warnings of those that were measured, now or by an earlier run."""
     known: dict[str, float]
     """Share of known pixels of each."""
 
@@ -104,10 +104,11 @@ def summary_of(
         part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
         for part in ("known", "warnings")
     }
+    warned = {n: tuple(map(str, words)) for n, words in kept["warnings"].items() if isinstance(words, list)}
     return {
         "done": [*batch.earlier, *batch.done],
         "known": kept["known"] | batch.known,
-        "warnings": kept["warnings"] | batch.warnings,
+        "warnings": warned | batch.warnings,
         "problems": batch.problems,
         "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
     }

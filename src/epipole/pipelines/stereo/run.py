@@ -97,8 +97,9 @@ def stereo_many(
             lambda one, two, folder: stereo(one, two, folder, config, rig),
             progress,
         )
-        run.finish(summary_of(batch, pairs, read_summary(run.root)))
-        return batch
+        summary = summary_of(batch, pairs, read_summary(run.root))
+        run.finish(summary)
+        return replace(batch, warnings=summary["warnings"])
 
 
 def stereo_of_model(

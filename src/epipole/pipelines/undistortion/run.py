@@ -17,6 +17,7 @@ from epipole.io.atomic import atomic_write
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
+from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
@@ -55,6 +56,9 @@ def undistort(
     usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
     with open_run(job, usual if target is None else as_path(target)) as run:
+        run.warnings += [] if model is not None else losses_in(given)
+        for warning in run.warnings:
+            run.report("undistort", 0, len(names), warning)
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
             for n, (image, name, picture) in enumerate(zip(registered, names, pictures), 1):
                 c = int(found.camera_of_image[image])
@@ -63,7 +67,7 @@ def undistort(
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
-        run.finish()
+        run.finish({"num_images": len(names), "warnings": run.warnings})
         return run.root
 
 
