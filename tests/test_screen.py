@@ -123,7 +123,7 @@ def test_silent_work_prints_a_line_again_and_again(capsys, monkeypatch):
         time.sleep(0.2)
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(screen, "SHORT_S", 0.01)
-    with screen.waiting_for_kernels():
+    with screen.working():
         wait_for("Working, 0 s so far")
 
 
@@ -159,11 +159,11 @@ def test_lines_are_written_at_once_and_bars_only_on_a_terminal():
 
 @pytest.mark.parametrize("loudness", ["quiet", "normal"])
 def test_short_waits(capsys, loudness, monkeypatch):
-    with screen.loudness(loudness), screen.waiting_for_kernels():
+    with screen.loudness(loudness), screen.working():
         pass
     assert capsys.readouterr().err == ""  # over at once
     monkeypatch.setattr(screen, "SHORT_S", 0.05)
-    with screen.loudness(loudness), screen.waiting_for_kernels():
+    with screen.loudness(loudness), screen.working():
         time.sleep(0.2)
     said = capsys.readouterr().err
     assert said == "" if loudness == "quiet" else said.startswith("Working") and "Done after 0.2 s" in said

@@ -258,7 +258,7 @@ def _beating(beat: Callable[[], None], printed_at: Callable[[], float]) -> Itera
 
 
 @contextmanager
-def waiting_for_kernels() -> Iterator[None]:
+def working() -> Iterator[None]:
     """A spinner while a short command works, which says so if kernels have to be compiled first."""
     console = Console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
     from epipole import _jit

@@ -87,3 +87,10 @@ def test_a_workspace_without_a_summary_of_ours_still_tells_its_models(workspace,
     many = SUMMARY | {"not_registered": {f"{n}.jpg": "blurred" for n in range(30)}, "warnings": [3]}
     (tmp_path / "summary.json").write_text(json.dumps(many))
     assert losses_in(tmp_path)[-1].startswith("25 more images are in no model")
+
+
+def test_reading_images_is_reported(workspace, tmp_path):
+    reports = []
+    nerf(workspace, tmp_path / "out", steps=1, kind="grid", progress=reports.append)
+    done = [(report.done, report.total) for report in reports if report.stage == "load"]
+    assert done == [(n, 14) for n in range(15)]

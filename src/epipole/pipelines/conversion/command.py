@@ -23,9 +23,11 @@ def convert(
     from rich.console import Console
 
     from epipole.pipelines.conversion.run import convert as run
-    from epipole.screen import print_warnings
+    from epipole.screen import print_warnings, working
 
-    done, console = run(source, target, format), Console()
+    with working():
+        done = run(source, target, format)
+    console = Console()
     pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
     console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
     print_warnings(console, done.warnings)

@@ -18,7 +18,13 @@ from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
 DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
-WORDS = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+WORDS = {
+    **STAGES,
+    "load": "Reading images",
+    "start": "Measuring depth",
+    "train": "Training",
+    "test": "Rendering held-out views",
+}
 WHOLE = MeshJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""

@@ -121,7 +121,7 @@ def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
         found = reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
         run.warnings += losses_of(found.summary, model)
         photographs = source if source.is_dir() else model / "images"
-    pictures = gather_field_pictures(model, wanted, photographs)
+    pictures = gather_field_pictures(model, wanted, photographs, run.job.progress)
     run.warnings += pictures.problems
     return pictures
 

@@ -18,11 +18,16 @@ REASONS_SHOWN = 10
 STAGES = {
     "video": "Taking frames",
     "read": "Reading headers",
+    "digest": "Comparing files",
     "features": "Finding features",
     "compile": "Compiling kernels",
+    "pair": "Choosing pairs",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
     "map": "Placing images",
+    "adjust": "Adjusting the model",
+    "anchor": "Looking for the scale",
+    "write": "Writing images",
 }
 
 

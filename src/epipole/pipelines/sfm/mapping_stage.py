@@ -60,9 +60,9 @@ def map_images(
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
-        if not mapper.run(remaining, _counting(progress, remaining)):
+        if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
-        residuals = _put_in_place(mapper, positions, config)
+        residuals = _put_in_place(mapper, positions, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -76,19 +76,30 @@ def map_images(
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
-    """Progress over all pictures: those of earlier models, and of the best attempt at this one."""
-    earlier, best = int((~remaining).sum()), 0
+    """Progress over all pictures: those of earlier models, and of this attempt at this one."""
+    earlier, best, num_attempts = int((~remaining).sum()), 0, 0
 
     def report(done: int, _: int) -> None:
-        nonlocal best
+        nonlocal best, num_attempts
+        note = ""
+        if done == 0:
+            note = "starts again from another initial pair" if num_attempts else ""
+            best, num_attempts = 0, num_attempts + 1
         best = max(best, done)
-        progress(Progress("map", earlier + best, len(remaining)))
+        progress(Progress("map", earlier + best, len(remaining), note))
 
     return report
 
 
+def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
+    return lambda done, total: progress(Progress("adjust", done, total))
+
+
 def _put_in_place(
-    mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig
+    mapper: IncrementalMapper,
+    positions_enu: np.ndarray,
+    config: MapperConfig,
+    adjusting: Callable[[int, int], None],
 ) -> np.ndarray | None:
     """Turn the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
@@ -102,8 +113,11 @@ def _put_in_place(
     mapper.priors = PositionPriors(
         np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m
     )
-    mapper.adjust_globally(rounds=2)
+    adjusting(0, 3)
+    mapper.adjust_globally(2, lambda done: adjusting(done, 3))
+    adjusting(2, 3)
     mapper.finish()
+    adjusting(3, 3)
     return np.linalg.norm(model.center - positions_enu, axis=1)
 
 

@@ -113,7 +113,7 @@ def read_image_set(
     cameras, camera_of_image, sources = group_cameras(headers, config)
     lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
     masks, mask_note = _masks_of(tuple(headers), config.masks)
-    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
+    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory, progress)
     return ImageSet(
         folder,
         tuple(headers),

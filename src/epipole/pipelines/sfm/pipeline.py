@@ -96,7 +96,9 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
         _wait_for(compiling, run)
     with run.stage("match"):
         given = database.matches(images.names) if database is not None else {}
+        run.report("pair", 0, 1)
         pairs = _choose_pairs(images, features, config, given)
+        run.report("pair", 1, 1)
     detected = _Detected(features, keypoints, colors, database, given, pairs)
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:

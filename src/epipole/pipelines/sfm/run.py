@@ -91,7 +91,7 @@ def reconstruct(
         solution = solve(source, run, config)
         if solution.mapped.models:
             with run.stage("anchor"):
-                mapped, notes = with_scale(solution, config)
+                mapped, notes = with_scale(solution, config, progress)
             solution = replace(solution, mapped=mapped)
             run.warnings += notes
         reasons = _reasons(solution, config)

@@ -40,7 +40,12 @@ def slam(
     """
     from epipole.screen import progress_on_screen
 
-    words = {**STAGES, "track": "Following the camera", "adjust": "Adjusting the map"}
+    words = {
+        **STAGES,
+        "choose": "Choosing images",
+        "track": "Following the camera",
+        "adjust": "Adjusting the map",
+    }
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
 

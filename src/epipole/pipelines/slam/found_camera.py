@@ -32,7 +32,7 @@ from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.map_files import camera_of_map
 from epipole.pipelines.slam.moving_sources import camera_index
-from epipole.runs import ProgressCallback
+from epipole.runs import Progress, ProgressCallback
 
 MOST_PICTURES, LEAST_PICTURES = 30, 8
 MOST_FRAMES = 1500
@@ -155,12 +155,13 @@ def _of_files(files: Iterable[Path]) -> Generator[_Picture, None, None]:
 def _camera_of(
     pictures: _Pictures, job: JobOptions, given: CameraOptions, progress: ProgressCallback
 ) -> FoundCamera:
-    num = min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride)
+    num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride))
     wanted = islice(pictures.each, job.start, job.start + num * job.stride, job.stride)
     with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(pictures.each):
         folder = Path(name) / "pictures"
         folder.mkdir()
-        selected = _select(wanted, max(1, num // MOST_PICTURES), folder)
+        selected = _select(_counted(wanted, num, progress), max(1, num // MOST_PICTURES), folder)
+        progress(Progress("choose", num, num))
         if len(selected) < LEAST_PICTURES:
             raise ConfigError(
                 f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_PICTURES} are needed): "
@@ -179,6 +180,14 @@ def _camera_of(
                 loss = loss.replace(copy, name_in_source)
             losses.append(loss)
         return _judged(found, losses)
+
+
+def _counted(
+    pictures: Iterable[_Picture], num: int, progress: ProgressCallback
+) -> Generator[_Picture, None, None]:
+    for n, picture in enumerate(pictures):
+        progress(Progress("choose", min(n, num - 1), num))
+        yield picture
 
 
 def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str, str]:

@@ -41,14 +41,22 @@ def is_many(left: Path, right: Path) -> bool:
     return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
 
 
-def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
+def list_pairs(
+    left: Path, right: Path, out: Path, max_frames: int, progress: ProgressCallback = ignore_progress
+) -> dict[str, tuple[Path, Path]]:
     """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
 
     Raises:
         FileFormatError: there are none, or the folders do not fit.
     """
     if is_video(left) or is_video(right):
-        pairs = extract_pairs(left, right, out / "frames", max_frames)
+        pairs = extract_pairs(
+            left,
+            right,
+            out / "frames",
+            max_frames,
+            lambda done, total: progress(Progress("video", done, total)),
+        )
         return {a.stem: (a, b) for a, b in pairs}
     for folder in (left, right):
         if not folder.is_dir():

@@ -91,7 +91,7 @@ def stereo_many(
     config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
     with open_run(job, as_path(out)) as run:
-        pairs = list_pairs(left, right, run.root, config.max_frames)
+        pairs = list_pairs(left, right, run.root, config.max_frames, progress)
         batch = run_batch(
             *(pairs, run.root, lambda one, two: _settings(config, rig, one, two)),
             lambda one, two, folder: stereo(one, two, folder, config, rig),
