@@ -188,8 +188,9 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
     )
     if summary["psnr"] is not None:
-        test = summary["num_test"]
-        held = f"{test} picture{'s that were' if test > 1 else ' that was'} held out"
+        test, compared = summary["num_test"], summary["num_compared"]
+        of_all = "" if compared == test else f"{compared} of "
+        held = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
         table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")

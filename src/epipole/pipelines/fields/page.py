@@ -53,7 +53,9 @@ def render_page(page: FieldPage) -> str:
     """One HTML page with everything inside it."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
-    shown = [_view(page, page.pictures.test[row], page.scores[row]) for row in rows if page.scores]
+    views = {view.name: view for view in page.pictures.test}
+    chosen = [page.scores[row] for row in rows if page.scores]
+    shown = [_view(page, views[score["name"]], score) for score in chosen]
     return render(
         __package__,
         "field.html.jinja",
