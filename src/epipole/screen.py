@@ -147,6 +147,7 @@ class _Lines:
         self._rounds = _Rounds()
         self._lock = threading.Lock()
         self._latest: _Stage | None = None
+        self._begin_s = perf_counter()
         self.printed_at = monotonic()
         """By the system's clock."""
 
@@ -192,8 +193,8 @@ class _Lines:
         return f"{words}, about {left_s:.0f} s left"
 
     def _end(self, stage: _Stage) -> None:
-        stage.is_over = True
-        seconds = perf_counter() - stage.begin_s
+        stage.is_over, stage.printed_s = True, perf_counter()
+        seconds = stage.printed_s - stage.begin_s
         self._say(stage, f"{stage.last.done} of {stage.last.total} after {seconds:.1f} s")
 
     def _label(self, stage: _Stage) -> str:
@@ -212,7 +213,8 @@ class _Lines:
             stage, now = self._latest, perf_counter()
             if stage is None or stage.is_over:
                 after = "" if stage is None else f" on what comes after `{self._label(stage)}`"
-                self._print(f"Working{after}, {monotonic() - self.printed_at:.0f} s since the last line")
+                since_s = now - (self._begin_s if stage is None else stage.printed_s)
+                self._print(f"Working{after}, {since_s:.0f} s so far")
                 return
             stage.printed_s = now
             self._say(stage, f"{self._how_far(stage, now)}, {now - stage.begin_s:.0f} s so far")

@@ -1,12 +1,14 @@
 """A time for the training bounds what is rendered afterwards, too: fewer views, and that is said."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from fields_scenes import CAMERA, frames_of, lens, views
 
 from epipole import compare_fields, nerf, splat
+from epipole.cameras import Camera
 from epipole.pipelines.fields import held_out
 from epipole.pipelines.fields.config import FieldOptions
 
@@ -25,32 +27,58 @@ class Slow:
     background = np.ones(3, np.float32)
 
     def __init__(self, monkeypatch):
-        self.now, self.sizes = 0.0, []
+        self.now, self.fixed_s, self.sizes = 0.0, 0.0, []
         monkeypatch.setattr(held_out, "perf_counter", lambda: self.now)
 
     def draw_counted(self, view):
-        self.now += 1e-3 * view.camera.width * view.camera.height
+        self.now += self.fixed_s + 1e-3 * view.camera.width * view.camera.height
         self.sizes.append((view.camera.width, view.camera.height))
         return view.over(self.background), 7
 
 
 def test_as_many_views_are_rendered_as_the_time_allows(monkeypatch):
-    slow, said = Slow(monkeypatch), list[str]()
+    slow, said, reports = Slow(monkeypatch), list[str](), []
+    each_s = 1e-3 * CAMERA.width * CAMERA.height
+
+    def rendered(options):
+        found = held_out.in_time(
+            views(), options, slow.draw_counted, lambda *report: reports.append(report), said
+        )
+        assert all(count == 7 and picture.shape == (48, 64, 3) for _, (picture, count) in found)
+        return [view.name for view, _ in found]
+
+    wanted = FieldOptions(time=f"{3.5 * each_s / held_out.RENDER_SHARE:.3f}s")
+    assert rendered(wanted) == ["00.png", "06.png", "13.png"]
+    assert said[0].startswith("3 of 14 views are rendered and compared: a view takes about 3.1 s")
+    assert reports == [(0, 14), (1, 14), (2, 14), (3, 14), (3, 3)]
+    assert rendered(FieldOptions(time="1s")) == ["00.png"]
+    said.clear()
+    for options in (FieldOptions(steps=1), FieldOptions(time="1h")):
+        assert len(rendered(options)) == 14 and not said
+    assert held_out.in_time([], wanted, slow.draw_counted, lambda *_: None, said) == []
+
+
+def test_every_beginning_of_the_rows_is_spread_over_all():
+    for count in (0, 1, 2, 3, 14, 97):
+        order = held_out.rows_in_halves(count)
+        assert sorted(order) == list(range(count))
+    for k in (2, 3, 5, 9, 17, 33):
+        assert max(np.diff(sorted(held_out.rows_in_halves(97)[:k]))) <= 96 / (k - 1) + 2
+
+
+def test_how_long_a_view_takes_is_known_from_smaller_ones(monkeypatch):
+    slow = Slow(monkeypatch)
     monkeypatch.setattr(held_out, "RAYS_OF_THREAD", 100)
     monkeypatch.setattr(held_out, "num_threads", lambda: 1)
     each_s = 1e-3 * CAMERA.width * CAMERA.height
-    assert held_out.seconds_of_view(slow, views()[0]) == pytest.approx(each_s, rel=1e-6)
-    assert slow.sizes[-1][0] * slow.sizes[-1][1] < 200
-    budget_s = 3.5 * each_s
-    wanted = FieldOptions(time=f"{budget_s / held_out.RENDER_SHARE:.3f}s")
-    chosen = held_out.affordable(slow, views(), wanted, said)
-    assert [view.name for view in chosen] == ["00.png", "06.png", "13.png"]
-    assert said[0].startswith("3 of 14 views are rendered and compared: a view takes about 3 s")
-    assert len(held_out.affordable(slow, views(), FieldOptions(time="1s"), said)) == 1
-    said.clear()
-    for options in (FieldOptions(steps=1), FieldOptions(time="1h")):
-        assert len(held_out.affordable(slow, views(), options, said)) == 14 and not said
-    assert held_out.affordable(slow, [], wanted, said) == []
+    assert held_out.seconds_of_view(slow, views()[0]) == pytest.approx(each_s, rel=0.01)
+    assert max(width * height for width, height in slow.sizes) < 200
+    line = replace(
+        views()[0], picture=np.zeros((1, 64, 3), np.uint8), camera=Camera("PINHOLE", 64, 1, CAMERA.params)
+    )
+    assert held_out.seconds_of_view(slow, line) == pytest.approx(0.064)
+    slow.fixed_s = 10.0  # whatever the size
+    assert held_out.seconds_of_view(slow, views()[0]) == pytest.approx(10.0 + each_s, rel=0.01)
 
 
 def test_a_view_on_the_way_that_would_take_too_long_is_not_begun(monkeypatch):
@@ -63,7 +91,7 @@ def test_a_view_on_the_way_that_would_take_too_long_is_not_begun(monkeypatch):
 
 
 def test_fewer_views_are_compared_in_little_time(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(held_out, "seconds_of_view", lambda renderer, view: 1.0)
+    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
     found = nerf(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
     assert found.summary["num_test"] == 4 and found.summary["num_compared"] == 1
     assert "1 of 4 views are rendered" in found.summary["warnings"][0]
@@ -82,6 +110,7 @@ def test_a_comparison_renders_no_view_of_the_field_twice(source, tmp_path, monke
         return timed(renderer, view)
 
     monkeypatch.setattr(held_out, "timed", counting)
+    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
     monkeypatch.setattr(held_out, "seconds_of_view", lambda renderer, view: 1.0)
     found = compare_fields(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
     assert sorted(rendered) == [("SplatTrainer", "images/00.png"), ("VoxelTrainer", "images/00.png")]

@@ -21,7 +21,7 @@ DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJ
 WORDS = {
     **STAGES,
     "load": "Reading images",
-    "start": "Measuring depth",
+    "start": "Preparing the training",
     "train": "Training",
     "test": "Rendering held-out views",
 }

@@ -20,7 +20,7 @@ from epipole.io.files import read_json
 from epipole.io.photographs import read_rgb
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.held_out import affordable, timed
+from epipole.pipelines.fields.held_out import in_time, timed
 from epipole.pipelines.fields.kinds import KINDS, Kind
 from epipole.pipelines.fields.nerf import NerfResult, nerf_of
 from epipole.pipelines.fields.page import drawn_name
@@ -98,9 +98,18 @@ def compare_fields(
             views = [view for view in pictures.test if all(view.name in rows for rows in known)]
             marched = partial(_read, field.out, known[1])
         else:
-            renderer = _FieldRenderer(background, field, kind)
-            views = affordable(renderer, pictures.train, wanted, run.warnings)
-            marched = partial(_rendered, renderer)
+            shown = in_time(
+                pictures.train,
+                wanted,
+                partial(_rendered, _FieldRenderer(background, field, kind)),
+                partial(run.report, "test"),
+                run.warnings,
+            )
+            views, by_name = [view for view, _ in shown], {view.name: each for view, each in shown}
+
+            def marched(view: TrainingView) -> Shown:
+                return by_name[view.name]
+
         rows = _compared(partial(_splatted, gaussians, background), marched, views, background, run)
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]

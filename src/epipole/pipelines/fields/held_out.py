@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from time import perf_counter
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import drawn_name
 from epipole.pipelines.fields.scores import scores_of
 from epipole.runs import Run
+
+Found = TypeVar("Found")
 
 RENDER_SHARE = 0.25
 """Of the time of the training: rendering views afterwards takes no more, but for a single view."""
@@ -36,11 +39,18 @@ class Renderer(Protocol):
 
 
 def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
-    """About how long it takes to render a view, by one that is smaller; compilation is not counted."""
+    """About how long it takes to render a view, by two that are smaller; compilation is not counted."""
     pixels = view.camera.width * view.camera.height
-    small = view.smaller(max(1, int((pixels / (RAYS_OF_THREAD * num_threads())) ** 0.5)))
-    _, seconds, _ = timed(renderer, small)
-    return seconds * pixels / (small.camera.width * small.camera.height)
+    most = min(view.camera.width, view.camera.height)
+    factor = min(max(1, int((pixels / (RAYS_OF_THREAD * num_threads())) ** 0.5)), most)
+    small, smaller = view.smaller(factor), view.smaller(min(2 * factor, most))
+    timed(renderer, smaller)  # in the caches
+    (_, small_s, _), (_, smaller_s, _) = timed(renderer, small), timed(renderer, smaller)
+    small_px, smaller_px = (each.camera.width * each.camera.height for each in (small, smaller))
+    if small_px == smaller_px:
+        return small_s * pixels / small_px
+    pixel_s = max(0.0, small_s - smaller_s) / (small_px - smaller_px)
+    return small_s + pixel_s * (pixels - small_px)
 
 
 def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
@@ -50,53 +60,75 @@ def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, in
     return picture, max(perf_counter() - begin - (compile_seconds() - compiled), 1e-9), count
 
 
-def spread(count: int, of: int) -> list[int]:
-    """At most so many rows of all, evenly spread."""
-    return np.unique(np.linspace(0, of - 1, min(count, of)).round().astype(np.int64)).tolist() if of else []
+def rows_in_halves(count: int) -> list[int]:
+    """All rows in an order of which every beginning is spread over them: the ends, then the middles of what lies between."""
+    order, gaps = [0, count - 1][:count], [(0, count - 1)]
+    while gaps:
+        halved = [(low, (low + high) // 2, high) for low, high in gaps if high - low > 1]
+        order += [middle for _, middle, _ in halved]
+        gaps = [gap for low, middle, high in halved for gap in ((low, middle), (middle, high))]
+    return order
 
 
-def affordable(
-    renderer: Renderer, views: Sequence[TrainingView], wanted: FieldOptions, warnings: list[str]
-) -> list[TrainingView]:
-    """The views, or those of them, spread over all, that can be rendered in a share of the training's time.
+def in_time(
+    views: Sequence[TrainingView],
+    wanted: FieldOptions,
+    render: Callable[[TrainingView], Found],
+    report: Callable[[int, int], None],
+    warnings: list[str],
+) -> list[tuple[TrainingView, Found]]:
+    """Render the views, or as many of them, spread over all, as a share of the training's time is enough for; one at least.
 
     A training of a number of steps has no time that could be kept: all its views are rendered.
+
+    Args:
+        views: the views.
+        wanted: the time.
+        render: what is to be done with a view.
+        report: called with the number that is done and that of all.
+        warnings: given one where not all are rendered.
     """
-    if wanted.seconds is None or not views:
-        return list(views)
-    budget_s, each_s = RENDER_SHARE * wanted.seconds, seconds_of_view(renderer, views[len(views) // 2])
-    rows = spread(max(1, int(budget_s / each_s)), len(views))
-    if len(rows) < len(views):
-        warnings.append(
-            f"{len(rows)} of {len(views)} views are rendered and compared: a view takes about {each_s:.0f} s on this machine, "
-            f"and rendering may take {budget_s:.0f} s, a quarter of the training's time (a longer time, a smaller "
-            "max_side_px, or steps instead of a time compare more)"
-        )
-    return [views[row] for row in rows]
+    budget_s = np.inf if wanted.seconds is None else RENDER_SHARE * wanted.seconds
+    found: dict[int, Found] = {}
+    spent_s = 0.0
+    report(0, len(views))
+    for row in rows_in_halves(len(views)):
+        if found and spent_s * (len(found) + 1) / len(found) > budget_s:
+            warnings.append(
+                f"{len(found)} of {len(views)} views are rendered and compared: a view takes about "
+                f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training's time. A "
+                "longer time, a smaller max_side_px, or steps instead of a time compare more"
+            )
+            report(len(found), len(found))
+            break
+        begin, compiled = perf_counter(), compile_seconds()
+        found[row] = render(views[row])
+        spent_s += perf_counter() - begin - (compile_seconds() - compiled)
+        report(len(found), len(views))
+    return [(views[row], found[row]) for row in sorted(found)]
 
 
 def compared(
     renderer: Renderer, test: Sequence[TrainingView], wanted: FieldOptions, run: Run
 ) -> list[dict[str, Any]]:
     """Render the held-out views into `test`, as many as the time allows, and say how like they are."""
-    scores = []
-    views = affordable(renderer, test, wanted, run.warnings)
     with run.stage("test"), run.folder.publish("test") as aside:
-        run.report("test", 0, len(views))
-        for n, view in enumerate(views):
+
+        def render(view: TrainingView) -> dict[str, Any]:
             drawn, seconds, count = timed(renderer, view)
             write_png(
                 aside / "test" / drawn_name(view.name), np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
             )
             told = {"name": view.name, **scores_of(drawn, view, renderer.background)}
-            scores.append({**told, "render_s": seconds, "count": count})
-            run.report("test", n + 1, len(views))
-    return scores
+            return {**told, "render_s": seconds, "count": count}
+
+        rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings)
+    return [row for _, row in rows]
 
 
 def probed(renderer: Renderer, test: Sequence[TrainingView], most_s: float) -> float | None:
     """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
-    views = [test[row] for row in spread(PROBED, len(test))]
+    views = [test[row] for row in rows_in_halves(len(test))[:PROBED]]
     if not views or most_s <= 0 or len(views) * seconds_of_view(renderer, views[0]) > most_s:
         return None
     begin, scores = perf_counter(), list[float]()

@@ -72,7 +72,9 @@ def nerf_of(
             pictures = pictures_of(source, run, wanted) if pictures is None else pictures
         run.warnings += pictures.problems
         with run.stage("start"):
+            run.report("start", 0, 1)
             trainer = kind.trainer(pictures.train, background_of(wanted, pictures), config.seed)
+            run.report("start", 1, 1)
         with run.stage("train"):
             checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
             trained = train(trainer, pictures, wanted, run, checkpoint=checkpoint)
