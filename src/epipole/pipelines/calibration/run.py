@@ -55,7 +55,8 @@ def calibrate(
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option is unknown, or its value makes no sense.
     """
-    config, images = options_of(CalibrationConfig, config, options), as_path(images)
+    config = options_of(CalibrationConfig, config, options, ["config", "right", "progress"])
+    images = as_path(images)
     others = () if right is None else (as_path(right),)
     job = Job(
         kind="calibrate",

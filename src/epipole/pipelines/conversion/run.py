@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
@@ -48,6 +49,7 @@ def format_told_by(source: Path, target: Path) -> str | None:
     return None
 
 
+@checked
 def convert(source: str | Path, target: str | Path, format: str | None = None) -> Conversion:
     """Write a model in another format.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -78,6 +79,7 @@ class DemoResult:
         )
 
 
+@checked
 def demo(
     out: str | Path = "demo", num_views: int = 24, progress: ProgressCallback = ignore_progress
 ) -> DemoResult:

@@ -24,6 +24,7 @@ from epipole.pipelines.fields.held_out import in_time, timed
 from epipole.pipelines.fields.kinds import KINDS, Kind
 from epipole.pipelines.fields.nerf import NerfResult, nerf_of
 from epipole.pipelines.fields.page import drawn_name
+from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.run import SplatResult, splat_of
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MEANS, METRICS, background_of, called
@@ -91,25 +92,8 @@ def compare_fields(
         field, _ = nerf_of(called(NERF, (source, run.root / NERF), of_nerf, wanted, progress, {}), pictures)
         background = background_of(wanted, pictures)
         run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings]))
-        kind = KINDS[config.kind]
-        marched: Callable[[TrainingView], Shown]
-        if pictures.test:  # which both jobs have rendered, the field perhaps for a minute each
-            known = [_rows_of(result.out) for result in (gaussians, field)]
-            views = [view for view in pictures.test if all(view.name in rows for rows in known)]
-            marched = partial(_read, field.out, known[1])
-        else:
-            shown = in_time(
-                pictures.train,
-                wanted,
-                partial(_rendered, _FieldRenderer(background, field, kind)),
-                partial(run.report, "test"),
-                run.warnings,
-            )
-            views, by_name = [view for view, _ in shown], {view.name: each for view, each in shown}
-
-            def marched(view: TrainingView) -> Shown:
-                return by_name[view.name]
-
+        views, marched = _of_field(field, KINDS[config.kind], pictures, wanted, run)
+        views = [view for view in views if not pictures.test or view.name in _rows_of(gaussians.out)]
         rows = _compared(partial(_splatted, gaussians, background), marched, views, background, run)
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]
@@ -135,6 +119,23 @@ class _FieldRenderer:
         """The picture of a view, and how often the field was asked for it."""
         drawn, _, count = self.kind.draw(self.result.field, view.camera, view.cam_from_world, self.background)
         return drawn, count
+
+
+def _of_field(
+    field: NerfResult, kind: Kind, pictures: FieldPictures, wanted: FieldOptions, run: Run
+) -> tuple[list[TrainingView], Callable[[TrainingView], Shown]]:
+    """The views that are compared, and what the field shows in each.
+
+    Held-out views are those that its job has rendered, a minute each perhaps; views of the training are rendered now.
+    """
+    if pictures.test:
+        rows = _rows_of(field.out)
+        return [view for view in pictures.test if view.name in rows], partial(_read, field.out, rows)
+    renderer = _FieldRenderer(background_of(wanted, pictures), field, kind)
+    report = partial(run.report, "test")
+    shown = in_time(pictures.train, wanted, partial(_rendered, renderer), report, run.warnings)
+    by_name = {view.name: each for view, each in shown}
+    return [view for view, _ in shown], lambda view: by_name[view.name]
 
 
 def _rendered(renderer: _FieldRenderer, view: TrainingView) -> Shown:

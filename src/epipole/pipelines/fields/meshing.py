@@ -45,7 +45,11 @@ def mesh(
         NoModelError: there is no camera.
         WorkspaceError: the file cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(MeshJob, job, options)
+    source, out, wanted = (
+        as_path(source),
+        as_path(out),
+        options_of(MeshJob, job, options, ["job", "progress"]),
+    )
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():

@@ -69,7 +69,11 @@ def render(
         NoModelError: there is no camera with a pose.
         WorkspaceError: the output cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(RenderJob, job, options)
+    source, out, wanted = (
+        as_path(source),
+        as_path(out),
+        options_of(RenderJob, job, options, ["job", "progress"]),
+    )
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     colour = np.full(3, _background(source, wanted), np.float32)

@@ -88,8 +88,10 @@ def called(
         ConfigError: an option is unknown or makes no sense.
         FileFormatError: there is no source.
     """
-    own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
-    pictures, config = options_of(FieldOptions, job, own), options_of(*configs, options)
+    names = [field.name for field in fields(FieldOptions)]
+    own = {name: options.pop(name) for name in names if name in options}
+    pictures = options_of(FieldOptions, job, own)
+    config = options_of(*configs, options, [*names, "config", "job", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")

@@ -46,6 +46,8 @@ from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
 
+ARGUMENTS = ("config", "job", "camera", "progress")
+
 
 def slam(
     source: str | Path,
@@ -77,8 +79,8 @@ def slam(
         WorkspaceError: the output folder cannot be used.
     """
     wanted = _job_of(job, options)
-    config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
-    given = options_of(CameraOptions, camera)
+    config = options_of(SlamConfig, config, options, [*_names_of_job(), *ARGUMENTS])
+    source, out, given = as_path(str(source)), as_path(out), options_of(CameraOptions, camera)
     _check_source(source, wanted)
     check_anchor_files(wanted.anchors)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
@@ -139,10 +141,13 @@ def _anchored(
     return found
 
 
+def _names_of_job() -> list[str]:
+    return [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
+
+
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
-    names = [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
-    own = {name: options.pop(name) for name in names if name in options}
+    own = {name: options.pop(name) for name in _names_of_job() if name in options}
     for name in ("truth", "map", "masks", *ANCHOR_FILES):
         if own.get(name) is not None:
             own[name] = as_path(own[name])

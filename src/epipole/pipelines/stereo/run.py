@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
@@ -59,7 +60,8 @@ def stereo(
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig"])
+    left, right = as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
     with open_run(job, as_path(out)) as run:
         result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
@@ -88,7 +90,8 @@ def stereo_many(
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig", "progress"])
+    left, right = as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
     with open_run(job, as_path(out)) as run:
         pairs = list_pairs(left, right, run.root, config.max_frames, progress)
@@ -125,7 +128,7 @@ def stereo_of_model(
         ConfigError: a picture has no place in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
     """
-    config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
+    config, workspace = options_of(StereoConfig, config, options, ["config"]), as_path(workspace)
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
     registered, places = model.is_registered(), model.cams_from_world()
@@ -150,6 +153,7 @@ def stereo_of_model(
     return replace(found, warnings=(*note, *found.warnings), unit="the model's unit")
 
 
+@checked
 def examine_stereo(
     left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
 ) -> Diagnosis:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
@@ -22,6 +23,7 @@ from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 
+@checked
 def undistort(
     out: str | Path,
     progress: ProgressCallback = ignore_progress,

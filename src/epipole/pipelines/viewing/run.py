@@ -47,6 +47,7 @@ class SharedPage:
     num_bytes: int
 
 
+@checked
 def view(
     out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
 ) -> ViewerHandle:
