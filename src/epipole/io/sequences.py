@@ -15,6 +15,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import file_text
 from epipole.io.names import path_inside
 from epipole.io.photographs import list_photographs, read_header
@@ -113,12 +114,10 @@ def read_sequence(folder: str | Path, fps: float | None = None) -> ImageSequence
 
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
-        what = (
-            "is a file, and neither a video nor a recording that is known here"
-            if folder.exists()
-            else "does not exist"
-        )
-        raise FileFormatError(folder, what)
+        if not folder.exists():
+            raise FileFormatError(folder, "does not exist")
+        problem = "is a file, and neither a video nor a recording that is known here"
+        raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):
         if (at / "cam0" / "data.csv").is_file():
             return _euroc(at)

@@ -13,7 +13,7 @@ from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
 from epipole.io.files import open_file
-from epipole.io.gaussian_files import SUFFIXES, is_sog, read_gaussians, write_gaussians
+from epipole.io.gaussian_files import SUFFIXES, gaussians_file, is_sog, read_gaussians, write_gaussians
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
@@ -69,7 +69,10 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     source, target = as_path(source), as_path(target)
     format = format_told_by(source, target) if format is None else format
     if format is None:
-        raise ConfigError(f"{target} tells no format: format is one of {', '.join(get_args(ModelFormat))}")
+        raise ConfigError(
+            f"the name {target} stands for no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or choose "
+            f"the format ({', '.join(get_args(ModelFormat))})"
+        )
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
     if not source.exists():
@@ -96,7 +99,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
     """Read and write files of Gaussians, of the formats that their names tell."""
-    file = source / "splat.ply" if source.is_dir() else source
+    file = gaussians_file(source)
     if target.is_dir():
         raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
     cloud = read_gaussians(file)

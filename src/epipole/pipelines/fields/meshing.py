@@ -54,8 +54,8 @@ def mesh(
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
-    shots = _shots(source, wanted)
     see, places = seen_from(source)
+    shots = _shots(source, wanted)
     low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
     margin = 0.03 * float(np.max(high - low))
     volume = DistanceVolume(low - margin, high + margin, wanted.voxels)
@@ -72,8 +72,11 @@ def mesh(
 def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
     """Cameras that were asked for, or those of the training; spread over all where there are many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
-    if not cameras.exists():
-        raise NoModelError(f"{cameras} is not there: give the cameras that look at the scene (cameras)")
+    if wanted.cameras is None and not cameras.exists():
+        raise NoModelError(
+            f"the cameras of {source} are unknown, for there is no {cameras}: give cameras that look at the scene, a "
+            "transforms.json or a COLMAP model (cameras)"
+        )
     shots = shots_of_model(cameras, RenderJob(width=wanted.width))
     rows = np.linspace(0, len(shots) - 1, min(len(shots), wanted.most_views)).astype(np.int64)
     return [shots[row] for row in rows.tolist()]

@@ -13,6 +13,7 @@ from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.contents_in_words import results_of
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
 from epipole.io.photographs import mask_of, read_mask, read_rgb
@@ -92,6 +93,7 @@ def gather_field_pictures(
         raise NoModelError(
             f"{len(train)} of the pictures can be trained on, two are needed"
             + "".join(f"; {p}" for p in problems[:3])
+            + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
         )
     has_alpha = any(view.picture.shape[2] == 4 for view in train)
     return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)

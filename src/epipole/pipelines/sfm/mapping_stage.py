@@ -122,24 +122,25 @@ def _put_in_place(
 
 
 def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
-    """Why the largest model is not in metres although pictures have GPS, in words; empty otherwise."""
+    """Why GPS has not made the largest model metric although pictures have some, in words; empty otherwise."""
     has_gps = np.isfinite(images.lat_lon_alt).all(axis=1)
     if not (config.use_gps and mapped.models and has_gps.any()) or mapped.gps_residuals_m[0] is not None:
         return ""
+    unknown = "the scale is unknown" if mapped.scale is None else "GPS is not used"
     fixes = gps_to_enu(images.lat_lon_alt[has_gps & mapped.models[0].is_registered()])
     if len(fixes) < MIN_FIXES:
         counts = f"of the model's pictures {len(fixes) or 'none'} carr{'ies' if len(fixes) == 1 else 'y'} GPS"
-        return f"the scale is unknown: {counts}, at least {MIN_FIXES} are needed for metres"
+        return f"{unknown}: {counts}, at least {MIN_FIXES} are needed for metres"
     extent_m, reach_m = (
         float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0))),
         GPS_OUTLIER_SIGMAS * config.gps_sigma_m,
     )
     if extent_m < reach_m:
-        return f"the scale is unknown: the GPS places lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
+        return f"{unknown}: the GPS places lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
     found = gps_evidence(
         mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt), config.seed
     )
-    return f"the scale is unknown: the GPS places do not fit the model: {found.in_words()}"
+    return f"{unknown}: the GPS places do not fit the model: {found.in_words()}"
 
 
 def reasons_in_words(

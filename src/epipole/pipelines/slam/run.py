@@ -25,7 +25,7 @@ from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.found_camera import find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
-from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
+from epipole.pipelines.slam.map_files import KnownMap, read_slam_map, require_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -159,7 +159,10 @@ def _check_source(source: Path, job: JobOptions) -> None:
 
     Raises:
         ConfigError: one is not.
+        FileFormatError: what is given as a map is none.
     """
+    if job.map is not None:
+        require_map(job.map)
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():

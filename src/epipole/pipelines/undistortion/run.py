@@ -16,6 +16,7 @@ from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.names import path_inside
 from epipole.io.photographs import read_rgb
 from epipole.io.reconstruction_losses import losses_in
@@ -49,6 +50,8 @@ def undistort(
     given = as_path(out)
     folder = find_model(given) if model is None else _model_numbered(given, model)
     workspace = _workspace_of(folder, given)
+    if not (workspace / "images").is_dir():
+        raise FileFormatError(workspace, with_what_it_is("has no folder images beside its model", workspace))
     found = read_colmap_model(folder)
     pinholes = [undistorted_camera(found.cameras[c]) for c in range(len(found.cameras))]
     registered = np.flatnonzero(found.is_registered())
