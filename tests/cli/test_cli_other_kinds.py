@@ -56,7 +56,7 @@ def here(tmp_path, monkeypatch):
         ("convert x.glb y --format txt", "is no model: it is a glTF scene"),
         ("convert images/0.png y --format txt", "is no model: it is a PNG image"),
         ("convert nowhere y --format txt", "there is no such file or folder"),
-        ("convert slammed x.glb", r"x\.glb stands for no format that is written: end it in \.ply or .*\.spz"),
+        ("convert slammed x.glb", r"x\.glb tells no format that is written: end it in \.ply or .*\.spz"),
         ("convert slammed y --format txt", "holds no model .*it holds the results of `epipole slam`"),
         ("reconstruct x.zip out", "it is a ZIP archive: unpack it, and give the folder"),
         ("reconstruct images/0.png out", "it is a PNG image"),

@@ -70,8 +70,8 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     format = format_told_by(source, target) if format is None else format
     if format is None:
         raise ConfigError(
-            f"the name {target} stands for no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or choose "
-            f"the format ({', '.join(get_args(ModelFormat))})"
+            f"{target} tells no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or give format, one of "
+            f"{', '.join(get_args(ModelFormat))}"
         )
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")

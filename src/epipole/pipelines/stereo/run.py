@@ -16,7 +16,7 @@ from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_rgb
+from epipole.io.photographs import list_photographs, read_rgb
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo
@@ -100,6 +100,9 @@ def stereo_many(
             lambda one, two, folder: stereo(one, two, folder, config, rig),
             progress,
         )
+        for folder in dict.fromkeys((left, right)):
+            if folder.is_dir() and (notes := list_photographs(folder, ignore=[run.root]).notes):
+                batch.warnings[str(folder)] = tuple(notes)
         summary = summary_of(batch, pairs, read_summary(run.root))
         run.finish(summary)
         return replace(batch, warnings=summary["warnings"])
