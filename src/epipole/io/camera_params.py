@@ -77,7 +77,7 @@ def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
         )
     if (found[0].width, found[0].height) != size:
         raise ConfigError(
-            f"calibration {path} is of images of {found[0].width}x{found[0].height}, but these are {size[0]}x{size[1]}: "
+            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {size[0]}x{size[1]}: "
             "calibrate at this size, or scale the parameters (camera_params)"
         )
     return found[0]

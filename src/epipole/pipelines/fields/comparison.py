@@ -98,7 +98,12 @@ def compare_fields(
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]
         rows[SPLAT]["num_gaussians"] = len(gaussians.cloud)
-        told = {"kind": config.kind, "held_out": bool(pictures.test), "views": len(views), **rows}
+        told: dict[str, Any] = {
+            "kind": config.kind,
+            "held_out": bool(pictures.test),
+            "views": len(views),
+            **rows,
+        }
         told["frames_ratio"] = rows[SPLAT]["frames_s"] / rows[NERF]["frames_s"]
         told["warnings"] = run.warnings
         run.folder.write_json(FIGURES, told)

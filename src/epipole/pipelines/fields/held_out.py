@@ -32,7 +32,9 @@ RAYS_OF_THREAD = 2048
 class Renderer(Protocol):
     """A field that is being trained."""
 
-    background: np.ndarray
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) the colour behind it."""
 
     def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
         """(h, w, 3) the picture of a view, and how often the field was asked for it."""

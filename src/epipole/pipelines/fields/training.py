@@ -88,7 +88,7 @@ def called(
         ConfigError: an option is unknown or makes no sense.
         FileFormatError: there is no source.
     """
-    names = [field.name for field in fields(FieldOptions)]
+    names: list[str] = [field.name for field in fields(FieldOptions)]
     own = {name: options.pop(name) for name in names if name in options}
     pictures = options_of(FieldOptions, job, own)
     config = options_of(*configs, options, [*names, "config", "job", "progress"])
