@@ -102,7 +102,9 @@ def test_cameras_that_are_not_there(here, job):
         with pytest.raises(FileFormatError, match=said):
             job(splats.parent, here / "out.ply", cameras=here / cameras)
     if job is epipole.mesh:
-        with pytest.raises(epipole.errors.NoModelError, match=r"no .*cameras\.json: give cameras that look"):
+        with pytest.raises(
+            epipole.errors.NoModelError, match=r"no .*cameras\.json: give the cameras that look"
+        ):
             job(splats, here / "out.ply")
 
 

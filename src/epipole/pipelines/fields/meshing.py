@@ -74,7 +74,7 @@ def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
     if wanted.cameras is None and not cameras.exists():
         raise NoModelError(
-            f"the cameras of {source} are unknown, for there is no {cameras}: give cameras that look at the scene, a "
+            f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
             "transforms.json or a COLMAP model (cameras)"
         )
     shots = shots_of_model(cameras, RenderJob(width=wanted.width))
