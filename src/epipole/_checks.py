@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared.values import refuse_address
 from epipole.errors import ConfigError, ShapeError
 
 _NO_PATH = (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
@@ -218,7 +219,7 @@ def as_path(given: str | Path) -> Path:
     """The path given, a leading ~ read as the home folder; an empty string, which would mean the current one, is refused.
 
     Raises:
-        ConfigError: it is empty, or cannot be a path.
+        ConfigError: it is empty, cannot be a path, or is an address on a network.
     """
     if not isinstance(given, str | PathLike) or not isinstance(os.fspath(given), str):
         raise ConfigError(f"a path must be text or a Path, got {given!r:.60}")
@@ -226,6 +227,7 @@ def as_path(given: str | Path) -> Path:
         raise ConfigError("a path holds a null character")
     if str(given) == "":
         raise ConfigError("a path is empty")
+    refuse_address(given, "the path")
     path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know
     try:
         path.stat()

@@ -7,13 +7,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, get_annotations, signature, unwrap
+from inspect import CO_VARKEYWORDS, Parameter, get_annotations, signature, unwrap
 from typing import Any, TypeVar, cast
 
 from epipole._declared.kinds import Convert, Sizes
 from epipole._declared.values import converter_of
+from epipole.errors import ArgumentError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
@@ -21,7 +23,10 @@ _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
 
 
 def checked(function: Function) -> Function:
-    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is."""
+    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is.
+
+    An argument of a name that the function does not have is refused, with the names that are like it.
+    """
     own = unwrap(function)
     plan: list[tuple[str, Convert | None]] = []
 
@@ -29,6 +34,8 @@ def checked(function: Function) -> Function:
     def call(*args: Any, **kwargs: Any) -> Any:
         if not plan:  # annotations are looked at on first use: imports stay quick
             plan.extend(_parameters(own))
+        if kwargs:
+            _refuse_unknown_names(own, kwargs, [name for name, _ in plan])
         sizes: Sizes = {}
         given = list(args)
         for place, (name, convert) in enumerate(plan):
@@ -54,6 +61,19 @@ def check_fields(data: Any) -> None:
         kept = convert(value, name, sizes)
         if kept is not value:
             object.__setattr__(data, name, kept)
+
+
+def _refuse_unknown_names(function: Callable[..., Any], given: Iterable[str], known: Sequence[str]) -> None:
+    takes_any = function.__code__.co_flags & CO_VARKEYWORDS
+    for name in () if takes_any else given:
+        if name not in known:
+            raise ArgumentError(f"{function.__name__} has no argument {name}{did_you_mean(name, known)}")
+
+
+def did_you_mean(name: str, known: Sequence[str], more: Sequence[str] = ()) -> str:
+    """What follows "there is no NAME": names that are like it, among more than those that are listed where none is."""
+    near = get_close_matches(name, list(dict.fromkeys([*known, *more])), 3, 0.6)
+    return f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(known)}"
 
 
 def _parameters(function: Callable[..., Any]) -> list[tuple[str, Convert | None]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import os
+import re
 import types
 from collections.abc import Callable, Iterable, Sequence, Sized
 from enum import Enum
@@ -15,6 +16,7 @@ from epipole._declared.kinds import Convert, Sizes
 from epipole.errors import ConfigError, EpipoleError
 
 _LARGEST = 2**63 - 1
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")  # of two letters at least: C:/ is a drive
 
 
 def converter_of(annotation: Any) -> Convert | None:
@@ -100,7 +102,29 @@ def _float(value: Any, name: str, _sizes: Sizes) -> float:
 def _path(value: Any, name: str, _sizes: Sizes) -> Path:
     if not isinstance(value, (str, os.PathLike)):
         raise _wrong(name, "a path", value)
+    refuse_address(value, name)
     return value if isinstance(value, Path) else Path(value)
+
+
+def refuse_address(given: str | os.PathLike[str], name: str) -> None:
+    """Refuse `https://...` and the like, which a path that is joined or printed shortens to `https:/...`.
+
+    Raises:
+        ConfigError: it is an address.
+    """
+    text = os.fspath(given)
+    found = _ADDRESS.match(text) if isinstance(text, str) else None
+    if found is None or Path(text).exists():
+        return
+    scheme, rest = found[1].lower(), text[found.end() :]
+    if scheme == "file":
+        raise ConfigError(f"{name} is {text}: leave the scheme out, as in /{rest.removeprefix('localhost/')}")
+    is_stream = scheme in ("rtsp", "rtmp", "udp", "tcp")
+    advice = "record the stream to a video file" if is_stream else "download it"
+    raise ConfigError(
+        f"{name} is {found[1]}://{rest}, an address on a network, and only files on this machine are read: {advice} and give "
+        "the path"
+    )
 
 
 def _function(value: Any, name: str, _sizes: Sizes) -> Any:
@@ -165,7 +189,10 @@ def _one_of(converters: list[Convert | None]) -> Convert | None:
             try:
                 return part(value, name, sizes)
             except EpipoleError as error:
-                first = first or error
+                is_path = part is _path and isinstance(
+                    value, os.PathLike
+                )  # it says more than that it is no text
+                first = error if is_path else first or error
         raise first or _wrong(name, "None", value)
 
     return convert

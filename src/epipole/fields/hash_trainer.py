@@ -237,4 +237,9 @@ class HashTrainer:
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return draw_hash(self.field, view.camera, view.cam_from_world, self.background)[0]
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        picture, _, count = draw_hash(self.field, view.camera, view.cam_from_world, self.background)
+        return picture, count

@@ -158,8 +158,13 @@ class SplatTrainer:
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
-        return blend(tiles_of(self._arrays, seen), seen).over(self.background)
+        drawn = blend(tiles_of(self._arrays, seen), seen)
+        return drawn.over(self.background), drawn.tiles.num_evaluated
 
     def step(self, progress: float) -> float:
         """One picture: draw it, compare, and move what was seen; returns the loss.

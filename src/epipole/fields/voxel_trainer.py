@@ -194,7 +194,12 @@ class VoxelTrainer:
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return draw_voxels(self.field, view.camera, view.cam_from_world, self.background)[0]
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        picture, _, count = draw_voxels(self.field, view.camera, view.cam_from_world, self.background)
+        return picture, count
 
 
 def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
+from epipole.io.calibration_files import read_calibration
 from epipole.io.colmap import params_from_colmap, params_to_colmap
 
 MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
@@ -54,6 +56,31 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
     camera = Camera(model, *size, params_from_colmap(model, np.array(known)))
     refuse_impossible(camera, "camera_params")
     return camera
+
+
+def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
+    """The one camera of a calibration file, for images of this size.
+
+    Raises:
+        ConfigError: the file is of several cameras, or of images of another size.
+        FileFormatError: it cannot be read.
+    """
+    found = read_calibration(path, size=size).cameras
+    if len(found) != 1:
+        each = " or ".join(
+            f"camera_model {camera.model.name} and camera_params {text_of_camera(camera)}"
+            for camera in found[:2]
+        )
+        raise ConfigError(
+            f"calibration {path} holds {len(found)} cameras, and one camera took these images: give the parameters of that one, "
+            f"{each}"
+        )
+    if (found[0].width, found[0].height) != size:
+        raise ConfigError(
+            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {size[0]}x{size[1]}: "
+            "calibrate at this size, or scale the parameters (camera_params)"
+        )
+    return found[0]
 
 
 def text_of_camera(camera: Camera) -> str:

@@ -35,6 +35,7 @@ from epipole.io._colmap_tables import (
 )
 from epipole.io._colmap_text import read_text, write_text
 from epipole.io.atomic import atomic_folder
+from epipole.io.contents_in_words import results_of, with_what_it_is
 from epipole.scene import Reconstruction, Rigs
 
 
@@ -197,5 +198,6 @@ def find_model(path: str | Path) -> Path:
     pictures = any(
         p.suffix.lower() in (".jpg", ".jpeg", ".png") for at in (path, path / "images") for p in at.glob("*")
     )
-    hint = "; it holds pictures: `epipole reconstruct` makes a model of them" if pictures else ""
-    raise FileFormatError(path, f"holds no model (no cameras.bin or cameras.txt, nor sparse/0){hint}")
+    advice = "`epipole reconstruct` makes a model of pictures" if pictures and not results_of(path) else ""
+    problem = "holds no model (no cameras.bin or cameras.txt, nor sparse/0)"
+    raise FileFormatError(path, with_what_it_is(problem, path, advice))

@@ -20,6 +20,7 @@ from epipole.io._finite_gaussians import MOST_GAUSSIANS, MOST_LOGIT, finite_gaus
 from epipole.io._sog_files import META
 from epipole.io._sog_files import is_sog as is_sog
 from epipole.io.atomic import atomic_write
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import file_bytes, open_file
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.sog import read_sog, write_sog
@@ -55,8 +56,26 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
     if suffix == ".sog" or path.name.lower() == META:
         return read_sog(path)
     if suffix != ".ply":
-        raise FileFormatError(path, f"Gaussians are read from {', '.join(SUFFIXES)}")
+        raise FileFormatError(path, with_what_it_is(f"Gaussians are read from {', '.join(SUFFIXES)}", path))
     return _read_compressed_ply(path) if _is_compressed(path) else read_gaussian_ply(path)
+
+
+def gaussians_file(path: Path) -> Path:
+    """The file of Gaussians that a path is, or that an output folder of `splat` holds.
+
+    Raises:
+        FileFormatError: it is neither.
+    """
+    if path.is_file() and not path.name.lower().endswith((*SUFFIXES, META)):
+        problem = f"is no file of trained Gaussians ({', '.join(SUFFIXES)})"
+        raise FileFormatError(path, with_what_it_is(problem, path))
+    file = path if path.is_file() else path / "splat.ply"
+    if not file.is_file():
+        problem = "holds no trained Gaussians (splat.ply) and no trained field (hash.npz, grid.npz)"
+        raise FileFormatError(
+            path, with_what_it_is(problem, path, "`epipole splat` and `epipole nerf` train them")
+        )
+    return file
 
 
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:

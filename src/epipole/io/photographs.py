@@ -19,7 +19,7 @@ import io
 import os
 import shutil
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -59,9 +59,9 @@ from epipole.io.exif import (
     upright_exif,
 )
 from epipole.io.files import file_bytes, open_file
+from epipole.io.passed_over import files_below, passed_over_in_words
 from epipole.io.picture_names import name_problem, printable
 
-_OUTPUT_MARKERS = ("config.json", "database.db")
 _FORMAT_OF_SUFFIX = {
     ".jpg": "JPEG",
     ".jpeg": "JPEG",
@@ -93,6 +93,24 @@ class PhotographList:
     unusable: Mapping[str, str] = field(default_factory=dict)
     """Files named as pictures that are not listed, and why: pipes, sockets and devices, which are never opened, and
     names that no list of pictures can hold (written here with escapes)."""
+    passed_over: tuple[str, ...] = ()
+    """Sentences on files of other kinds, and folders of results, that lie there and are not listed."""
+
+    @property
+    def notes(self) -> list[str]:
+        """All that is not listed, in words."""
+        unusable = [f"{name} is left out: it {why}" for name, why in self.unusable.items()]
+        return [*([self.advice] if self.advice else []), *unusable, *self.passed_over]
+
+    def require_some(self) -> PhotographList:
+        """The list itself.
+
+        Raises:
+            FileFormatError: it is empty; the message says what lies there instead.
+        """
+        if not self.names:
+            raise FileFormatError(self.folder, "; ".join(["there is no picture in it", *self.notes]))
+        return self
 
     def __len__(self) -> int:
         return len(self.names)
@@ -129,7 +147,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
 
     Args:
         folder: where to look.
-        ignore: further folders to skip (masks, the output folder).
+        ignore: further folders to skip (masks, the output folder), and files that are used otherwise.
 
     Raises:
         FileFormatError: there is no such folder, or it or one in it cannot be listed.
@@ -141,7 +159,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
         )
     readable_here = readable_suffixes()
     known = readable_here | HEIF_SUFFIXES | AVIF_SUFFIXES | RAW_SUFFIXES
-    found = sorted(n for n in _walk(folder, {Path(p).resolve() for p in ignore}) if _suffix(n) in known)
+    ignored, results = {Path(p).resolve() for p in ignore}, list[Path]()
+    every = sorted(files_below(folder, ignored, results))
+    found = [n for n in every if _suffix(n) in known]
+    others = [n for n in every if _suffix(n) not in known and (folder / n).resolve() not in ignored]
     unusable = {n: why for n in found if (why := _file_problem(folder / n) or name_problem(n))}
     names = [n for n in found if n not in unusable]
     readable = [n for n in names if _suffix(n) in readable_here]
@@ -150,7 +171,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
         n for n in names if _suffix(n) not in readable_here and PurePosixPath(n).with_suffix("") not in stems
     ]
     escaped = {printable(n): why for n, why in unusable.items()}
-    return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped)
+    passed_over = passed_over_in_words(folder, others, results)
+    return PhotographList(
+        folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped, tuple(passed_over)
+    )
 
 
 def read_header(path: Path | str) -> PhotographHeader:
@@ -326,26 +350,6 @@ def _file_problem(path: Path) -> str:
         if not stat.S_ISREG(path.stat().st_mode):
             return "is no regular file but a pipe, a socket or a device"
     return ""
-
-
-def _refuse_folder(error: OSError) -> None:
-    """A folder that cannot be listed may hold half of the pictures: not to be passed over."""
-    raise FileFormatError(Path(error.filename), f"the folder cannot be listed: {error.strerror}")
-
-
-def _walk(folder: Path, ignored: set[Path]) -> Iterator[str]:
-    """Names of all files below a folder; each real folder is entered once (links may form circles)."""
-    entered: set[Path] = set()
-    for here, sub_folders, files in os.walk(folder, followlinks=True, onerror=_refuse_folder):
-        at = Path(here)
-        real = at.resolve()
-        is_output = real in ignored or any(marker in files for marker in _OUTPUT_MARKERS)
-        if real in entered or (is_output and at != folder):
-            sub_folders.clear()
-            continue
-        entered.add(real)
-        sub_folders[:] = sorted(s for s in sub_folders if not s.startswith(".") and s != "__MACOSX")
-        yield from ((at / f).relative_to(folder).as_posix() for f in files if not f.startswith("."))
 
 
 def _advice(unreadable: Sequence[str]) -> str:

@@ -15,9 +15,10 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import file_text
 from epipole.io.names import path_inside
-from epipole.io.photographs import list_photographs, read_header
+from epipole.io.photographs import PhotographList, list_photographs, read_header
 from epipole.scene import StereoRig
 
 Time = TypeVar("Time", int, float)
@@ -113,12 +114,10 @@ def read_sequence(folder: str | Path, fps: float | None = None) -> ImageSequence
 
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
-        what = (
-            "is a file, and neither a video nor a recording that is known here"
-            if folder.exists()
-            else "does not exist"
-        )
-        raise FileFormatError(folder, what)
+        if not folder.exists():
+            raise FileFormatError(folder, "does not exist")
+        problem = "is a file, and neither a video nor a recording that is known here"
+        raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):
         if (at / "cam0" / "data.csv").is_file():
             return _euroc(at)
@@ -128,12 +127,13 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
         if (folder / left).is_dir() and (folder / right).is_dir():
             return _kitti(folder, folder / left, folder / right)
     _refuse_several(folder)
-    names = list_photographs(folder).names
+    listed = list_photographs(folder, ignore=[_times_file(folder)])
+    names = listed.names
     if any(_SEVEN_SCENES.fullmatch(name) for name in names):
         return _seven_scenes(folder, names)
     if (folder / "image_0").is_dir():
         return _kitti(folder, folder / "image_0", None)
-    return _pictures(folder, names, fps)
+    return _pictures(listed.require_some(), fps)
 
 
 def _refuse_several(folder: Path) -> None:
@@ -275,9 +275,7 @@ def _timed_names_of_camera(folder: Path) -> list[tuple[int, Path]]:
 
 
 def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
-    names = list_photographs(left).names
-    if not names:
-        raise FileFormatError(left, "there is no picture in it")
+    names = list_photographs(left).require_some().names
     times = _times(folder, len(names), _KITTI_HZ)
     frames = tuple(
         FrameFiles(time, left / name, None if right is None else right / name)
@@ -295,9 +293,8 @@ def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
     return ImageSequence(SequenceKind.KITTI, frames, rig.left, rig)
 
 
-def _pictures(folder: Path, names: tuple[str, ...], fps: float | None) -> ImageSequence:
-    if not names:
-        raise FileFormatError(folder, "there is no picture in it")
+def _pictures(listed: PhotographList, fps: float | None) -> ImageSequence:
+    folder, names = listed.folder, listed.names
     times = _times(folder, len(names), fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
     note = (
@@ -305,7 +302,8 @@ def _pictures(folder: Path, names: tuple[str, ...], fps: float | None) -> ImageS
         " of a picture a line)"
     )
     is_told = fps is not None or _times_file(folder).is_file()
-    return ImageSequence(SequenceKind.PICTURES, frames, None, warnings=() if is_told else (note,))
+    warnings = (*(() if is_told else (note,)), *listed.notes)
+    return ImageSequence(SequenceKind.PICTURES, frames, None, warnings=warnings)
 
 
 def _times_file(folder: Path) -> Path:

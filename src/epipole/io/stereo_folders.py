@@ -28,12 +28,10 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
         FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
             together.
     """
-    names = [list_photographs(folder, ignore=list(ignore)).names for folder in (left, right)]
+    listed = [list_photographs(folder, ignore=list(ignore)) for folder in (left, right)]
     if left.resolve() == right.resolve():
         raise FileFormatError(left, "the left and the right folder are the same")
-    for folder, own in ((left, names[0]), (right, names[1])):
-        if not own:
-            raise FileFormatError(folder, "there is no picture in it")
+    names = [own.require_some().names for own in listed]
     exact = set(names[0]) & set(names[1])
     if len(exact) >= min(_AGREES, *(-(-len(own) // 2) for own in names)):
         return [(name, (left / name, right / name)) for name in sorted({*names[0], *names[1]})]

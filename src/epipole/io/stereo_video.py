@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,13 @@ from epipole.io.files import require_file
 from epipole.io.video import opened_video
 
 
-def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> list[tuple[Path, Path]]:
+def extract_pairs(
+    left: Path,
+    right: Path,
+    folder: Path,
+    max_frames: int,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[tuple[Path, Path]]:
     """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
 
     Args:
@@ -22,6 +29,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
         right: the other video, whose frames were taken at the same instants.
         folder: where to write; frames that are there already are not read again.
         max_frames: largest number of pairs.
+        progress: called with the frames that were read, and their number.
 
     Raises:
         FileFormatError: a video cannot be read.
@@ -41,6 +49,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
     pairs: list[tuple[Path, Path]] = []
     index = 0
     while index <= max(wanted):
+        progress(index, max(wanted) + 1)
         if not all(c.grab() for c in captures):
             break
         if index in wanted:
@@ -56,6 +65,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
                 _write(path, picture)
             pairs.append((paths[0], paths[1]))
         index += 1
+    progress(max(wanted) + 1, max(wanted) + 1)
     if not pairs:
         raise FileFormatError(left, "it has no frame that can be read")
     return pairs

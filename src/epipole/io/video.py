@@ -38,8 +38,11 @@ VIDEO_SUFFIXES = frozenset(
         ".m2ts",
         ".3gp",
         ".insv",
+        ".360",
     }
 )
+SPHERICAL_SUFFIXES = frozenset({".insv", ".360"})
+"""Raw recordings of cameras that see all around: each frame holds circles of fisheye lenses, or parts of a cube."""
 
 _MANIFEST = "frames.json"
 _FRAME = re.compile(r"frame_[0-9]{6,12}\.jpg")
@@ -187,6 +190,12 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
+    if video.suffix.lower() in SPHERICAL_SUFFIXES:
+        raise FileFormatError(
+            video,
+            f"is the raw recording of a 360 degree camera ({video.suffix}), whose frames hold several fisheye images each: "
+            "export a flat video of one perspective (an .mp4) with the program of the camera's maker, and give that",
+        )
     # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
         raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")

@@ -18,6 +18,7 @@ from typing import Any
 from epipole._version import __version__
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts_below, reporting
+from epipole.io.contents_in_words import MARK as MARK
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
@@ -25,7 +26,6 @@ from epipole.runs.guard import is_overwriting
 from epipole.runs.lock import LOCK, remove_free_locks
 from epipole.runs.source import Source
 
-MARK = "epipole.json"
 FORMAT = 3
 FILE_SUFFIXES = frozenset(
     [

@@ -21,11 +21,14 @@ def convert(
         format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; needed where the target's name does not tell it.
     """
     from epipole.pipelines.conversion.run import convert as run
-    from epipole.screen import open_console, print_warnings
+    from epipole.screen import open_console, print_warnings, working
 
-    done, console = run(source, target, format), open_console()
+    with working():
+        done = run(source, target, format)
+    console = open_console()
     pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
     console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
+    print_warnings(console, done.warnings)
     if done.missing:
         note = f"{len(done.missing)} pictures were not found ({done.missing[0]} first): put them into {done.out}/images"
         print_warnings(console, [note])

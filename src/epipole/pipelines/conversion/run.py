@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import get_args
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
-from epipole.io.gaussian_files import SUFFIXES, read_gaussians, write_gaussians
+from epipole.io.gaussian_files import SUFFIXES, gaussians_file, read_gaussians, write_gaussians
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
+from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, open_run, refuse_existing, replacing_file
 from epipole.scene import Reconstruction
 
@@ -31,6 +33,8 @@ class Conversion:
     """Pictures that lie in `images/` beside the model."""
     missing: tuple[str, ...]
     """Images of the model whose pictures were not found."""
+    warnings: tuple[str, ...] = ()
+    """What the reconstruction that is the source has lost: images and models that are not in what was written."""
 
 
 def format_told_by(source: Path, target: Path) -> str | None:
@@ -43,6 +47,7 @@ def format_told_by(source: Path, target: Path) -> str | None:
     return None
 
 
+@checked
 def convert(source: str | Path, target: str | Path, format: str | None = None) -> Conversion:
     """Write a model in another format.
 
@@ -62,7 +67,10 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     source, target = as_path(source), as_path(target)
     format = format_told_by(source, target) if format is None else format
     if format is None:
-        raise ConfigError(f"{target} tells no format: format is one of {', '.join(get_args(ModelFormat))}")
+        raise ConfigError(
+            f"{target} tells no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or give format, one of "
+            f"{', '.join(get_args(ModelFormat))}"
+        )
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
     if not source.exists():
@@ -71,7 +79,7 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
         return _convert_gaussians(source, target)
     if format == "ply":
         return _convert_to_ply(source, target)
-    model = read_model(source)
+    model, losses = read_model(source), tuple(losses_in(source))
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
     names = _names_with_place(model) if format in _WITH_PICTURES else []
@@ -83,13 +91,13 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
         with run.folder.publish(format) as aside:  # last: where it is, its pictures are
             FOLDER_WRITERS[format](model, aside)
-        run.finish()
-    return Conversion(target, len(found), tuple(name for name in names if name not in found))
+        run.finish({"num_pictures": len(found), "warnings": losses})
+    return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
     """Read and write files of Gaussians, of the formats that their names tell."""
-    file = source / "splat.ply" if source.is_dir() else source
+    file = gaussians_file(source)
     if target.is_dir():
         raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
     refuse_existing([target], KIND, (source,))
@@ -102,10 +110,10 @@ def _convert_gaussians(source: Path, target: Path) -> Conversion:
 def _convert_to_ply(source: Path, target: Path) -> Conversion:
     target = target / "scene.ply" if target.is_dir() else target
     refuse_existing([target], KIND, (source,))
-    model = read_model(source)
+    model, losses = read_model(source), tuple(losses_in(source))
     with replacing_file(target, KIND, (source,)) as aside:
         write_scene_ply(aside, model)
-    return Conversion(target, 0, ())
+    return Conversion(target, 0, (), losses)
 
 
 def _names_with_place(model: Reconstruction) -> list[str]:

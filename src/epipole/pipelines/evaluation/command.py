@@ -31,9 +31,11 @@ def evaluate(
     """
     from epipole.io.json_files import json_text
     from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
+    from epipole.screen import working
 
     if paths := trajectories_of(out, truth):
-        found = {path.name: evaluate_trajectory(path, truth, max_difference_s) for path in paths}
+        with working():
+            found = {path.name: evaluate_trajectory(path, truth, max_difference_s) for path in paths}
         if json:
             print(json_text({name: asdict(result) for name, result in found.items()}), end="")
         else:
@@ -43,7 +45,8 @@ def evaluate(
         return
     from epipole.pipelines.evaluation.run import evaluate as run
 
-    cameras = run(out, truth)
+    with working():
+        cameras = run(out, truth)
     if json:
         print(json_text(asdict(cameras)), end="")
     else:

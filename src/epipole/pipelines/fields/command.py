@@ -18,7 +18,13 @@ from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
 DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
-WORDS = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+WORDS = {
+    **STAGES,
+    "load": "Reading images",
+    "start": "Preparing the training",
+    "train": "Training",
+    "test": "Rendering held-out views",
+}
 WHOLE = MeshJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
@@ -145,7 +151,7 @@ def compare_fields(
         result = run(source, out, config, job, progress)
     console = open_console()
     console.print(_compared(result.rows, config.kind))
-    print_warnings(console, list(result.warnings[:10]))
+    print_warnings(console, result.warnings, rest_in=str(result.out / "compare.json"))
     console.print(f"written   {result.out}", highlight=False, markup=False)
     if result.is_interrupted:
         sys.exit(INTERRUPTED)
@@ -180,13 +186,14 @@ def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: P
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
     )
     if summary["psnr"] is not None:
-        test = summary["num_test"]
-        held = f"{test} picture{'s that were' if test > 1 else ' that was'} held out"
+        test, compared = summary["num_test"], summary["num_compared"]
+        of_all = "" if compared == test else f"{compared} of "
+        held = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
         table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
-    print_warnings(console, list(warnings[:10]))
+    print_warnings(console, warnings, rest_in=str(model.parent / "summary.json"))
     console.print(f"written   {model}", highlight=False, markup=False)
     console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
     folder = quote(str(model.parent))

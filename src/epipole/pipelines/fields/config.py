@@ -70,9 +70,13 @@ class FieldOptions:
             return None
         words = (USUAL_TIME if self.time is None else self.time).strip()
         found = _DURATION.fullmatch(words)
+        if found is not None and not found[2]:
+            raise ConfigError(
+                f"time needs a unit: {words}s for seconds, {words}m for minutes or {words}h for hours, got {words!r}"
+            )
         if found is None or not 0 < float(found[1]) < 1e7:
-            raise ConfigError(f"time is told as 30s, 5m or 1h, got {words!r}")
-        return float(found[1]) * _UNITS_S[found[2] or "s"]
+            raise ConfigError(f"time is a number with its unit, such as 30s, 5m or 1h, got {words!r}")
+        return float(found[1]) * _UNITS_S[found[2]]
 
 
 @dataclass(frozen=True, kw_only=True)

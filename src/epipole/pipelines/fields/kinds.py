@@ -39,6 +39,9 @@ class FieldTrainer(Protocol):
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
 
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
 

@@ -12,6 +12,7 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.fields.tsdf import DistanceVolume, Mesh
 from epipole.io.mesh_ply import write_mesh_ply
+from epipole.io.reconstruction_losses import losses_in
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
@@ -44,16 +45,22 @@ def mesh(
         NoModelError: there is no camera.
         WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(MeshJob, job, options)
+    source, out, wanted = (
+        as_path(source),
+        as_path(out),
+        options_of(MeshJob, job, options, ["job", "progress"]),
+    )
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
     refuse_existing([out], "mesh", inputs)
-    shots = _shots(source, wanted)
     see, places = seen_from(source)
+    shots = _shots(source, wanted)
     volume = DistanceVolume(*_box(places, wanted), wanted.voxels)
+    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
+        progress(Progress("fuse", 0, len(shots), loss))
     for n, shot in enumerate(shots):
         volume.add(shot.camera, shot.cam_from_world, *see(shot))
         progress(Progress("fuse", n + 1, len(shots)))
@@ -75,8 +82,11 @@ def _box(places: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
 def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
     """Cameras that were asked for, or those of the training; spread over all where there are many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
-    if not cameras.exists():
-        raise NoModelError(f"{cameras} is not there: give the cameras that look at the scene (cameras)")
+    if wanted.cameras is None and not cameras.exists():
+        raise NoModelError(
+            f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
+            "transforms.json or a COLMAP model (cameras)"
+        )
     shots = shots_of_model(cameras, RenderJob(width=wanted.width))
     rows = np.linspace(0, len(shots) - 1, min(len(shots), wanted.most_views)).astype(np.int64)
     return [shots[row] for row in rows.tolist()]

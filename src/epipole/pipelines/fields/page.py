@@ -45,19 +45,19 @@ class _View:
     """Caption and data URI of truth, drawing and error."""
 
 
-def rendered_names(views: Sequence[TrainingView]) -> list[str]:
-    """The file of each held-out view's render."""
-    return [f"{name}.png" for name in flat_names([view.name for view in views])]
+def rendered_names(views: Sequence[TrainingView]) -> dict[str, str]:
+    """The files of the renders of all held-out views, by the names of the views; the same where only some are rendered."""
+    names = [view.name for view in views]
+    return {name: f"{file}.png" for name, file in zip(names, flat_names(names))}
 
 
 def render_page(page: FieldPage) -> str:
     """One HTML page with everything inside it."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
-    files = rendered_names(page.pictures.test)
-    shown = [
-        _view(page, page.pictures.test[row], files[row], page.scores[row]) for row in rows if page.scores
-    ]
+    views, files = {view.name: view for view in page.pictures.test}, rendered_names(page.pictures.test)
+    chosen = [page.scores[row] for row in rows if page.scores]
+    shown = [_view(page, views[score["name"]], files[score["name"]], score) for score in chosen]
     return render(
         __package__,
         "field.html.jinja",

@@ -13,12 +13,14 @@ from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.contents_in_words import results_of
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
 from epipole.io.photographs import mask_of, read_mask, read_rgb
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.runs import Progress, ProgressCallback, ignore_progress
 from epipole.scene import Reconstruction
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
@@ -52,7 +54,10 @@ def is_model(source: Path) -> bool:
 
 
 def gather_field_pictures(
-    source: Path, options: FieldOptions, photographs: Path | None = None
+    source: Path,
+    options: FieldOptions,
+    photographs: Path | None = None,
+    progress: ProgressCallback = ignore_progress,
 ) -> FieldPictures:
     """Read cameras and pictures.
 
@@ -61,6 +66,7 @@ def gather_field_pictures(
             or of LLFF's poses_bounds.npy.
         options: which pictures are held out, and how large they may be.
         photographs: where the pictures are, if not beside the model.
+        progress: called after each picture.
 
     Raises:
         FileFormatError: there is no model, or it is damaged.
@@ -75,11 +81,11 @@ def gather_field_pictures(
             if (source / name).is_file()
         ]
         model = parts[0][1]
-        train = _views(model, source, options, problems)
-        test = _views(parts[1][1], source, options, problems) if len(parts) > 1 else []
+        train = _views(model, source, options, problems, progress)
+        test = _views(parts[1][1], source, options, problems, progress) if len(parts) > 1 else []
     else:
         model, folder = _model_of(source, options.max_side_px)
-        views = _views(model, photographs or folder, options, problems)
+        views = _views(model, photographs or folder, options, problems, progress)
         held = _held_out([view.name for view in views], options)
         test = [view for view in views if view.name in held]
         train = [view for view in views if view.name not in held]
@@ -87,6 +93,7 @@ def gather_field_pictures(
         raise NoModelError(
             f"{len(train)} of the pictures can be trained on, two are needed"
             + "".join(f"; {p}" for p in problems[:3])
+            + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
         )
     has_alpha = any(view.picture.shape[2] == 4 for view in train)
     return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
@@ -123,7 +130,11 @@ def _model_of(source: Path, max_side_px: int) -> tuple[Reconstruction, Path]:
 
 
 def _views(
-    model: Reconstruction, folder: Path, options: FieldOptions, problems: list[str]
+    model: Reconstruction,
+    folder: Path,
+    options: FieldOptions,
+    problems: list[str],
+    progress: ProgressCallback,
 ) -> list[TrainingView]:
     """By their names; a picture that cannot be read is left out.
 
@@ -133,7 +144,8 @@ def _views(
     out, cams_from_world = [], model.cams_from_world()
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
-    for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
+    progress(Progress("load", 0, len(rows)))
+    for n, row in enumerate(sorted(rows.tolist(), key=lambda k: model.images.name[k]), 1):
         name = model.images.name[row]
         try:
             camera = model.cameras[int(model.camera_of_image[row])]
@@ -151,6 +163,7 @@ def _views(
                 problems.append(f"{name} is left out: its mask leaves nothing of it")
         except EpipoleError as error:
             problems.append(f"{name} is left out: {error}")
+        progress(Progress("load", n, len(rows)))
     if options.masks is not None and not any(mask_of(options.masks, name) for name in model.images.name):
         raise ConfigError(f"no picture has a mask in {options.masks} (NAME.png beside the picture's name)")
     return out

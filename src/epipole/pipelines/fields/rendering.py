@@ -17,6 +17,7 @@ from epipole.fields.normals import normals_of
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
 from epipole.image import color_map, color_range
+from epipole.io.reconstruction_losses import losses_in
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
@@ -77,7 +78,11 @@ def render(
         NoModelError: there is no camera with a pose.
         WorkspaceError: the output exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(RenderJob, job, options)
+    source, out, wanted = (
+        as_path(source),
+        as_path(out),
+        options_of(RenderJob, job, options, ["job", "progress"]),
+    )
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
@@ -85,6 +90,8 @@ def render(
     colour = np.full(3, _background(source, wanted), np.float32)
     picture_of, first_view = _drawer(source, wanted, colour)
     shots = orbit(*first_view, wanted) if wanted.cameras is None else shots_of_model(wanted.cameras, wanted)
+    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
+        progress(Progress("draw", 0, len(shots), loss))
     if wanted.output != "colour":
         picture_of = _surface_drawer(source, wanted.output, shots[0])
     spent = [0.0]

@@ -13,7 +13,7 @@ from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import gaussians_of
 from epipole.geometry import Rigid3
 from epipole.io.files import read_json
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussian_files import gaussians_file, read_gaussians
 from epipole.io.transforms_json import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
@@ -122,7 +122,7 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
     if found is not None:
         kind, file = found
         return gaussians_of(kind.voxels(kind.read(file)), most), file
-    file = path if path.is_file() else path / SPLAT
+    file = gaussians_file(path)
     return read_gaussians(file), file
 
 

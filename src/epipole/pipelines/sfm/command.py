@@ -15,14 +15,20 @@ if TYPE_CHECKING:
     from epipole.pipelines.sfm.run import ReconstructionResult
 
 DEFAULTS = ReconstructConfig()
+REASONS_SHOWN = 10
 STAGES = {
     "video": "Taking frames",
     "read": "Reading headers",
+    "digest": "Comparing files",
     "features": "Finding features",
     "compile": "Compiling kernels",
+    "pair": "Choosing pairs",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
     "map": "Placing images",
+    "adjust": "Adjusting the model",
+    "anchor": "Looking for the scale",
+    "write": "Writing images",
 }
 
 
@@ -71,8 +77,10 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         )
     console.print(table)
     print_warnings(console, result.warnings)
-    for name, reason in list(result.reasons.items())[:10]:
+    for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
         console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
+    if (more := len(result.reasons) - REASONS_SHOWN) > 0:
+        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
     console.print(
         f"model   {result.out / 'sparse' / '0'}\nreport  {result.out / 'report.html'}",
         highlight=False,

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from epipole._declared import check_fields
-from epipole.config import AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
+from epipole.config import ANCHOR_FILES, AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
 MAX_SEED = 2**32 - 1
@@ -184,6 +184,12 @@ class ReconstructConfig:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
+
+    def named_files(self) -> list[Path]:
+        """Files that options name."""
+        mine = (self.calibration, self.pairs, self.database)
+        anchors = (getattr(self.anchors, name) for name in ANCHOR_FILES)
+        return [path for path in (*mine, *anchors) if path is not None]
 
     @property
     def has_known_camera(self) -> bool:

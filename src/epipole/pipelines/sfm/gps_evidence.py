@@ -45,14 +45,19 @@ class GpsEvidence:
     def in_words(self) -> str:
         """What was found, for a reader who is told that the fixes are not believed."""
         words = (
-            f"after the best fit about half of the {self.num_fixes} pictures lie {self.residual_m:.0f} m or more "
-            f"from their GPS places, which lie {self.spread_m:.0f} m around their own middle"
+            f"after the best fit about half of the {self.num_fixes} pictures lie {_metres(self.residual_m)} or more "
+            f"from their GPS places, which lie {_metres(self.spread_m)} around their own middle"
         )
         if self.chance > MAX_CHANCE:
             words += (
                 f"; shuffled among the pictures they fit as well in {100 * self.chance:.0f} % of the trials"
             )
         return words
+
+
+def _metres(length_m: float) -> str:
+    """To two digits, for lengths below ten metres too."""
+    return f"{length_m:.0f} m" if length_m >= 10.0 else f"{length_m:.2g} m"
 
 
 def gps_evidence(

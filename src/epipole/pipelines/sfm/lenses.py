@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int32
 
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import ConfigError
-from epipole.io.calibration_files import read_calibration
-from epipole.io.camera_params import camera_of_text, refuse_impossible
+from epipole.io.camera_params import camera_of_calibration, camera_of_text, refuse_impossible
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
@@ -74,23 +72,10 @@ def _known_camera(
     config: ReconstructConfig, model: CameraModel, width: int, height: int
 ) -> tuple[Camera, str]:
     if config.calibration is not None:
-        camera = _calibrated_camera(config.calibration, width, height)
+        camera = camera_of_calibration(config.calibration, (width, height))
         refuse_impossible(camera, str(config.calibration))
         return camera, f"given by {config.calibration.name}"
     return camera_of_text(model, (width, height), config.camera_params or ""), "given"
-
-
-def _calibrated_camera(path: Path, width: int, height: int) -> Camera:
-    found = read_calibration(path, size=(width, height)).cameras
-    if len(found) != 1:
-        raise ConfigError(
-            f"calibration {path} holds {len(found)} cameras; one that took all pictures is needed"
-        )
-    if (found[0].width, found[0].height) != (width, height):
-        raise ConfigError(
-            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {width}x{height}"
-        )
-    return found[0]
 
 
 def principal_point_note(camera: Camera) -> str:

@@ -60,9 +60,9 @@ def map_images(
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
-        if not mapper.run(remaining, _counting(progress, remaining)):
+        if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
-        residuals = _put_in_place(mapper, positions, config)
+        residuals = _put_in_place(mapper, positions, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -76,19 +76,30 @@ def map_images(
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
-    """Progress over all pictures: those of earlier models, and of the best attempt at this one."""
-    earlier, best = int((~remaining).sum()), 0
+    """Progress over all pictures: those of earlier models, and of this attempt at this one."""
+    earlier, best, num_attempts = int((~remaining).sum()), 0, 0
 
     def report(done: int, _: int) -> None:
-        nonlocal best
+        nonlocal best, num_attempts
+        note = ""
+        if done == 0:
+            note = "starts again from another initial pair" if num_attempts else ""
+            best, num_attempts = 0, num_attempts + 1
         best = max(best, done)
-        progress(Progress("map", earlier + best, len(remaining)))
+        progress(Progress("map", earlier + best, len(remaining), note))
 
     return report
 
 
+def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
+    return lambda done, total: progress(Progress("adjust", done, total))
+
+
 def _put_in_place(
-    mapper: IncrementalMapper, positions_enu: np.ndarray, config: MapperConfig
+    mapper: IncrementalMapper,
+    positions_enu: np.ndarray,
+    config: MapperConfig,
+    adjusting: Callable[[int, int], None],
 ) -> np.ndarray | None:
     """Turn the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
@@ -102,30 +113,34 @@ def _put_in_place(
     mapper.priors = PositionPriors(
         np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m
     )
-    mapper.adjust_globally(rounds=2)
+    adjusting(0, 3)
+    mapper.adjust_globally(2, lambda done: adjusting(done, 3))
+    adjusting(2, 3)
     mapper.finish()
+    adjusting(3, 3)
     return np.linalg.norm(model.center - positions_enu, axis=1)
 
 
 def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
-    """Why the largest model is not in metres although pictures have GPS, in words; empty otherwise."""
+    """Why GPS has not made the largest model metric although pictures have some, in words; empty otherwise."""
     has_gps = np.isfinite(images.lat_lon_alt).all(axis=1)
     if not (config.use_gps and mapped.models and has_gps.any()) or mapped.gps_residuals_m[0] is not None:
         return ""
+    unknown = "the scale is unknown" if mapped.scale is None else "GPS is not used"
     fixes = gps_to_enu(images.lat_lon_alt[has_gps & mapped.models[0].is_registered()])
     if len(fixes) < MIN_FIXES:
         counts = f"of the model's pictures {len(fixes) or 'none'} carr{'ies' if len(fixes) == 1 else 'y'} GPS"
-        return f"the scale is unknown: {counts}, at least {MIN_FIXES} are needed for metres"
+        return f"{unknown}: {counts}, at least {MIN_FIXES} are needed for metres"
     extent_m, reach_m = (
         float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0))),
         GPS_OUTLIER_SIGMAS * config.gps_sigma_m,
     )
     if extent_m < reach_m:
-        return f"the scale is unknown: the GPS places lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
+        return f"{unknown}: the GPS places lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
     found = gps_evidence(
         mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt), config.seed
     )
-    return f"the scale is unknown: the GPS places do not fit the model: {found.in_words()}"
+    return f"{unknown}: the GPS places do not fit the model: {found.in_words()}"
 
 
 def reasons_in_words(

@@ -93,11 +93,11 @@ def read_image_set(
         NoModelError: there are no pictures that can be read.
         ConfigError: the camera options do not fit, or patterns or masks fit no picture.
     """
-    listed = list_photographs(folder, ignore=ignore)
+    listed = list_photographs(folder, ignore=[*ignore, *config.named_files()])
     if not listed.names:
-        hints = [listed.advice, *(f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN])]
+        unusable = [f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN]]
         what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
-        raise NoModelError(" ".join([what, *filter(None, hints)]))
+        raise NoModelError(" ".join([what, *filter(None, [listed.advice, *unusable, *listed.passed_over])]))
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress)
     unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
@@ -106,6 +106,8 @@ def read_image_set(
         notes.append(note)
     if listed.unusable:
         notes.append(f"{_counted(len(listed.unusable), 'file')} left out: {_some(listed.unusable)}")
+    if timestamps_s is None:  # beside the frames of a video lies nothing of the user's
+        notes += listed.passed_over
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
@@ -113,7 +115,7 @@ def read_image_set(
     cameras, camera_of_image, sources = group_cameras(headers, config)
     lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
     masks, mask_note = _masks_of(tuple(headers), config.masks)
-    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
+    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory, progress)
     return ImageSet(
         folder,
         tuple(headers),

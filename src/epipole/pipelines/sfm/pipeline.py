@@ -15,6 +15,7 @@ import numpy as np
 
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.video import extract_frames, is_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
@@ -96,7 +97,9 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
         _wait_for(compiling, run)
     with run.stage("match"):
         given = database.matches(images.names) if database is not None else {}
+        run.report("pair", 0, 1)
         pairs = _choose_pairs(images, features, config, given)
+        run.report("pair", 1, 1)
     detected = _Detected(features, keypoints, colors, database, given, pairs)
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:
@@ -196,9 +199,8 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
         return read_image_set(folder, config, memory, timestamps_s=times, progress=run.job.progress)
     if not source.is_dir():
-        raise NoModelError(
-            f"{source} is neither a video nor a folder: give the folder that holds the photographs"
-        )
+        problem = f"{source} is neither a video nor a folder"
+        raise NoModelError(with_what_it_is(problem, source, "give the folder that holds the photographs"))
     ignore = (run.root, *((config.masks,) if config.masks else ()))
     return read_image_set(source, config, memory, ignore=ignore, progress=run.job.progress)
 

@@ -54,10 +54,12 @@ def _write_pictures(solution: Solution, run: Run) -> None:
     before = _read_record(record)
     record.unlink(missing_ok=True)  # a stopped run leaves no record that is half true
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
-        for name, fingerprint in copied.items():
+        run.report("write", 0, len(copied))
+        for n, (name, fingerprint) in enumerate(copied.items(), 1):
             target = run.root / "images" / name
             if not target.is_file() or before.get(name) != fingerprint:
                 copy_or_rotate(images.folder / name, target)
+            run.report("write", n, len(copied))
     with atomic_write(record) as aside:
         aside.write_text(json_text(copied, indent=1), encoding="utf-8")
 

@@ -76,7 +76,8 @@ def reconstruct(
         ConfigError: an option is unknown, or does not fit the pictures.
         FileFormatError: a file that was named is missing or cannot be read.
     """
-    config, out, source = options_of(ReconstructConfig, config, options), as_path(out), as_path(images)
+    config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"])
+    out, source = as_path(out), as_path(images)
     _check_inputs(source, config)
     settings = asdict(config)
     job = Job(
@@ -92,7 +93,7 @@ def reconstruct(
         solution = solve(source, run, config)
         if solution.mapped.models:
             with run.stage("anchor"):
-                mapped, notes = with_scale(solution, config)
+                mapped, notes = with_scale(solution, config, progress)
             solution = replace(solution, mapped=mapped)
             run.warnings += notes
         reasons = _reasons(solution, config)

@@ -41,7 +41,12 @@ def slam(
     """
     from epipole.screen import progress_on_screen
 
-    words = {**STAGES, "track": "Following the camera", "adjust": "Adjusting the map"}
+    words = {
+        **STAGES,
+        "choose": "Choosing images",
+        "track": "Following the camera",
+        "adjust": "Adjusting the map",
+    }
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
 
@@ -95,7 +100,7 @@ def show_slam(result: SlamResult) -> None:
             highlight=False,
             markup=False,
         )
-    print_warnings(console, result.warnings[:10])
+    print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)

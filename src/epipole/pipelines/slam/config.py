@@ -111,22 +111,15 @@ class CameraOptions:
             ConfigError: the parameters are not those of the model.
             FileFormatError: the calibration cannot be read.
         """
-        from epipole.io.calibration_files import read_calibration
+        from epipole.io.camera_params import camera_of_calibration, camera_of_text
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
                 raise ConfigError("calibration tells model and parameters: give it, or camera_params")
-            found = read_calibration(self.calibration, size=size).cameras[0]
-            if (found.width, found.height) != size:
-                raise ConfigError(
-                    f"calibration {self.calibration} is of pictures of {found.width}x{found.height}, "
-                    f"but these are {size[0]}x{size[1]}"
-                )
-            return found
+            return camera_of_calibration(self.calibration, size)
         if self.camera_params is None:
             return None
         from epipole.cameras import camera_model_named
-        from epipole.io.camera_params import camera_of_text
 
         return camera_of_text(camera_model_named(self.camera_model or "PINHOLE"), size, self.camera_params)
 

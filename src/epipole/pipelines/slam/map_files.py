@@ -12,6 +12,7 @@ from epipole._checks import as_path
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
@@ -137,6 +138,17 @@ def camera_of_map(path: str | Path) -> Camera:
         raise FileFormatError(file, f"its camera is none: {error}") from error
 
 
+def require_map(path: Path) -> None:
+    """Check that a path is a map, or holds one.
+
+    Raises:
+        FileFormatError: it is none, of another version, or damaged.
+    """
+    file = _file_of(as_path(path))
+    if not is_done(file, VERSION):
+        _arrays(file)
+
+
 def _file_of(path: Path) -> Path:
     return next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
 
@@ -178,7 +190,10 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
     if not is_done(path, VERSION):
         key = stored_key(path) if path.is_file() else ""
         why = f"it is of another version ({key})" if key not in ("", VERSION) else "it is no map, or damaged"
-        raise FileFormatError(path, why if path.exists() else "no such file")
+        if not path.is_file():
+            why = f"holds no map of SLAM ({MAP_FILE})"
+        advice = "give the output folder of an earlier `epipole slam`"
+        raise FileFormatError(path, with_what_it_is(why, path, advice))
     try:
         arrays = load(path)
         _check(arrays)

@@ -25,7 +25,7 @@ from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.found_camera import find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
-from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
+from epipole.pipelines.slam.map_files import KnownMap, read_slam_map, require_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -55,6 +55,8 @@ from epipole.pipelines.slam.truth import true_path_at
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
 from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_place
+
+ARGUMENTS = ("config", "job", "camera", "progress")
 
 
 def slam(
@@ -87,7 +89,8 @@ def slam(
         WorkspaceError: the output folder cannot be used, or holds an earlier result with more frames.
     """
     wanted, given = _job_of(job, options), options_of(CameraOptions, camera)
-    config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
+    config = options_of(SlamConfig, config, options, [*_names_of_job(), *ARGUMENTS])
+    source, out = as_path(str(source)), as_path(out)
     _check_source(source, wanted)
     _check_target(source, out, wanted)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
@@ -104,7 +107,7 @@ def slam(
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += [] if found is None else [found.note()]
+        run.warnings += [] if found is None else found.notes()
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
         feed = Feed(stands.source, stands.job, is_stopped)
@@ -160,10 +163,13 @@ def _anchored(
     return found
 
 
+def _names_of_job() -> list[str]:
+    return [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
+
+
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
-    names = [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
-    own = {name: options.pop(name) for name in names if name in options}
+    own = {name: options.pop(name) for name in _names_of_job() if name in options}
     for name in ("truth", "map", "masks", *ANCHOR_FILES):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
@@ -175,7 +181,10 @@ def _check_source(source: Path, job: JobOptions) -> None:
 
     Raises:
         ConfigError: one is not.
+        FileFormatError: what is given as a map is none.
     """
+    if job.map is not None:
+        require_map(job.map)
     check_anchor_files(job.anchors)
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")

@@ -30,7 +30,7 @@ class StereoBatch:
     problems: dict[str, str]
     """Why the others were not measured."""
     warnings: dict[str, tuple[str, ...]]
-    """Warnings of those that were measured now."""
+    """Warnings of those that were measured, now or by an earlier run."""
     known: dict[str, float]
     """Share of known pixels of each."""
 
@@ -43,14 +43,22 @@ def is_many(left: Path, right: Path) -> bool:
     return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
 
 
-def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
+def list_pairs(
+    left: Path, right: Path, out: Path, max_frames: int, progress: ProgressCallback = ignore_progress
+) -> dict[str, tuple[Path, Path]]:
     """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
 
     Raises:
         FileFormatError: there are none, or the folders do not fit.
     """
     if is_video(left) or is_video(right):
-        pairs = extract_pairs(left, right, out / "frames", max_frames)
+        pairs = extract_pairs(
+            left,
+            right,
+            out / "frames",
+            max_frames,
+            lambda done, total: progress(Progress("video", done, total)),
+        )
         return {a.stem: (a, b) for a, b in pairs}
     for folder in (left, right):
         if not folder.is_dir():
@@ -106,10 +114,11 @@ def summary_of(
         part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
         for part in ("known", "warnings")
     }
+    warned = {n: tuple(map(str, words)) for n, words in kept["warnings"].items() if isinstance(words, list)}
     return {
         "done": [*batch.earlier, *batch.done],
         "known": kept["known"] | batch.known,
-        "warnings": kept["warnings"] | batch.warnings,
+        "warnings": warned | batch.warnings,
         "problems": batch.problems,
         "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
     }

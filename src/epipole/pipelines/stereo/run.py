@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_rgb
+from epipole.io.photographs import list_photographs, read_rgb
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo
@@ -60,7 +61,8 @@ def stereo(
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig"])
+    left, right = as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
     with open_run(job, as_path(out)) as run:
         result = measure_pair(read_rgb(left), read_rgb(right), config, rig)
@@ -89,17 +91,22 @@ def stereo_many(
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig", "progress"])
+    left, right = as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
     with open_run(job, as_path(out)) as run:
-        pairs = list_pairs(left, right, run.root, config.max_frames)
+        pairs = list_pairs(left, right, run.root, config.max_frames, progress)
         batch = run_batch(
             *(pairs, run.root, lambda one, two: _settings(config, rig, one, two)),
             lambda one, two, folder: stereo(one, two, folder, config, rig),
             progress,
         )
-        run.finish(summary_of(batch, pairs, read_summary(run.root)))
-        return batch
+        for folder in dict.fromkeys((left, right)):
+            if folder.is_dir() and (notes := list_photographs(folder, ignore=[run.root]).notes):
+                batch.warnings[str(folder)] = tuple(notes)
+        summary = summary_of(batch, pairs, read_summary(run.root))
+        run.finish(summary)
+        return replace(batch, warnings=summary["warnings"])
 
 
 def stereo_of_model(
@@ -126,7 +133,7 @@ def stereo_of_model(
         DegenerateGeometryError: the two pictures cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
+    config, workspace = options_of(StereoConfig, config, options, ["config"]), as_path(workspace)
     refuse_folder_of(as_path(out), (workspace,))
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
@@ -152,6 +159,7 @@ def stereo_of_model(
     return replace(found, warnings=(*note, *found.warnings), unit="the model's unit")
 
 
+@checked
 def examine_stereo(
     left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
 ) -> Diagnosis:

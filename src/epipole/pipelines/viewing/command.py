@@ -31,12 +31,15 @@ def view(
 
     from epipole.pipelines.viewing.run import share as write_page
     from epipole.pipelines.viewing.run import view as run
+    from epipole.screen import working
 
     if share is not None:
-        page = write_page(out, share, share_max=share_max)
+        with working():
+            page = write_page(out, share, share_max=share_max)
         say(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
         return
-    handle = run(out, port=port, host=host, block=False)
+    with working():
+        handle = run(out, port=port, host=host, block=False)
     if handle.note:
         say(f"epipole: {handle.note}", to_stderr=True)
     say(f"Viewer at {handle.url} (Ctrl-C stops it)")

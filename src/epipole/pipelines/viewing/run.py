@@ -9,6 +9,7 @@ from pathlib import Path
 from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
 from epipole.pipelines.sfm import scene as sfm
@@ -46,6 +47,7 @@ class SharedPage:
     num_bytes: int
 
 
+@checked
 def view(
     out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
 ) -> ViewerHandle:
@@ -105,5 +107,6 @@ def scene_of(path: Path) -> SpaceScene:
         raise FileFormatError(path, "there is no such file or folder")
     make = next((make for is_mine, make in KINDS if is_mine(path)), None)
     if make is None and path.is_file() and path.suffix.lower() != ".json":
-        raise FileFormatError(path, "is no file that can be shown: `epipole view --help` lists what is")
+        advice = "`epipole view --help` lists what can be shown"
+        raise FileFormatError(path, with_what_it_is("is no file that can be shown", path, advice))
     return (make or sfm.scene)(path)
