@@ -45,11 +45,8 @@ def mesh(
         NoModelError: there is no camera.
         WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = (
-        as_path(source),
-        as_path(out),
-        options_of(MeshJob, job, options, ["job", "progress"]),
-    )
+    source, out = as_path(source), as_path(out)
+    wanted = options_of(MeshJob, job, options, ["job", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():

@@ -78,11 +78,8 @@ def render(
         NoModelError: there is no camera with a pose.
         WorkspaceError: the output exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = (
-        as_path(source),
-        as_path(out),
-        options_of(RenderJob, job, options, ["job", "progress"]),
-    )
+    source, out = as_path(source), as_path(out)
+    wanted = options_of(RenderJob, job, options, ["job", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)

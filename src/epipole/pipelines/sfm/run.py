@@ -99,8 +99,7 @@ def reconstruct(
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
-        num_registered = int(solution.mapped.models[0].is_registered().sum())
-        run.warnings += note_on_poorer(run.root, "num_registered", num_registered, "registered images")
+        run.warnings += _note_on_fewer(solution, out)
         run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)
@@ -128,6 +127,12 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
         if path is not None and not path.exists():
             raise FileFormatError(path, f"no such file ({name})")
     check_anchor_files(config.anchors)
+
+
+def _note_on_fewer(solution: Solution, out: Path) -> list[str]:
+    """A warning where the earlier result has more registered images."""
+    num_registered = int(solution.mapped.models[0].is_registered().sum())
+    return note_on_poorer(out, "num_registered", num_registered, "registered images")
 
 
 def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:

@@ -96,8 +96,6 @@ def slam(
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
     frames = _open(source, wanted, given, None if found is None else found.camera)
-    if given.readout_s:
-        frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
@@ -198,6 +196,15 @@ def _check_source(source: Path, job: JobOptions) -> None:
 
 
 def _open(source: Path, job: JobOptions, given: CameraOptions, found: Camera | None) -> FrameSource:
+    frames = _open_without_readout(source, job, given, found)
+    if given.readout_s:
+        frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
+    return frames
+
+
+def _open_without_readout(
+    source: Path, job: JobOptions, given: CameraOptions, found: Camera | None
+) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)
