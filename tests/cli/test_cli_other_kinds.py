@@ -90,8 +90,8 @@ def test_the_message_says_what_it_is(here, words, said, capsys):
     assert re.search(said, lines[-1]), lines[-1]
 
 
-@pytest.mark.parametrize("job", [epipole.mesh, epipole.render])
-def test_cameras_that_are_not_there(here, job):
+@pytest.mark.parametrize("job, target", [(epipole.mesh, "out.ply"), (epipole.render, "out")])
+def test_cameras_that_are_not_there(here, job, target):
     splats = here / "splatted" / "splat.ply"
     arrays = (np.zeros((1, 3)), np.zeros((1, 3)), np.ones((1, 4)), np.zeros(1), np.zeros((1, 1, 3)))
     write_gaussian_ply(splats, GaussianCloud(*(array.astype(np.float32) for array in arrays)))
@@ -100,12 +100,12 @@ def test_cameras_that_are_not_there(here, job):
         ("x.glb", "glTF scene"),
     ):
         with pytest.raises(FileFormatError, match=said):
-            job(splats.parent, here / "out.ply", cameras=here / cameras)
+            job(splats.parent, here / target, cameras=here / cameras)
     if job is epipole.mesh:
         with pytest.raises(
             epipole.errors.NoModelError, match=r"no .*cameras\.json: give the cameras that look"
         ):
-            job(splats, here / "out.ply")
+            job(splats, here / target)
 
 
 def test_a_calibration_of_two_cameras_is_not_one_camera(here):
