@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -117,3 +118,18 @@ def test_a_comparison_renders_no_view_of_the_field_twice(source, tmp_path, monke
     told = json.loads((found.out / "compare.json").read_text())
     assert told["views"] == 1 and any("1 of 4 views" in words for words in found.warnings)
     assert told["nerf"]["frames_s"] > 0 and told["nerf"]["queries"] > 0.5
+
+
+def test_files_of_like_names_are_the_same_where_few_views_are_rendered(source, tmp_path, monkeypatch):
+    monkeypatch.setattr(held_out, "RENDER_SHARE", 0.0)
+    copytree(source, tmp_path / "scene")
+    frames = json.loads((source / "transforms.json").read_text())["frames"]
+    (tmp_path / "scene" / "x").mkdir()
+    for frame, name in zip(frames[:2], ("x/y.png", "x_y.png")):
+        (tmp_path / "scene" / frame["file_path"]).rename(tmp_path / "scene" / name)
+        frame["file_path"] = name
+    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    out = tmp_path / "out"
+    compare_fields(tmp_path / "scene", out, time="0.2s", test="x/y.png,x_y.png", kind="grid")
+    for folder in (out / "pictures", out / "nerf" / "test", out / "splat" / "test"):
+        assert [path.name for path in folder.iterdir()] == ["x_y.png.png"], folder
