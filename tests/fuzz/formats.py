@@ -21,6 +21,7 @@ from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, gr
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
+from epipole._declared.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError
 from epipole.fields.hash_field import asked
@@ -537,13 +538,21 @@ def _summary(folder: Path) -> None:
     assert isinstance(read_summary(folder), dict)
 
 
+UNIT = {
+    "pixels": Expected("float64", "n 2"),
+    "names": Expected(TEXT, "_"),
+    "rows": Expected("int64", "_", below="n"),
+}
+
+
 def _unit(folder: Path) -> None:
     assert isinstance(stored_key(folder / "unit.npz"), str)
-    assert set(load(folder / "unit.npz", "pixels", "names")) == {"pixels", "names"}
+    found = load(folder / "unit.npz", UNIT)
+    assert np.isfinite(found["pixels"]).all() and found["rows"].max(initial=-1) < len(found["pixels"])
 
 
 def _write_unit(folder: Path) -> None:
-    arrays = {"pixels": np.ones((3, 2)), "names": np.array(["a", "bc"]), "counts": np.arange(3)}
+    arrays = {"pixels": np.ones((3, 2)), "names": np.array(["a", "bc"]), "rows": np.arange(3)}
     store(folder / "unit.npz", "key", arrays)
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 
 from epipole import _parallel
 from epipole._declared import checked
+from epipole._declared.tables import Expected, Table
 from epipole.fields import _photometric_kernels as kernels
 from epipole.fields.rasterizer import Rendering
 from epipole.fields.rows_adam import RowsAdam
@@ -86,6 +87,12 @@ class Exposures:
         self.maps[:, :, 3] -= (turn @ mean[:, 3]).astype(np.float32)
         self.maps[:, :, :3] = turn
         return mean.astype(np.float32)
+
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        maps = Expected("float32", f"{len(self.maps)} 3 4")
+        return {"exposure_maps": maps, **self._adam.table("exposure")}
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on."""

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole import _parallel
+from epipole._declared.tables import Expected, Table
+from epipole.errors import ShapeError
 from epipole.fields import _hash_kernels as kernels
 from epipole.fields._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.hash_field import (
@@ -24,7 +26,7 @@ from epipole.fields.hash_field import (
     sampled,
     seen,
 )
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -111,6 +113,24 @@ class HashTrainer:
         self._num_rays = int(np.clip(wanted, 0.5 * count, min(2 * count, MOST_RAYS)))
         return sum(part.error for part in parts) / (3 * count)
 
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        moved = [" ".join(map(str, one.shape)) for one in (self.field.tables, *self.field.weights)]
+        parts = {
+            f"{kind}_{n}": Expected("float32", axes, least=0 if kind == "square" else None)
+            for kind in ("value", "mean", "square")
+            for n, axes in enumerate(moved)
+        }
+        occupied = " ".join(map(str, self.field.room.occupied.shape))
+        return {
+            **parts,
+            "alpha": Expected("float32", f"{len(self._may_be)}", least=0, most=1),
+            "occupied": Expected("uint8", occupied, most=1),
+            "counts": Expected("int64", "2", least=0),
+            "rng": STATE,
+        }
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
         moved = {
@@ -127,7 +147,14 @@ class HashTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
+        """Go on from a `state` of a trainer with the same views: the same bits as without a break.
+
+        Raises:
+            ShapeError: it takes more rays than a step may have, or none.
+        """
+        num_steps, num_rays = state["counts"].tolist()
+        if not 1 <= num_rays <= MOST_RAYS:
+            raise ShapeError(f"counts must have 1 to {MOST_RAYS} rays, got {num_rays}")
         values, self._mean, self._square = (
             [state[f"{kind}_{n}"] for n in range(len(self._mean))] for kind in ("value", "mean", "square")
         )
@@ -135,7 +162,7 @@ class HashTrainer:
         room = self.field.room._replace(occupied=occupied, blocks=blocks_of(occupied > 0))
         self.field = self.field._replace(room=room, tables=values[0], weights=tuple(values[1:]))
         self._alpha = state["alpha"]
-        self.num_steps, self._num_rays = state["counts"].tolist()
+        self.num_steps, self._num_rays = num_steps, num_rays
         set_state(self._rng, state["rng"])
 
     def _followed(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Followed:

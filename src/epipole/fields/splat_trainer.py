@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from epipole._declared.tables import Expected, Table
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import Exposures
@@ -16,7 +17,7 @@ from epipole.fields.growth import Growth, halves
 from epipole.fields.photometric import likeness
 from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rasterizer import (
     Cloud,
     Rendering,
@@ -117,6 +118,26 @@ class SplatTrainer:
     def __len__(self) -> int:
         return len(self._arrays.means)
 
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        axes = {"means": "n 3", "log_scales": "n 3", "quats_wxyz": "n 4", "logits": "n", "sh": "n s 3"}
+        parts = {
+            f"{kind}_{name}": Expected("float32", axes[name], least=0 if kind == "square" else None)
+            for kind in ("value", "mean", "square")
+            for name in Cloud._fields
+        }
+        return {
+            **parts,
+            "pull": Expected("float32", "n", least=0),
+            "views": Expected("float32", "n", least=0),
+            "order": Expected("int64", "_", least=0, most=len(self.views) - 1),
+            "counts": Expected("int64", "3", least=0),
+            "size": Expected("float64", least=0),
+            "rng": STATE,
+            **{name: one for part in self._own() for name, one in part.table.items()},
+        }
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
         clouds = {"value": self._arrays, "mean": self._adam.mean, "square": self._adam.square}
@@ -135,7 +156,18 @@ class SplatTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break."""
+        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break.
+
+        Raises:
+            ShapeError: it holds no Gaussian, too many of them, or harmonics of no degree.
+        """
+        n, num_sh = state["value_sh"].shape[:2]
+        most = max(self._most, self._num_first)
+        if not 1 <= n <= most or num_sh not in NUM_SH[: self.config.sh_degree + 1]:
+            raise ShapeError(
+                f"value_sh must be of 1 to {most} Gaussians and at most degree {self.config.sh_degree}, "
+                f"got {state['value_sh'].shape}"
+            )
         names = ("value", "mean", "square")
         self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))

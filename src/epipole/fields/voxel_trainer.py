@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from epipole import _parallel
+from epipole._declared.tables import Expected, Table
+from epipole.errors import ShapeError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rays import drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -98,25 +100,49 @@ class VoxelTrainer:
         self.num_steps += 1
         return sum(part[2] for part in parts) / (3 * RAYS)
 
-    def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
-        named = {
-            **self.field._asdict(),
-            **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
-        }
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
         return {
-            **{name: np.asarray(part) for name, part in named.items()},
+            "occupied": Expected("uint8", "x y z", most=1),
+            "seen": Expected("uint8", "x y z", most=1),
+            "values": Expected("float32", f"n {ROW}"),
+            "adam_gradient": Expected("float32", "g"),
+            "adam_mean": Expected("float32", "g"),
+            "adam_square": Expected("float32", "g", least=0),
+            "adam_touched": Expected("uint8", "n", most=1),
+            "adam_rates": Expected("float32", f"{ROW}", least=0),
+            "counts": Expected("int64", "3", least=0),
+            "rng": STATE,
+        }
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views; what follows from the cells is made again."""
+        return {
+            **{name: getattr(self.field, name) for name in ("occupied", "seen", "values")},
+            **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
             "counts": np.array([self.num_steps, self._level, self._looks], np.int64),
             "rng": state_of(self._rng),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
-        parts: dict[str, Any] = {name: state[name] for name in Voxels._fields}
-        parts |= {"size": float(parts["size"]), "delta": np.float32(parts["delta"])}
-        self.field = Voxels(**parts)
+        """Go on from a `state` of a new trainer with the same views: the same bits as without a break.
+
+        Raises:
+            ShapeError: its cells are not those of its level, or its values not theirs.
+        """
+        num_steps, level, looks = state["counts"].tolist()
+        first, cells = self.field, state["occupied"].astype(bool)
+        shape = tuple(side << min(level, len(SIZES)) for side in first.occupied.shape)
+        if level >= len(SIZES) or looks > 1 or cells.shape != shape:
+            raise ShapeError(f"occupied must be the {shape} cells of a level, got {cells.shape}")
+        field = voxels_on(cells, first.low, first.size / 2**level, self._unit)
+        values = state["values"]
+        if values.shape != field.values.shape or state["adam_mean"].size != values.size:
+            raise ShapeError(f"values must be those of {len(field.values)} corners, got {values.shape}")
+        self.field = field._replace(values=values, seen=state["seen"])
         self._adam = GridAdam(*(state[f"adam_{name}"] for name in GridAdam._fields))
-        self.num_steps, self._level, looks = state["counts"].tolist()
+        self.num_steps, self._level = num_steps, level
         self._looks, self._rows_at = bool(looks), None
         set_state(self._rng, state["rng"])
 
