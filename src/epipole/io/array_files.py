@@ -9,17 +9,14 @@ import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
 
 from epipole._declared.tables import Arrays, Table, check_arrays, check_names
 from epipole.errors import FileFormatError, ShapeError
-from epipole.io.files import open_file
+from epipole.io.files import most_unpacked_bytes, open_file
 
-SMALL_BYTES, MOST_RATIO = 1 << 26, 32
-"""The budget of a packed file: it may unpack to 64 MiB, or to 32 times its own size where that is more. Trained numbers hardly shrink."""
 _DAMAGE = (
     *(OSError, ValueError, LookupError, EOFError, TypeError, ArithmeticError, MemoryError, RuntimeError),
     *(SyntaxError, zipfile.BadZipFile, TokenError, zlib.error),
@@ -40,7 +37,7 @@ def read_packed_arrays(path: Path, table: Table, **sizes: int) -> Arrays:
     with open_file(path) as stream:
         num_bytes = stream.seek(0, io.SEEK_END)
         stream.seek(0)
-        found = read_archive(path, stream, table, max(SMALL_BYTES, MOST_RATIO * num_bytes))
+        found = read_archive(path, stream, table, most_unpacked_bytes(num_bytes))
     return checked_arrays(path, found, table, **sizes)
 
 
@@ -57,7 +54,7 @@ def checked_arrays(path: Path, arrays: Arrays, table: Table, **sizes: int) -> Ar
 
 
 def read_archive(
-    path: Path, stream: IO[bytes], table: Table | None, most_bytes: int, names: Iterable[str] | None = None
+    path: Path, stream: io.BufferedIOBase, table: Table | None, most_bytes: int, names: Iterable[str] | None = None
 ) -> Arrays:
     """The arrays as they are stored; sizes are held against the budget before anything is unpacked.
 

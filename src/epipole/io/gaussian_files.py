@@ -7,8 +7,6 @@ deviations, colour with opacity, and rotation in whole numbers; it has no harmon
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io._finite_gaussians import MOST_GAUSSIANS, MOST_LOGIT, finite_gaussians
+from epipole.io._finite_gaussians import MOST_LOGIT, finite_gaussians
 from epipole.io._sog_files import META
 from epipole.io._sog_files import is_sog as is_sog
+from epipole.io._spz_sizes import check_spz
 from epipole.io.atomic import atomic_write
-from epipole.io.files import file_bytes, open_file
+from epipole.io.files import file_bytes, open_file, read_by_others
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.sog import read_sog, write_sog
 from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
@@ -30,14 +29,8 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".sog", ".splat")
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
-_NGSP = struct.Struct("<III")
 _TURNED = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 """Signs of the harmonics after half a turn around x."""
-_DAMAGE = (
-    *(ValueError, KeyError, IndexError, OSError, EOFError, TypeError, ArithmeticError, AssertionError),
-    *(MemoryError, struct.error, zlib.error, RuntimeError),
-)
-"""What gsply raises of damaged files."""
 
 
 def read_gaussians(path: str | Path) -> GaussianCloud:
@@ -152,10 +145,8 @@ def _read_compressed_ply(path: Path) -> GaussianCloud:
     import gsply
 
     _check_ply_size(path)
-    try:
+    with read_by_others(path, "is a damaged compressed PLY"):
         data = gsply.plyread(path)
-    except _DAMAGE as error:
-        raise FileFormatError(path, f"is a damaged compressed PLY ({error})") from error
     return _cloud(path, data)
 
 
@@ -179,45 +170,10 @@ def _check_ply_size(path: Path) -> None:
 def _read_spz(path: Path) -> GaussianCloud:
     import gsply
 
-    data = file_bytes(path)
-    _check_spz_size(path, data)
-    try:
+    check_spz(path, file_bytes(path))
+    with read_by_others(path, "is a damaged SPZ file"):
         found = gsply.read_spz(path)
-    except (*_DAMAGE, ImportError) as error:
-        raise FileFormatError(path, f"is a damaged SPZ file ({error})") from error
     return _half_turned(_cloud(path, found))
-
-
-def _check_spz_size(path: Path, data: bytes) -> None:
-    """Refuse a header that promises too much, and a stream that unpacks to more than its header tells.
-
-    Raises:
-        FileFormatError: it does.
-    """
-    if data[:4] == b"NGSP" and len(data) >= _NGSP.size:
-        count, unpacked = _NGSP.unpack_from(data)[2], 0
-    else:
-        count, unpacked = _unpacked_size(path, data)
-    if count > MOST_GAUSSIANS:
-        raise FileFormatError(path, f"promises {count} Gaussians, more than {MOST_GAUSSIANS}")
-    if unpacked > 2 * 64 * (count + 1024):
-        raise FileFormatError(path, f"unpacks to more than its {count} Gaussians need")
-
-
-def _unpacked_size(path: Path, data: bytes) -> tuple[int, int]:
-    """Gaussians that a gzip stream's header tells, and its bytes, without keeping them."""
-    unpack, total, head, rest = zlib.decompressobj(31), 0, b"", data
-    try:
-        while rest and not unpack.eof:
-            part = unpack.decompress(rest, 1 << 20)
-            head, total, rest = (head + part)[:16], total + len(part), unpack.unconsumed_tail
-            if len(head) == 16 and total > 128 * (_NGSP.unpack_from(head)[2] + 1024):
-                break
-    except zlib.error as error:
-        raise FileFormatError(path, f"is no SPZ file ({error})") from error
-    if len(head) < 16 or head[:4] != b"NGSP":
-        raise FileFormatError(path, "is no SPZ file")
-    return _NGSP.unpack_from(head)[2], total
 
 
 def _read_splat(path: Path) -> GaussianCloud:
