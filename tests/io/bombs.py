@@ -457,7 +457,12 @@ def mcap(compression: str, packed: Callable[[bytes], bytes], size: int = 1 << 31
     def write(path: Path) -> None:
         chunk = packed(bytes(1 << 20)) * (size >> 20)
         data = struct.pack("<QQQI", 0, 1, size, 0) + text(compression) + struct.pack("<Q", len(chunk)) + chunk
-        parts = record(1, text("ros2") + text("")), record(6, data), record(15, bytes(4)), record(2, bytes(20))
+        parts = (
+            record(1, text("ros2") + text("")),
+            record(6, data),
+            record(15, bytes(4)),
+            record(2, bytes(20)),
+        )
         path.write_bytes(b"\x89MCAP0\r\n" + b"".join(parts) + b"\x89MCAP0\r\n")
 
     return write

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
@@ -113,9 +114,10 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
     """A camera at its place.
 
     Raises:
-        ConfigError: the camera has distortion.
+        ConfigError: the camera has distortion, or more pixels than are rendered.
         ShapeError: the place is not a single motion.
     """
+    check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
         raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the pictures")
     if cam_from_world.batch_shape() != ():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields._march_kernels import BLOCK
@@ -78,7 +79,12 @@ def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
 
 
 def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
-    """Rays without pictures."""
+    """Rays without pictures.
+
+    Raises:
+        ConfigError: the camera has more pixels than are rendered.
+    """
+    check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     none = np.zeros((0, 4), np.uint8)
     return Rays(
         none,

@@ -54,7 +54,11 @@ def checked_arrays(path: Path, arrays: Arrays, table: Table, **sizes: int) -> Ar
 
 
 def read_archive(
-    path: Path, stream: io.BufferedIOBase, table: Table | None, most_bytes: int, names: Iterable[str] | None = None
+    path: Path,
+    stream: io.BufferedIOBase,
+    table: Table | None,
+    most_bytes: int,
+    names: Iterable[str] | None = None,
 ) -> Arrays:
     """The arrays as they are stored; sizes are held against the budget before anything is unpacked.
 
