@@ -1,9 +1,12 @@
 """Every format that is read: a valid example, the file of it that is spoilt, its reader, and what is sound."""
 
 import bz2
+import gzip
 import io
 import json
+import os
 import shutil
+import struct
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,6 +18,7 @@ import numpy as np
 import yaml
 from bag_writing import Recorded
 from PIL import Image, features
+from sealed_formats import SEALED
 from test_io_colmap_database import PAIRS, make_contents
 from test_io_hostile_calibrations import EUROC, KALIBR, KITTI, KITTI_ROWS, LENS, MIDDLEBURY, PAIR, XML
 from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, graph_of, transforms_text
@@ -110,6 +114,8 @@ class Format:
     """Whether an error names the folder."""
     may_ask: bool = False
     """Whether it may ask for memory that it does not come to use."""
+    may_be_refused: bool = False
+    """Whether the example may be refused: a file of another program, of a kind that is not read."""
 
 
 def _put(name: str, data: bytes) -> Callable[[Path], None]:
@@ -173,7 +179,7 @@ def _timed_folder(folder: Path) -> None:
     (folder / "times.txt").write_text("0.0\n0.1\n0.25\n")
 
 
-def _recorded(kind: str) -> Callable[[Path], None]:
+def _recorded(kind: str, compression: str = "") -> Callable[[Path], None]:
     """A pair of cameras and an IMU, with what stands first in the file of each kind."""
 
     def write(folder: Path) -> None:
@@ -187,7 +193,7 @@ def _recorded(kind: str) -> Callable[[Path], None]:
             recorded.imu("/imu", 10**18 + n, (0, 0, 1), (0, 0, 9.8))
         shutil.rmtree(folder / "ride", ignore_errors=True)
         (folder / "ride.bag").unlink(missing_ok=True)
-        recorded.write(folder)
+        recorded.write(folder, compression=compression)
 
     return write
 
@@ -206,10 +212,10 @@ def _bag(name: str) -> Callable[[Path], None]:
     return read
 
 
-def _recording(kind: str, file: str, damage: str) -> Format:
+def _recording(kind: str, file: str, damage: str, compression: str = "") -> Format:
     readers = ("read_bag", "read_bag_imu", "read_bag_topics")
     path = file.split("/")[0]
-    return Format(_recorded(kind), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
+    return Format(_recorded(kind, compression), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
 
 
 def _trajectory(name: str) -> Callable[[Path], None]:
@@ -303,7 +309,7 @@ def _put_journal(folder: Path) -> None:
 
 def _journal(folder: Path) -> None:
     found = read_journal(folder / JOURNAL)
-    assert [entry.record.number for entry in found] == list(range(len(found)))
+    assert (np.diff([entry.record.number for entry in found]) > 0).all()
     assert all(entry.record.answer.covariance.shape == (6, 6) for entry in found)
 
 
@@ -316,9 +322,15 @@ def _frame_table(folder: Path) -> None:
     assert len(found.picture) == len(found.timestamp_s)
 
 
-def _cloud(folder: Path) -> None:
-    found = read_points_ply(folder / "cloud.ply")
-    assert found.rgb is None or found.rgb.shape == found.xyz.shape
+def _cloud_of(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_points_ply(folder / name)
+        assert found.rgb is None or found.rgb.shape == found.xyz.shape
+
+    return read
+
+
+_cloud = _cloud_of("cloud.ply")
 
 
 def _put_mesh(folder: Path) -> None:
@@ -637,6 +649,11 @@ FORMATS: dict[str, Format] = {
     "bag-ros1": _recording("ros1", "ride.bag", "binary"),
     "bag-sqlite": _recording("sqlite", "ride/ride.db3", "sqlite"),
     "bag-mcap": _recording("mcap", "ride/ride.mcap", "binary"),
+    "bag-ros1-bz2": _recording("ros1", "ride.bag", "binary", "bz2"),
+    "bag-ros1-lz4": _recording("ros1", "ride.bag", "binary", "lz4"),
+    "bag-mcap-zstd": _recording("mcap", "ride/ride.mcap", "binary", "storage"),
+    "bag-messages-zstd": _recording("sqlite", "ride/ride.db3", "sqlite", "message"),
+    "bag-file-zstd": _recording("sqlite", "ride/ride.db3.zstd", "binary", "file"),
     "bag-metadata": _recording("mcap", "ride/metadata.yaml", "yaml"),
     "trajectory-tum": Format(
         _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n0.6 1 2 4 0 0 0.6 0.8\n"),
@@ -694,12 +711,12 @@ FORMATS: dict[str, Format] = {
         ),
         *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
-    "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
-    "slam-state": Format(_put_slam_state, STATE, "binary", _slam_state, ("read_state",)),
+    "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map",)),
+    "slam-state": Format(_put_slam_state, STATE, "sealed", _slam_state, ("read_state",)),
     "slam-arrays": Format(
         _put_slam_state, ARRAYS.format(0), "binary", _slam_state, ("read_state",), weight=0.5
     ),
-    "slam-journal": Format(_put_journal, JOURNAL, "text", _journal, ("read_journal",)),
+    "slam-journal": Format(_put_journal, JOURNAL, "journal", _journal, ("read_journal",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),
@@ -716,8 +733,8 @@ FORMATS: dict[str, Format] = {
     ),
     "mesh": Format(_put_mesh, "mesh.ply", "ply", _mesh, ("read_mesh_ply",)),
     "mesh-text": Format(_put("mesh.ply", TEXT_MESH), "mesh.ply", "text", _mesh, ("read_mesh_ply",)),
-    "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
-    "hash": Format(_put_hash, "hash.npz", "binary", _hash, ("read_hash", "read_neural")),
+    "grid": Format(_put_grid, "grid.npz", "zip", _grid, ("read_grid", "read_voxels")),
+    "hash": Format(_put_hash, "hash.npz", "zip", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
     **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.sog", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
@@ -772,10 +789,101 @@ FORMATS: dict[str, Format] = {
         _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
         *("summary.json", "json", _summary, ("read_summary",)),
     ),
-    "unit": Format(_write_unit, "unit.npz", "zip", _unit, ("load", "stored_key"), may_ask=True),
+    "unit": Format(_write_unit, "unit.npz", "sealed", _unit, ("load", "stored_key"), may_ask=True),
     "mark": Format(_marked, "epipole.json", "json", _mark, ("read_mark",)),
     "pairs": Format(
         _put("pairs.txt", b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n"),
         *("pairs.txt", "text", _list_of_pairs, ("read_pairs",)),
     ),
+}
+FORMATS |= {
+    name: Format(write, file, "sealed", read, ("load_features", "load_putative", "load_view_graph"), weight)
+    for name, (write, file, read, weight) in SEALED.items()
+}
+
+
+def _packed_gaussians(version: int, degree: int) -> Callable[[Path], None]:
+    """Six Gaussians in the layout of an early version: a header and columns in one gzip stream."""
+
+    def write(folder: Path) -> None:
+        numbers = np.random.default_rng(version).integers(
+            0, 256, 6 * (19 + 3 * ((degree + 1) ** 2 - 1)), np.uint8
+        )
+        head = struct.pack("<IIIBBBB", 0x5053474E, version, 6, degree, 12, 0, 0)
+        (folder / "other.spz").write_bytes(gzip.compress(head + numbers.tobytes()))
+
+    return write
+
+
+def _put_streams(folder: Path) -> None:
+    """The same in version 4, by the reference's layout."""
+    import gsply
+
+    rng = np.random.default_rng(0)
+    sizes = {
+        "means": (6, 3),
+        "scales": (6, 3),
+        "quats": (6, 4),
+        "opacities": (6,),
+        "sh0": (6, 3),
+        "shN": (6, 8, 3),
+    }
+    arrays = {name: rng.normal(size=size).astype(np.float32) for name, size in sizes.items()}
+    gsply.write_spz(folder / "other.spz", gsply.GSData.from_arrays(**arrays), version=4)
+
+
+def _any_gaussians(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_gaussians(folder / name)
+        assert len(found) and np.isfinite(found.sh).all() and found.quats_wxyz.any(axis=1).all()
+
+    return read
+
+
+FAULTS = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[3] / "shared" / "data")) / "faults"
+"""Small files of other programs, where they are."""
+
+
+def _foreign(name: str, kind: str, read: Callable[[str], Callable[[Path], None]]) -> dict[str, Format]:
+    """A file of another program as the example, where it is."""
+    source = FAULTS / name
+    if not source.is_file():
+        return {}
+    file = source.name
+
+    def write(folder: Path) -> None:
+        for beside in sorted(source.parent.iterdir()) if source.parent != FAULTS else [source]:
+            shutil.copyfile(beside, folder / beside.name)
+
+    return {f"foreign-{name}": Format(write, file, kind, read(file), (), may_be_refused=True)}
+
+
+FORMATS |= {
+    "spz-2": Format(
+        _packed_gaussians(2, 1), "other.spz", "binary", _any_gaussians("other.spz"), ("read_gaussians",)
+    ),
+    "spz-4": Format(_put_streams, "other.spz", "binary", _any_gaussians("other.spz"), ("read_gaussians",)),
+    **{
+        name: form
+        for file in ("minimal-v2.spz", "minimal-v3.spz", "minimal-v4.spz", "minimal.splat")
+        for name, form in _foreign(file, "binary", _any_gaussians).items()
+    },
+    **_foreign("colours_float255.ply", "ply", _cloud_of),
+    **_foreign("colours_ushort.ply", "ply", _cloud_of),
+    **{
+        name: form
+        for file in ("euroc_wfirst.txt", "orbslam3_ns.txt", "truth_tum.txt", "tum_order_ns.csv")
+        for name, form in _foreign(file, "text", _trajectory).items()
+    },
+    **_foreign("ros_ost_camera_model_fisheye.yaml", "yaml", _calibration),
+    **_foreign(
+        "transforms_angle_y.json", "json", lambda name: lambda f: assert_model(read_transforms(f / name))
+    ),
+    **_foreign(
+        "transforms_equirectangular.json",
+        "json",
+        lambda name: lambda f: assert_model(read_transforms(f / name)),
+    ),
+    **_foreign("two_fixes.g2o", "text", lambda name: lambda f: read_g2o(f / name)),
+    **_foreign("model_fisheye180/cameras.txt", "text", lambda _: _model),
 }

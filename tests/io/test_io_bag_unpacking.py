@@ -8,8 +8,6 @@ from importlib import import_module
 import numpy as np
 import pytest
 from bag_writing import Recorded
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
-from rosbags.rosbag2 import Writer as Writer2
 
 from epipole.errors import FileFormatError
 from epipole.io._bag_unpacking import _ZSTD, bound_unpacking, unpacked
@@ -59,19 +57,17 @@ def test_the_readers_of_rosbags_unpack_so():
             unpack()
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
-def test_compressed_recordings_are_read(mode, tmp_path):
-    recorded = Recorded("sqlite")
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("ros1", "bz2"), ("ros1", "lz4"), ("sqlite", "message"), ("sqlite", "file"), ("mcap", "storage")],
+)
+def test_compressed_recordings_are_read(kind, mode, tmp_path):
+    recorded = Recorded(kind)
     grey = np.arange(64, dtype=np.uint8).reshape(8, 8)
     recorded.camera_info("/camera/camera_info", 10**18, (8, 8), np.diag([5.0, 5.0, 1.0]))
     recorded.image("/camera/image_raw", 10**18, grey, "mono8")
-    writer = Writer2(tmp_path / "ride", version=9)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        for topic, kind, ns, message in recorded.rows:
-            connection = writer.add_connection(topic, kind, typestore=recorded.store)
-            writer.write(connection, ns, recorded.store.serialize_cdr(message, kind))
-    assert [(frame.grey() == grey).all() for frame in bag_frames(read_bag(tmp_path / "ride"))] == [True]
+    path = recorded.write(tmp_path, compression=mode)
+    assert [(frame.grey() == grey).all() for frame in bag_frames(read_bag(path))] == [True]
 
 
 def test_a_recording_that_is_a_bomb_is_refused(tmp_path):

@@ -16,6 +16,7 @@ from epipole._declared.kinds import Sizes
 from epipole.errors import ShapeError
 
 TEXT = "str"
+_ROTATION_TOLERANCE = 1e-6
 _LAST_CODE, _SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 """The last character of Unicode, and codes that stand for none."""
 
@@ -38,6 +39,8 @@ class Expected:
     """Whether numbers may be NaN or infinite."""
     is_optional: bool = False
     """Whether the file may lack it."""
+    is_rotation: bool = False
+    """Whether the last two axes are rotation matrices."""
 
 
 Table = Mapping[str, Expected]
@@ -99,6 +102,15 @@ def _of_kind(array: np.ndarray, name: str, expected: Expected, sizes: Sizes) -> 
     return array
 
 
+def _check_rotations(array: np.ndarray, name: str) -> None:
+    """Of those that are not NaN throughout: R R^T is the identity, and no axis is mirrored."""
+    own = array[~np.isnan(array).all(axis=(-2, -1))]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(own @ np.swapaxes(own, -2, -1) - np.eye(3))
+        if not (off < _ROTATION_TOLERANCE).all() or not (np.linalg.det(own) > 0).all():
+            raise ShapeError(f"{name} must be rotation matrices")
+
+
 def _check_bounds(array: np.ndarray, name: str, expected: Expected, sizes: Sizes) -> None:
     if array.dtype.kind == "f" and not expected.may_be_nan and not np.isfinite(array).all():
         raise ShapeError(f"{name} must be finite")
@@ -109,6 +121,8 @@ def _check_bounds(array: np.ndarray, name: str, expected: Expected, sizes: Sizes
         (least is not None and array.min() < least) or (most is not None and array.max() > most)
     ):
         raise ShapeError(f"{name} must be within {least} and {most}, got {array.min()} to {array.max()}")
+    if expected.is_rotation:
+        _check_rotations(array, name)
     if expected.rises_to is not None:
         total = sizes[expected.rises_to][0]
         if not len(array) or array[0] != 0 or array[-1] != total or (array[1:] < array[:-1]).any():

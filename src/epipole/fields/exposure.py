@@ -12,6 +12,7 @@ from jaxtyping import Float32, Float64
 from epipole import _parallel
 from epipole._declared import checked
 from epipole._declared.tables import Expected, Table
+from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
 from epipole.fields.rasterizer import Rendering
 from epipole.fields.rows_adam import RowsAdam
@@ -19,6 +20,8 @@ from epipole.fields.rows_adam import RowsAdam
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 TOGETHER = 16_384
 """Pixels in one piece of work."""
+MOST_CONDITION = 1e6
+"""Of the mean of maps that are restored: those of a training stay near the identity."""
 RATES = 1e-2, 1e-3
 """A step at the begin and at the end."""
 
@@ -99,7 +102,14 @@ class Exposures:
         return {"exposure_maps": self.maps, **self._adam.state("exposure")}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Go on from a `state`.
+
+        Raises:
+            ShapeError: the mean of the maps mixes colors beyond recovery: it cannot be taken out of them.
+        """
+        mean = state["exposure_maps"].astype(np.float64).mean(axis=0)[:, :3]
+        if not np.linalg.cond(mean) < MOST_CONDITION:
+            raise ShapeError("exposure_maps must have a mean that can be inverted")
         self.maps = state["exposure_maps"]
         self._adam.restore("exposure", state)
 

@@ -159,7 +159,7 @@ class SplatTrainer:
         """Go on from a `state` of a trainer with the same views and options: the same bits as without a break.
 
         Raises:
-            ShapeError: it holds no Gaussian, too many of them, or harmonics of no degree.
+            ShapeError: it holds no Gaussian, too many of them, one without a rotation, or harmonics of no degree.
         """
         n, num_sh = state["value_sh"].shape[:2]
         most = max(self._most, self._num_first)
@@ -168,6 +168,8 @@ class SplatTrainer:
                 f"value_sh must be of 1 to {most} Gaussians and at most degree {self.config.sh_degree}, "
                 f"got {state['value_sh'].shape}"
             )
+        if not state["value_quats_wxyz"].any(axis=1).all():
+            raise ShapeError("value_quats_wxyz must be rotations: one is zero")
         names = ("value", "mean", "square")
         self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))

@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 from zipfile import ZipFile
@@ -149,7 +149,7 @@ def load(path: Path, table: Table, *names: str, **sizes: int) -> Arrays:
     Raises:
         WorkspaceError: the file is missing or damaged, or holds other arrays.
     """
-    wanted = {name: table[name] for name in names} if names else table
+    wanted = {name: replace(table[name], is_optional=False) for name in names} if names else table
     try:
         found = _stored(path, table, *wanted)
         return checked_arrays(path, found, wanted, **sizes)

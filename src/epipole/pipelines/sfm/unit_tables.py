@@ -29,7 +29,7 @@ GEOMETRIES: Table = {
     **MATCHES,
     "kind": Expected("int32", "p", least=min(PairKind), most=max(PairKind)),
     "num_putative": Expected("int32", "p", least=0),
-    "rotation": Expected("float64", "p 3 3", may_be_nan=True),
+    "rotation": Expected("float64", "p 3 3", may_be_nan=True, is_rotation=True),
     "translation": Expected("float64", "p 3", may_be_nan=True),
     "essential": Expected("float64", "p 3 3", may_be_nan=True),
     "fundamental": Expected("float64", "p 3 3", may_be_nan=True),

@@ -81,7 +81,7 @@ class Journal:
 
 
 def read_journal(path: Path) -> list[Entry]:
-    """The frames of a journal up to the first line that is damaged: a killed process, or a full disk, cuts the last one.
+    """The frames of a journal up to the first line that is damaged or of an earlier frame: a killed process, or a full disk, cuts the last one.
 
     Raises:
         FileFormatError: there is no such file.
@@ -92,6 +92,8 @@ def read_journal(path: Path) -> list[Entry]:
         try:
             entry = _entry_of(path, line, end + len(line), before)
         except (BadState, ValueError):
+            break
+        if out and entry.record.number <= out[-1].record.number:
             break
         out.append(entry)
         end, before = entry.end, entry.sum

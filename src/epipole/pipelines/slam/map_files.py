@@ -20,7 +20,6 @@ from epipole.runs.units import is_done, load, store, stored_key
 
 MAP_FILE = Path("map") / "map.npz"
 VERSION = "epipole map 1"
-ROTATION_TOLERANCE = 1e-6
 TABLE: Table = {
     "camera_model": Expected("int64"),
     "camera_params": Expected("float64", "_"),
@@ -31,7 +30,7 @@ TABLE: Table = {
     "number": Expected("int64", "k", least=0, most=1 << 53),
     "name": Expected(TEXT, "k"),
     "timestamp_s": Expected("float64", "k"),
-    "rotation": Expected("float64", "k 3 3"),
+    "rotation": Expected("float64", "k 3 3", is_rotation=True),
     "translation": Expected("float64", "k 3"),
     "grey": Expected("uint8", "k h w"),
     "offsets": Expected("int64", "k+1", rises_to="n"),
@@ -218,14 +217,11 @@ def _check(arrays: Arrays) -> None:
     """Check what the table does not say.
 
     Raises:
-        ShapeError: the pictures are not of the camera's size, a rotation is none, or a keypoint is outside its picture.
+        ShapeError: the pictures are not of the camera's size, or a keypoint is outside its picture.
     """
     width, height = arrays["size"].tolist()
     if arrays["grey"].shape[1:] != (height, width):
         raise ShapeError(f"grey must be pictures of {width} x {height}, got {arrays['grey'].shape}")
-    turned = arrays["rotation"] @ np.swapaxes(arrays["rotation"], 1, 2)
-    if len(turned) and not np.abs(turned - np.eye(3)).max() < ROTATION_TOLERANCE:
-        raise ShapeError("a rotation is none")
     for name in ("pixels", "anchor_px"):
         if not ((arrays[name] > -1.0) & (arrays[name] < arrays["size"])).all():
             raise ShapeError(f"{name} must be within the picture")

@@ -123,10 +123,10 @@ def num_bytes_of(row: Json) -> int:
     try:
         kind, shape, order = row
         kind = np.dtype(kind)
-        count = math.prod(int(side) for side in shape)
-    except (TypeError, ValueError) as error:
+        count = math.prod(_natural(side) for side in shape)
+    except (TypeError, ValueError, LookupError, SyntaxError) as error:
         raise BadState("an array's kind or shape is none") from error
-    if kind.kind not in "biuf" or order not in ("C", "F") or any(int(side) < 0 for side in shape):
+    if kind.kind not in "biuf" or order not in ("C", "F"):
         raise BadState("an array's kind or shape is none")
     return int(kind.itemsize * count)
 

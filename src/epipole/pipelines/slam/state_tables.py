@@ -154,7 +154,7 @@ def _problem_of(one: object) -> str:
                 convert(
                     held[name], name, sizes
                 )  # what it returns may be laid out otherwise, and sum up to other bits
-        if isinstance(one, Batch) and type(one)(**held).shape != ():
+        if isinstance(one, Batch) and type(one)(**held).batch_shape() != ():
             return "it is more than one motion"
     except EpipoleError as error:
         return str(error)
