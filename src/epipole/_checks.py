@@ -196,6 +196,16 @@ def check_squarable(value: float, name: str) -> None:
         raise ConfigError(f"{name} is too large to be calculated with: {value:g}")
 
 
+def check_share(share: float, name: str) -> None:
+    """Check a fraction.
+
+    Raises:
+        ConfigError: it is not from 0 to 1.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ConfigError(f"{name} must be from 0 to 1, got {share:g}")
+
+
 def check_seed(seed: int) -> None:
     """Check a seed of random numbers.
 

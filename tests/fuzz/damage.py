@@ -102,7 +102,16 @@ def damaged(rng: Random, data: bytes, kind: str) -> bytes:
     return data
 
 
-_UNREADABLE = (ValueError, KeyError, IndexError, struct.error, zlib.error, OSError, zipfile.BadZipFile, RecursionError)
+_UNREADABLE = (
+    ValueError,
+    KeyError,
+    IndexError,
+    struct.error,
+    zlib.error,
+    OSError,
+    zipfile.BadZipFile,
+    RecursionError,
+)
 
 
 def _cut(rng: Random, data: bytes) -> bytes:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from inspect import Parameter, get_annotations, signature, unwrap
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 from epipole._declared.kinds import Convert, Sizes
 from epipole._declared.values import converter_of
@@ -23,7 +23,7 @@ _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
 def checked(function: Function) -> Function:
     """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is."""
     own = unwrap(function)
-    plan: list[tuple[str, Convert | None]] = []
+    plan: list[_Parameter] = []
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -31,10 +31,12 @@ def checked(function: Function) -> Function:
             plan.extend(_parameters(own))
         sizes: Sizes = {}
         given = list(args)
-        for place, (name, convert) in enumerate(plan):
+        for place, (name, convert, kind) in enumerate(plan):
             if convert is None:
                 continue
-            if place < len(given):
+            if kind is Parameter.VAR_POSITIONAL:
+                given[place:] = [convert(one, f"{name}[{k}]", sizes) for k, one in enumerate(given[place:])]
+            elif kind is not Parameter.KEYWORD_ONLY and place < len(given):
                 given[place] = convert(given[place], name, sizes)
             elif name in kwargs:
                 kwargs[name] = convert(kwargs[name], name, sizes)
@@ -56,13 +58,22 @@ def check_fields(data: Any) -> None:
             object.__setattr__(data, name, kept)
 
 
-def _parameters(function: Callable[..., Any]) -> list[tuple[str, Convert | None]]:
-    """The converter of every parameter; None where there is nothing to check."""
-    out: list[tuple[str, Convert | None]] = []
+class _Parameter(NamedTuple):
+    """Of a function."""
+
+    name: str
+    convert: Convert | None
+    """None where there is nothing to check."""
+    kind: Any
+
+
+def _parameters(function: Callable[..., Any]) -> list[_Parameter]:
+    """What checks every parameter."""
+    out: list[_Parameter] = []
     for parameter in signature(function).parameters.values():
-        is_many = parameter.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-        annotation = Any if is_many else _evaluated(parameter.annotation, function.__globals__)
-        out.append((parameter.name, converter_of(annotation)))
+        is_named = parameter.kind is Parameter.VAR_KEYWORD
+        annotation = Any if is_named else _evaluated(parameter.annotation, function.__globals__)
+        out.append(_Parameter(parameter.name, converter_of(annotation), parameter.kind))
     return out
 
 

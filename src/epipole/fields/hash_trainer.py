@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._declared.tables import Expected, Table
+from epipole._checks import check_seed, check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
 from epipole.fields import _hash_kernels as kernels
 from epipole.fields._simd_kernels import MOMENTUM, SQUARES
@@ -68,15 +71,22 @@ class HashTrainer:
         num_samples: of the last step, at which the network was asked.
     """
 
-    def __init__(self, views: Sequence[TrainingView], background: np.ndarray, seed: int = 0) -> None:
+    @checked
+    def __init__(
+        self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
+    ) -> None:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view, or masks leave no pixel of any.
+            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ShapeError: the background is not finite.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
+        check_seed(seed)
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         self.rays = rays_of(views)
-        self.background = background.astype(np.float32)
+        self.background = background
         self.num_steps = self.num_samples = 0
         self._rng = np.random.default_rng([22, seed])
         low, size, full = first_cells(views, SIDE)
@@ -91,12 +101,17 @@ class HashTrainer:
         self._gradient, self._mean, self._square = ([np.zeros_like(one) for one in moved] for _ in range(3))
         self._num_rays = FIRST_RAYS
 
+    @checked
     def step(self, progress: float) -> float:
         """A batch of rays of all pictures; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         count = self._num_rays
         chosen = drawn_pixels(self.rays, count, self._rng)
         first = self._rng.random(count, np.float32) - np.float32(1.0)
@@ -152,6 +167,7 @@ class HashTrainer:
         Raises:
             ShapeError: it takes more rays than a step may have, or none.
         """
+        state = check_arrays(state, self.table)
         num_steps, num_rays = state["counts"].tolist()
         if not 1 <= num_rays <= MOST_RAYS:
             raise ShapeError(f"counts must have 1 to {MOST_RAYS} rays, got {num_rays}")
@@ -262,6 +278,7 @@ class HashTrainer:
         """Numbers that are learnt."""
         return self.field.tables.size + sum(one.size for one in self.field.weights)
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
         return draw_hash(self.field, view.camera, view.cam_from_world, self.background)[0]

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float32
 
-from epipole._declared.tables import Expected, Table
+from epipole._checks import check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import Exposures
@@ -61,8 +64,13 @@ class SplatTrainer:
         loss: of the last step.
     """
 
+    @checked
     def __init__(
-        self, views: Sequence[TrainingView], start: GaussianCloud, config: SplatConfig, background: np.ndarray
+        self,
+        views: Sequence[TrainingView],
+        start: GaussianCloud,
+        config: SplatConfig,
+        background: Float32[np.ndarray, " 3"],
     ) -> None:
         """Begin.
 
@@ -74,14 +82,16 @@ class SplatTrainer:
 
         Raises:
             ConfigError: there is no view.
-            ShapeError: there is no Gaussian.
+            ShapeError: there is no Gaussian, or the background is not finite.
         """
         if not views:
             raise ConfigError("there is no picture to train on")
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         if not len(start):
             raise ShapeError("there is no Gaussian to begin with")
         self.config, self.views, self.num_steps, self.loss = config, list(views), 0, np.nan
-        self.background = background.astype(np.float32)
+        self.background = background
         self.options = RenderOptions(antialiased=config.antialiased)
         self._rng = np.random.default_rng([20, config.seed])
         self._most = USUAL_MOST if config.max_gaussians is None else config.max_gaussians
@@ -161,6 +171,7 @@ class SplatTrainer:
         Raises:
             ShapeError: it holds no Gaussian, too many of them, one without a rotation, or harmonics of no degree.
         """
+        state = check_arrays(state, self.table)
         n, num_sh = state["value_sh"].shape[:2]
         most = max(self._most, self._num_first)
         if not 1 <= n <= most or num_sh not in NUM_SH[: self.config.sh_degree + 1]:
@@ -190,17 +201,23 @@ class SplatTrainer:
         """The views, from where their cameras now are."""
         return [self._view(number, 1) for number in range(len(self.views))]
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
         seen = view_of(view.camera, view.cam_from_world, self.options)
         return blend(tiles_of(self._arrays, seen), seen).over(self.background)
 
+    @checked
     def step(self, progress: float) -> float:
         """One picture: draw it, compare, and move what was seen; returns the loss.
 
         Args:
             progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         self._raise_degree(progress)
         number = self._next_view()
         self.loss = self._learn(number, self._factor(number, progress), progress)

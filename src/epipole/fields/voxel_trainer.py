@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
-from epipole._declared.tables import Expected, Table
+from epipole._checks import check_seed, check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ShapeError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
@@ -54,34 +57,41 @@ class VoxelTrainer:
         num_samples: of the last step.
     """
 
-    def __init__(self, views: Sequence[TrainingView], background: np.ndarray, seed: int = 0) -> None:
+    @checked
+    def __init__(
+        self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
+    ) -> None:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view, or masks leave no pixel of any.
+            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ShapeError: the background is not finite.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
+        check_seed(seed)
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         self.rays = rays_of(views)
-        self.background = background.astype(np.float32)
+        self.background = background
         self.num_steps = self.num_samples = 0
         self._rng = np.random.default_rng([21, seed])
         low, self._unit, full = first_cells(views, SIZES[0][1])
         self.field = voxels_on(full, low, self._unit, self._unit)
         self._pixel = _pixel_size(views, low + 0.5 * self._unit * np.array(full.shape))
         self._level, self._looks = 0, False
-        self._adam = self._new_adam()
+        self._adam = _new_adam(self.field)
 
-    def _new_adam(self) -> GridAdam:
-        n = self.field.values.size
-        gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
-        return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
-
+    @checked
     def step(self, progress: float) -> float:
         """A batch of rays of all pictures; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         while self._can_refine() and progress >= SIZES[self._level + 1][0]:
             self._refine()
         if not self._looks and progress >= self._half_way():
@@ -131,6 +141,7 @@ class VoxelTrainer:
         Raises:
             ShapeError: its cells are not those of its level, or its values not theirs.
         """
+        state = check_arrays(state, self.table)
         num_steps, level, looks = state["counts"].tolist()
         first, cells = self.field, state["occupied"].astype(bool)
         shape = tuple(side << min(level, len(SIZES)) for side in first.occupied.shape)
@@ -200,12 +211,14 @@ class VoxelTrainer:
 
     def _refine(self) -> None:
         """Leave out what is empty, and halve the voxels."""
-        self._level, self._looks = self._level + 1, False
         voxels = self.field
         cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
         values = _between(voxels, np.argwhere(corners_of(cells)))
-        self.field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
-        self._rows_at, self._adam = None, self._new_adam()
+        field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
+        adam = _new_adam(field)
+        # All at once: where the memory does not suffice for one of them, the others stay, too.
+        self.field, self._adam, self._rows_at = field, adam, None
+        self._level, self._looks = self._level + 1, False
 
     def _seen_cells(self) -> np.ndarray:
         """Cells that some ray has seen something in, and those beside."""
@@ -218,9 +231,16 @@ class VoxelTrainer:
         """Corners of voxels that have a row."""
         return len(self.field.values)
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
         return draw_voxels(self.field, view.camera, view.cam_from_world, self.background)[0]
+
+
+def _new_adam(field: Voxels) -> GridAdam:
+    n = field.values.size
+    gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
+    return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
 
 
 def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:

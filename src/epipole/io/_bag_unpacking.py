@@ -26,7 +26,10 @@ def unpacked(compression: str, data: bytes) -> bytes:
     most, out = most_unpacked_bytes(len(data)), b""
     while data:
         frame = _decompressor(compression)
-        out += frame.decompress(data, max_length=most + 1 - len(out))
+        try:
+            out += frame.decompress(data, max_length=most + 1 - len(out))
+        except Exception as error:  # each library has errors of its own
+            raise ValueError(f"a chunk is damaged: {error}") from error
         if len(out) > most:
             raise ValueError(f"a chunk unpacks to more than {most} bytes")
         if not frame.eof:

@@ -16,6 +16,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
+from epipole._declared import Declared, check_fields, checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
@@ -40,7 +41,7 @@ _PAIR_KEYS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFile:
+class CalibrationFile(Declared):
     """What a calibration file holds."""
 
     cameras: tuple[Camera, ...]
@@ -49,11 +50,26 @@ class CalibrationFile:
     covariance: Float64[np.ndarray, "30 30"] | None = None
     """Of a pair, as in `StereoRig`."""
 
+    def __post_init__(self) -> None:
+        """Check the cameras and how they stand.
+
+        Raises:
+            ShapeError: there is no camera, or not a row of `cam_from_rig` for each.
+            ConfigError: something else is of another kind.
+        """
+        check_fields(self)
+        if not self.cameras or self.cam_from_rig.batch_shape() != (len(self.cameras),):
+            raise ShapeError(
+                f"cam_from_rig must have a row for each of {len(self.cameras)} cameras, "
+                f"got {self.cam_from_rig.batch_shape()}"
+            )
+
     def __repr__(self) -> str:
         errors = "no covariance" if self.covariance is None else "with covariance"
         return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
 
 
+@checked
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
     """Read cameras, and how they stand to each other where a file says so.
 
@@ -114,6 +130,7 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
     return _opencv_pair(path, merged, size)
 
 
+@checked
 def read_body_from_camera(path: str | Path) -> Rigid3:
     """The place of a camera in the body (the IMU) that EuRoC's `sensor.yaml` tells (T_BS): body_from_camera.
 
@@ -127,6 +144,7 @@ def read_body_from_camera(path: str | Path) -> Rigid3:
         raise FileFormatError(path, f"T_BS cannot be read: {error}") from error
 
 
+@checked
 def read_stereo_rig(
     *paths: str | Path, size: tuple[int, int] | None = None, cameras: tuple[int, int] | None = None
 ) -> StereoRig:
@@ -161,6 +179,7 @@ def read_stereo_rig(
         raise FileFormatError(paths[0], str(error)) from error
 
 
+@checked
 def write_calibration(
     path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
 ) -> None:
@@ -192,6 +211,7 @@ def write_calibration(
         aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
 
+@checked
 def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
     """Write what OpenCV's samples read: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
 
@@ -216,6 +236,7 @@ def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
         aside.write_text(storage.releaseAndGetString(), encoding="utf-8")
 
 
+@checked
 def write_ros_yaml(
     path: str | Path,
     camera: Camera,
@@ -248,6 +269,7 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": [float(v) for v in matrix.ravel()]}
 
 
+@checked
 def parsed_file(path: Path) -> dict[str, Any]:
     """Names and values of a file of YAML, JSON, OpenCV's XML, or lines of KITTI's kind.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import MOST_LOGIT, finite_gaussians
 from epipole.io._sog_files import META
@@ -33,6 +34,7 @@ _TURNED = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.
 """Signs of the harmonics after half a turn around x."""
 
 
+@checked
 def read_gaussians(path: str | Path) -> GaussianCloud:
     """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
 
@@ -52,6 +54,7 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
     return _read_compressed_ply(path) if _is_compressed(path) else read_gaussian_ply(path)
 
 
+@checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in the format of the file's name; all but .ply are rounded, and .splat has no harmonics above degree 0.
 

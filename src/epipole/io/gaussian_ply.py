@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io._finite_gaussians import finite_gaussians
 from epipole.io.atomic import atomic_write
@@ -16,6 +17,7 @@ _FIRST = ("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2")
 _LAST = ("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3")
 
 
+@checked
 def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in single precision: coefficients above degree 0 channel by channel, rotations as w, x, y, z.
 
@@ -36,6 +38,7 @@ def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
         stream.write(table.data)
 
 
+@checked
 def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     """Read Gaussians; those with a number that is not finite are left out.
 

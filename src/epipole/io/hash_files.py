@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
 
+from epipole._declared import Declared, checked
 from epipole._declared.tables import Expected, Table
 from epipole.errors import FileFormatError
 from epipole.io.array_files import read_packed_arrays
@@ -25,23 +27,30 @@ HASH: Table = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HashContents:
+class HashContents(Declared):
     """What a file holds."""
 
-    occupied: np.ndarray
+    occupied: Bool[np.ndarray, "x y z"]
     """(x, y, z) bool."""
-    low: np.ndarray
+    low: Float64[np.ndarray, " 3"]
     """(3,) the corner of these cells in the world."""
     size: float
     """Of such a cell."""
-    cells: np.ndarray
+    cells: Int64[np.ndarray, " l"]
     """(levels,) cells along the longest side, at each level."""
-    tables: np.ndarray
+    tables: Float32[np.ndarray, "l r 4"]
     """(levels, rows, 4) float32."""
-    weights: tuple[np.ndarray, ...]
+    weights: tuple[
+        Float32[np.ndarray, "_ _"],
+        Float32[np.ndarray, "_ _"],
+        Float32[np.ndarray, "_ _"],
+        Float32[np.ndarray, "_ _"],
+        Float32[np.ndarray, "_ _"],
+    ]
     """Of the five layers, (inputs, outputs) each."""
 
 
+@checked
 def write_hash(path: str | Path, field: HashContents) -> None:
     """Write a neural field.
 
@@ -71,6 +80,7 @@ def _halved(values: np.ndarray) -> np.ndarray:
     return np.clip(values, -LARGEST, LARGEST).astype(np.float16)
 
 
+@checked
 def read_hash(path: str | Path) -> HashContents:
     """Read a neural field.
 

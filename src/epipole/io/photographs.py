@@ -30,7 +30,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image
 
-from epipole.errors import FileFormatError
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
 from epipole.io._photograph_pixels import (
     AVIF_SUFFIXES,
     HEIF_SUFFIXES,
@@ -61,6 +62,7 @@ from epipole.io.exif import (
 from epipole.io.files import file_bytes, open_file
 from epipole.io.picture_names import name_problem, printable
 
+_LONGEST_JPEG_SIDE = 65500
 _OUTPUT_MARKERS = ("config.json", "database.db")
 _FORMAT_OF_SUFFIX = {
     ".jpg": "JPEG",
@@ -121,6 +123,7 @@ class PhotographHeader:
     """A PNG of one channel of 16 bits, as depth is stored."""
 
 
+@checked
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
     """List the photographs of a folder and its sub-folders.
 
@@ -153,6 +156,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped)
 
 
+@checked
 def read_header(path: Path | str) -> PhotographHeader:
     """Read size, camera, focal length, place and time of a picture from its header alone.
 
@@ -185,6 +189,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     )
 
 
+@checked
 def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w"]:
     """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
 
@@ -200,6 +205,7 @@ def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndar
     return decode(Path(path), True, max_size_px)
 
 
+@checked
 def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture upright as 8-bit RGB.
 
@@ -214,6 +220,7 @@ def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarr
     return decode(Path(path), False, max_size_px)
 
 
+@checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
     for candidate in mask_names(name):
@@ -224,11 +231,19 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     return None
 
 
+@checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of a picture can be called, in the order of preference."""
+    """What the mask of a picture can be called, in the order of preference.
+
+    Raises:
+        ConfigError: the name is none.
+    """
+    if not PurePosixPath(name).name:
+        raise ConfigError(f"name must be that of an image, got {name!a:.60}")
     return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
 
 
+@checked
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
@@ -260,6 +275,7 @@ def read_mask(
     return keep
 
 
+@checked
 def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
 
@@ -292,6 +308,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         Image.fromarray(pixels).save(part, target_format, **options)
 
 
+@checked
 def write_jpeg_with_exif(
     path: Path | str,
     rgb: UInt8[np.ndarray, "h w 3"],
@@ -302,7 +319,18 @@ def write_jpeg_with_exif(
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
     quality: int = 95,
 ) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm)."""
+    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm).
+
+    Raises:
+        ConfigError: a number is beyond what EXIF or JPEG hold, or the image has no pixel or more than JPEG takes.
+        WorkspaceError: the file cannot be written.
+    """
+    if not 1 <= quality <= 100:
+        raise ConfigError(f"quality must be from 1 to 100, got {quality}")
+    if not (rgb.size and max(rgb.shape) <= _LONGEST_JPEG_SIDE):
+        raise ConfigError(
+            f"a JPEG has sides of 1 to {_LONGEST_JPEG_SIDE} pixels, got {rgb.shape[1]} x {rgb.shape[0]}"
+        )
     exif = new_exif(make, model, focal_35mm, gps).tobytes()
     with atomic_write(path) as part:
         Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
@@ -368,6 +396,7 @@ def _advice(unreadable: Sequence[str]) -> str:
     return " ".join(sentences)
 
 
+@checked
 def link_or_copy(source: Path, target: Path) -> None:
     """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
 

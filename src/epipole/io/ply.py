@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole._checks import as_points, require_same_length
+from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
-from epipole.io.files import file_bytes
+from epipole.io.files import file_bytes, open_file
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
@@ -55,6 +56,7 @@ class PlyPoints:
         return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
 
 
+@checked
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
     """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY in single precision.
 
@@ -65,6 +67,7 @@ def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
     _write(Path(path), _vertices(xyz, rgb), np.empty(0, _EDGE))
 
 
+@checked
 def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     """Write the points and, as edges, a pyramid for each registered camera.
 
@@ -84,9 +87,14 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     _write(Path(path), vertices, edges, SCENE_COMMENT)
 
 
+@checked
 def num_cameras_of_scene(path: str | Path) -> int | None:
-    """How many cameras a file of `write_scene_ply` holds; None of other files."""
-    with Path(path).open("rb") as stream:
+    """How many cameras a file of `write_scene_ply` holds; None of other files.
+
+    Raises:
+        FileFormatError: there is no such file.
+    """
+    with open_file(Path(path)) as stream:
         head = stream.read(_MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace").splitlines()
     if SCENE_COMMENT not in head:
         return None
@@ -94,13 +102,14 @@ def num_cameras_of_scene(path: str | Path) -> int | None:
     return int(edges) // len(_FRUSTUM_EDGES) if edges.isdigit() else 0
 
 
+@checked
 def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarray, "m 2 3"]:
     """The lines of drawn cameras, from their centres and the corners of their pictures."""
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
 def _vertices(xyz: Any, rgb: Any) -> np.ndarray:
-    xyz, rgb = as_points(xyz, "xyz", 3), np.asarray(rgb)
+    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(np.asarray(rgb))
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
         raise ShapeError(f"rgb must be (n, 3) of type uint8, got {rgb.shape} of type {rgb.dtype}")
@@ -173,6 +182,7 @@ class PlyHeader:
         return sum(np.dtype(kind).itemsize for kind in self.types)
 
 
+@checked
 def read_points_ply(path: str | Path) -> PlyPoints:
     """Read the vertices of a PLY file, text or binary, with their colours if there are any.
 
@@ -184,6 +194,7 @@ def read_points_ply(path: str | Path) -> PlyPoints:
     return points_of_ply(path, data, ply_header(path, data))
 
 
+@checked
 def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     """The vertices of a file's bytes.
 
@@ -198,6 +209,7 @@ def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     return PlyPoints(xyz, _colours(columns))
 
 
+@checked
 def ply_columns(path: Path) -> dict[str, np.ndarray]:
     """The vertices of a PLY file, property by property.
 
@@ -222,6 +234,7 @@ def _colours(columns: dict[str, np.ndarray]) -> np.ndarray | None:
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
 
 
+@checked
 def ply_header(path: Path, data: bytes) -> PlyHeader:
     """What a file promises.
 

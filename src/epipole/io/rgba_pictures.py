@@ -9,12 +9,15 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io._photograph_pixels import MAX_LOSSLESS_PX, PILLOW_ERRORS, format_of, open_with_pillow
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 
 
+@checked
 def read_rgba(path: Path | str) -> UInt8[np.ndarray, "h w 4"] | None:
     """Read a PNG, TIFF or WebP with transparency: colours as they are stored, and alpha; None where there is none.
 
@@ -37,12 +40,15 @@ def read_rgba(path: Path | str) -> UInt8[np.ndarray, "h w 4"] | None:
             raise FileFormatError(path, f"the {kind} picture is damaged ({error})") from error
 
 
+@checked
 def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a picture as PNG.
 
     Raises:
+        ConfigError: the image has no pixel, or too many.
         WorkspaceError: the file cannot be written.
     """
+    check_pixels(rgb.shape[1], rgb.shape[0])
     data = io.BytesIO()
     Image.fromarray(rgb).save(data, "PNG", compress_level=3)
     with atomic_write(Path(path)) as aside:

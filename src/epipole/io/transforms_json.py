@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
@@ -34,6 +35,7 @@ _FISHEYE_NAMES = ("OPENCV_FISHEYE", "FISHEYE")
 _ORTHONORMAL_TOLERANCE = 1e-3
 
 
+@checked
 def write_transforms(reconstruction: Reconstruction, path: str | Path, image_folder: str = "images") -> None:
     """Write the registered cameras, and the points (if any) as a PLY file beside.
 
@@ -91,6 +93,7 @@ def _intrinsics(camera: Camera) -> dict[str, Any]:
     }
 
 
+@checked
 def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstruction:
     """Read cameras, and the points if the file names some; such a file has no keypoints and no tracks.
 
@@ -219,6 +222,7 @@ def _points(path: Path, content: dict[str, Any]) -> Points:
     return Points(cloud.xyz, rgb, np.full(len(cloud), np.nan))
 
 
+@checked
 def model_of_cameras(
     names: list[str], cameras: list[Camera], camera_rows: list[int], cams_from_world: Rigid3, points: Points
 ) -> Reconstruction:

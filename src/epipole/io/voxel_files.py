@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float32, Float64
 
+from epipole._declared import Declared, checked
 from epipole._declared.tables import Arrays, Expected, Table
 from epipole.errors import FileFormatError
 from epipole.io.array_files import read_packed_arrays
@@ -23,14 +25,14 @@ GRID: Table = {**CELLS, "values": Expected("float16", f"_ {WIDTH}"), "place": Ex
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GridContents:
+class GridContents(Declared):
     """What a file holds."""
 
-    cells: np.ndarray
+    cells: Bool[np.ndarray, "x y z"]
     """(x, y, z) bool, which are occupied."""
-    values: np.ndarray
+    values: Float32[np.ndarray, "n 13"]
     """(rows, 13) float32 of their corners, in the order of corners."""
-    low: np.ndarray
+    low: Float64[np.ndarray, " 3"]
     """(3,) the grid's corner in the world."""
     size: float
     """Of a voxel."""
@@ -38,6 +40,7 @@ class GridContents:
     """Length in which densities are told."""
 
 
+@checked
 def write_grid(path: str | Path, grid: GridContents) -> None:
     """Write a grid.
 
@@ -56,6 +59,7 @@ def write_grid(path: str | Path, grid: GridContents) -> None:
         part.write_bytes(data.getvalue())
 
 
+@checked
 def read_grid(path: str | Path) -> GridContents:
     """Read a grid.
 
@@ -71,6 +75,7 @@ def read_grid(path: str | Path) -> GridContents:
     return GridContents(unpacked_cells(path, arrays), values, place[:3], float(place[3]), float(place[4]))
 
 
+@checked
 def unpacked_cells(path: Path, arrays: Arrays) -> np.ndarray:
     """(x, y, z) bool, the cells of a grid's or neural field's file.
 
