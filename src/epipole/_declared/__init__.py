@@ -14,7 +14,10 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from epipole._declared.kinds import Convert, Sizes
 from epipole._declared.values import converter_of
+from epipole.errors import ConfigError
 
+_LARGEST_COUNT, _SMALLEST_NUMBER, _LARGEST_NUMBER = 2**31 - 1, 1e-30, 1e30
+"""Of options: counts go into arrays of 32 bits, and numbers are squared in single precision or multiplied."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
 """Of each data class the fields that are checked."""
@@ -65,6 +68,37 @@ class _Parameter(NamedTuple):
     convert: Convert | None
     """None where there is nothing to check."""
     kind: Any
+
+
+def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[str, ...] = ()) -> None:
+    """Check the fields of a config, and that its numbers can be calculated with; for `__post_init__`.
+
+    Args:
+        data: the instance.
+        negative: fields that may be negative.
+        infinite: fields that may be infinite.
+
+    Raises:
+        ConfigError: a number is negative, infinite, too large or so small that it vanishes, or a field is of another kind.
+        ShapeError: an array is of another kind or shape than declared.
+    """
+    check_fields(data)
+    for name in data.__dataclass_fields__:
+        value = getattr(data, name)
+        if isinstance(value, bool) or type(value) not in (int, float):
+            continue
+        if value < 0 and name not in negative:
+            raise ConfigError(f"{name} must not be negative, got {value:g}")
+        size = abs(value)
+        if type(value) is int:
+            if size > _LARGEST_COUNT and "seed" not in name:
+                raise ConfigError(f"{name} must be at most {_LARGEST_COUNT}, got {value}")
+        elif size == float("inf"):
+            if name not in infinite:
+                raise ConfigError(f"{name} must be finite, got {value}")
+        elif size > _LARGEST_NUMBER or 0 < size < _SMALLEST_NUMBER:
+            bounds = f"0, or from {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g}"
+            raise ConfigError(f"{name} must be {bounds} to be calculated with, got {value:g}")
 
 
 def _parameters(function: Callable[..., Any]) -> list[_Parameter]:
