@@ -78,6 +78,8 @@ class _BoundedStream:
 
 def bound_unpacking() -> None:
     """Let rosbags unpack by the functions above: its own ask for whatever the data say."""
+    ros1: Any
+    ros2: Any
     ros1, ros2 = import_module("rosbags.rosbag1.reader"), import_module("rosbags.rosbag2.reader")
     mcap = import_module("rosbags.rosbag2.storage_mcap")
     for name in ("bz2", "lz4"):

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from epipole._declared import Declared, checked
+from epipole._declared import Declared, check_fields, checked
 from epipole._declared.tables import Expected, Table
-from epipole.errors import FileFormatError
+from epipole.errors import FileFormatError, ShapeError
 from epipole.io.array_files import read_packed_arrays
 from epipole.io.atomic import atomic_write
 from epipole.io.voxel_files import CELLS, LARGEST, MOST_SIDE, unpacked_cells
@@ -40,14 +40,18 @@ class HashContents(Declared):
     """(levels,) cells along the longest side, at each level."""
     tables: Float32[np.ndarray, "l r 4"]
     """(levels, rows, 4) float32."""
-    weights: tuple[
-        Float32[np.ndarray, "_ _"],
-        Float32[np.ndarray, "_ _"],
-        Float32[np.ndarray, "_ _"],
-        Float32[np.ndarray, "_ _"],
-        Float32[np.ndarray, "_ _"],
-    ]
+    weights: tuple[Float32[np.ndarray, "_ _"], ...]
     """Of the five layers, (inputs, outputs) each."""
+
+    def __post_init__(self) -> None:
+        """Check the arrays.
+
+        Raises:
+            ShapeError: there are not five layers, or an array is of another kind or shape.
+        """
+        check_fields(self)
+        if len(self.weights) != LAYERS:
+            raise ShapeError(f"weights must be of {LAYERS} layers, got {len(self.weights)}")
 
 
 @checked

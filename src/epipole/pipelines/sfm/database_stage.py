@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared.tables import Arrays
 from epipole.errors import ConfigError
 from epipole.io.colmap_database import DatabaseContents, read_database
 from epipole.pipelines.sfm.feature_stage import as_unit_arrays, read_picture
-from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, block_units, filled
+from epipole.pipelines.sfm.pair_blocks import PairBlock, block_units, filled
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.unit_tables import MATCHES
 from epipole.runs import Unit, digest

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
+from epipole._declared.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.feature_stage import load_features
-from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, PairResult, block_units, filled, result_of
+from epipole.pipelines.sfm.pair_blocks import PairBlock, PairResult, block_units, filled, result_of
 from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES, check_matches
 from epipole.robust import PairKind, PairMatches, fundamental_for_guided_matching, verify_pairs
 from epipole.runs import Unit, digest, load
