@@ -76,7 +76,7 @@ def read_archive(
         with zipfile.ZipFile(stream) as archive:
             members = {member.filename.removesuffix(".npy"): member for member in archive.infolist()}
             if len(members) != len(archive.infolist()):
-                raise ValueError("two arrays have one name")
+                raise ShapeError("two arrays have one name")
             wanted = list(members if names is None else names)
             if table is not None:
                 check_names(members, table, table if names is None else wanted)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
-from epipole._declared import Declared, check_fields, checked
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
@@ -24,6 +23,7 @@ from epipole.io import _dataset_calibrations as datasets
 from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
+from epipole.io.calibrated_cameras import CalibrationFile as CalibrationFile
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
@@ -38,35 +38,6 @@ _PAIR_KEYS = (
     ("K1", "D1", "K2", "D2"),
     ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"),
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFile(Declared):
-    """What a calibration file holds."""
-
-    cameras: tuple[Camera, ...]
-    cam_from_rig: Rigid3
-    """One row per camera; the first is the identity."""
-    covariance: Float64[np.ndarray, "30 30"] | None = None
-    """Of a pair, as in `StereoRig`."""
-
-    def __post_init__(self) -> None:
-        """Check the cameras and how they stand.
-
-        Raises:
-            ShapeError: there is no camera, or not a row of `cam_from_rig` for each.
-            ConfigError: something else is of another kind.
-        """
-        check_fields(self)
-        if not self.cameras or self.cam_from_rig.batch_shape() != (len(self.cameras),):
-            raise ShapeError(
-                f"cam_from_rig must have a row for each of {len(self.cameras)} cameras, "
-                f"got {self.cam_from_rig.batch_shape()}"
-            )
-
-    def __repr__(self) -> str:
-        errors = "no covariance" if self.covariance is None else "with covariance"
-        return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
 
 
 @checked

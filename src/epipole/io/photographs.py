@@ -55,14 +55,13 @@ from epipole.io.exif import (
     capture_time_of,
     focal_of,
     gps_of,
-    new_exif,
     orientation_of,
     upright_exif,
 )
 from epipole.io.files import file_bytes, open_file
+from epipole.io.jpeg_writing import write_jpeg_with_exif as write_jpeg_with_exif
 from epipole.io.picture_names import name_problem, printable
 
-_LONGEST_JPEG_SIDE = 65500
 _OUTPUT_MARKERS = ("config.json", "database.db")
 _FORMAT_OF_SUFFIX = {
     ".jpg": "JPEG",
@@ -306,34 +305,6 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
         options |= _kept_exif(exif)
     with atomic_write(target) as part:
         Image.fromarray(pixels).save(part, target_format, **options)
-
-
-@checked
-def write_jpeg_with_exif(
-    path: Path | str,
-    rgb: UInt8[np.ndarray, "h w 3"],
-    *,
-    focal_35mm: float | None = None,
-    make: str = "epipole",
-    model: str = "synthetic",
-    gps: GpsPosition | tuple[float, float, float | None] | None = None,
-    quality: int = 95,
-) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm).
-
-    Raises:
-        ConfigError: a number is beyond what EXIF or JPEG hold, or the image has no pixel or more than JPEG takes.
-        WorkspaceError: the file cannot be written.
-    """
-    if not 1 <= quality <= 100:
-        raise ConfigError(f"quality must be from 1 to 100, got {quality}")
-    if not (rgb.size and max(rgb.shape) <= _LONGEST_JPEG_SIDE):
-        raise ConfigError(
-            f"a JPEG has sides of 1 to {_LONGEST_JPEG_SIDE} pixels, got {rgb.shape[1]} x {rgb.shape[0]}"
-        )
-    exif = new_exif(make, model, focal_35mm, gps).tobytes()
-    with atomic_write(path) as part:
-        Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
 
 
 def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:

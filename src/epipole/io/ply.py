@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import as_points, require_same_length
+from epipole._checks import as_picture, as_points, require_same_length
 from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
@@ -109,7 +109,7 @@ def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarra
 
 
 def _vertices(xyz: Any, rgb: Any) -> np.ndarray:
-    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(np.asarray(rgb))
+    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(as_picture(rgb, "rgb"))
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
         raise ShapeError(f"rgb must be (n, 3) of type uint8, got {rgb.shape} of type {rgb.dtype}")

@@ -73,7 +73,7 @@ class Checkpoint:
             return 0.0, []
         arrays = load(self._path, {**self._trainer.table, **_OWN})
         try:
-            self._trainer.restore(arrays)
+            self._trainer.restore({name: part for name, part in arrays.items() if name not in _OWN})
         except ShapeError as error:
             problem = f"{self._path} is damaged: {error}; delete it and run the command again"
             raise WorkspaceError(problem) from error
