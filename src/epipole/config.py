@@ -13,7 +13,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -96,7 +96,7 @@ class FeatureConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
         if not 0 <= self.contrast_threshold < math.inf:
@@ -132,7 +132,7 @@ class MatchConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
         if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
@@ -160,7 +160,7 @@ class FlowConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
             raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
         if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
@@ -193,7 +193,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if _LARGEST < self.max_error_px < math.inf:
@@ -247,7 +247,7 @@ class BoardConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -314,7 +314,7 @@ class AnchorOptions:
         Raises:
             ConfigError: a value makes no sense, or lacks another.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
@@ -85,6 +86,7 @@ class _Info:
     projection: np.ndarray
 
 
+@checked
 def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
     """The topics of a recording that have messages.
 
@@ -96,6 +98,7 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
         return _topics(bag)
 
 
+@checked
 def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ()) -> BagSequence:
     """Which topics are followed, and their cameras.
 
@@ -150,6 +153,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     )
 
 
+@checked
 def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
     """The frames of a recording, in the order in which they were recorded, by the stamps in their headers.
 
@@ -173,6 +177,7 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
                 yield BagFrame(time_s, _grey(bag, 0, first), None, _depth(bag, second))
 
 
+@checked
 def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     """What an IMU measured (sensor_msgs/Imu), by the stamps in its headers.
 

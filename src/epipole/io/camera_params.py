@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io.colmap import params_from_colmap, params_to_colmap
@@ -17,6 +18,7 @@ MAX_OFFSET = 10.0
 MAX_DISTORTION = 1e4
 
 
+@checked
 def params_of_text(text: str) -> tuple[float, ...]:
     """The numbers of an option `camera_params`.
 
@@ -32,6 +34,7 @@ def params_of_text(text: str) -> tuple[float, ...]:
     return known
 
 
+@checked
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:
     """The camera of an option `camera_params`.
 
@@ -56,11 +59,13 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
     return camera
 
 
+@checked
 def text_of_camera(camera: Camera) -> str:
     """A camera's parameters as `camera_of_text` reads them, to seven digits."""
     return ",".join(f"{value:.7g}" for value in params_to_colmap(camera.model, camera.params))
 
 
+@checked
 def refuse_impossible(camera: Camera, where: str) -> None:
     """Refuse numbers that no lens has.
 

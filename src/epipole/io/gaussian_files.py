@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import finite_gaussians
 from epipole.io._sog_files import META as META
@@ -30,6 +31,7 @@ _HEADER = 8192
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
 
+@checked
 def read_gaussians(path: str | Path) -> GaussianCloud:
     """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
 
@@ -54,6 +56,7 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
     return readers[suffix](path)
 
 
+@checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in the format of the file's name; all but .ply are rounded, and .splat has no harmonics above degree 0.
 

@@ -29,7 +29,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from epipole.errors import FileFormatError
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
 from epipole.io._deep_pixels import GreyRange as GreyRange
 from epipole.io._image_formats import (
     AVIF_SUFFIXES,
@@ -114,6 +115,7 @@ class PhotographHeader:
     """Direction of up in camera coordinates, as a gimbal measured it; None where the XMP block has none."""
 
 
+@checked
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
     """List the photographs of a folder and its sub-folders.
 
@@ -146,6 +148,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped)
 
 
+@checked
 def read_header(path: Path | str) -> PhotographHeader:
     """Read size, camera, focal length, place and time of a picture from its header alone.
 
@@ -180,6 +183,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     )
 
 
+@checked
 def read_grey(
     path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
 ) -> UInt8[np.ndarray, "h w"]:
@@ -198,6 +202,7 @@ def read_grey(
     return decode(Path(path), True, max_size_px, limits)
 
 
+@checked
 def read_rgb(
     path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
 ) -> UInt8[np.ndarray, "h w 3"]:
@@ -215,6 +220,7 @@ def read_rgb(
     return decode(Path(path), False, max_size_px, limits)
 
 
+@checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
     for candidate in mask_names(name):
@@ -225,11 +231,19 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     return None
 
 
+@checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of a picture can be called, in the order of preference."""
+    """What the mask of a picture can be called, in the order of preference.
+
+    Raises:
+        ConfigError: the name is none.
+    """
+    if not PurePosixPath(name).name:
+        raise ConfigError(f"name must be that of an image, got {name!a:.60}")
     return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
 
 
+@checked
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
@@ -250,6 +264,7 @@ def read_mask(
     return None if path is None else read_mask_file(path, name, size=size)
 
 
+@checked
 def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
     """Read a mask whose file is known; as `read_mask`.
 

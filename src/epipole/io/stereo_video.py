@@ -7,12 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import require_file
 from epipole.io.video import count_frames, opened_video
 
 
+@checked
 def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> list[tuple[Path, Path]]:
     """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
 

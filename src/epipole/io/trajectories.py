@@ -28,6 +28,7 @@ _TUM, _TUM_WITH_COVARIANCE, _KITTI, _EUROC = 8, 29, 12, 8
 _NS = 1e-9
 
 
+@checked
 def trajectory_format(path: str | Path) -> TrajectoryFormat:
     """The form of a trajectory's file, seen from its first line; KITTI's is the one without times.
 
@@ -38,6 +39,7 @@ def trajectory_format(path: str | Path) -> TrajectoryFormat:
     return _format_of(path, _rows(path)[0])
 
 
+@checked
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
@@ -80,6 +82,7 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
     return Trajectory(times, Rigid3(nearest, np.ascontiguousarray(translation)), covariance)
 
 
+@checked
 def read_pose_matrix(path: str | Path) -> Rigid3:
     """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
 
@@ -106,6 +109,7 @@ class PositionLog:
     positions: Float64[np.ndarray, "n 3"]
 
 
+@checked
 def read_positions(path: str | Path) -> PositionLog:
     """Read a log of places: `seconds x y z` a line, by spaces or commas, and whatever else follows (TUM's files are such).
 

@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared.tables import TEXT, Expected
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened
 from epipole.runs.units import is_done, load, store
 
 _KEY = "contents 1"
+
+_TABLE = {name: Expected(TEXT, "n") for name in ("paths", "states", "digests")}
 
 
 def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
@@ -53,7 +56,7 @@ def _remembered(memory: Path) -> dict[str, tuple[str, str]]:
     if not is_done(memory, _KEY):
         return {}
     try:
-        held = load(memory, "paths", "states", "digests")
+        held = load(memory, _TABLE)
     except WorkspaceError:
         return {}
     return {

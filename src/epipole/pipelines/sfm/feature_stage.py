@@ -14,6 +14,7 @@ from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
 from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Unit, digest, load
 
 FORMAT = 4
@@ -113,4 +114,4 @@ def load_features(path: Path) -> Features:
 
 @lru_cache(maxsize=64)
 def _remembered(path: Path, _mtime_ns: int) -> Features:
-    return Features(**load(path, "pixels", "scale_px", "angle_rad", "descriptors"))
+    return Features(**load(path, FEATURES, "pixels", "scale_px", "angle_rad", "descriptors"))
