@@ -86,9 +86,9 @@ def pose_graphs(draw: st.DrawFn) -> PoseGraph:
     ends = draw(arrays_of.arrays(np.int64, (2, m), elements=st.integers(0, n - 1)))
     root = draw(arrays_of.arrays(np.float64, (m, dimension, dimension), elements=numbers(-5, 5)))
     information = root @ np.swapaxes(root, 1, 2) + np.eye(dimension)
-    return PoseGraph(
-        places, ends[0].copy(), ends[1].copy(), measured, 0.5 * (information + np.swapaxes(information, 1, 2))
-    )
+    information = 0.5 * (information + np.swapaxes(information, 1, 2))
+    fixed = np.array(sorted(draw(st.sets(st.integers(0, n - 1)))), np.int64)
+    return PoseGraph(places, ends[0].copy(), ends[1].copy(), measured, information, fixed)
 
 
 def maps(low: float, high: float) -> st.SearchStrategy[np.ndarray]:

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
+import valid_fields
+import valid_files
 from epipole import (
     cameras,
     features,
+    fields,
     geometry,
     image,
     inertial,
+    io,
     mapping,
     metrics,
     optim,
@@ -50,6 +54,8 @@ ROOMS = (
     metrics,
     synthetic,
     mapping,
+    fields,
+    io,
 )
 
 
@@ -78,6 +84,7 @@ def _all_calls() -> Iterator[Row]:
     for rows in (
         *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
         *(_features, _pictures, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
+        *(valid_fields.calls, valid_files.calls),
     ):
         yield from rows()
 
@@ -331,7 +338,8 @@ def _graph(kind: type) -> PoseGraph:
     size = {Rigid2: 3, Rigid3: 6, Similarity3: 7}[kind]
     steps, first = kind.exp(0.1 * _some(6, size)), np.array([0, 1, 2, 3, 0, 1])
     second = np.array([1, 2, 3, 4, 4, 3])
-    return PoseGraph(kind.exp(0.1 * _some(5, size)), first, second, steps, np.tile(np.eye(size), (6, 1, 1)))
+    information, fixed = np.tile(np.eye(size), (6, 1, 1)), np.array([2])
+    return PoseGraph(kind.exp(0.1 * _some(5, size)), first, second, steps, information, fixed)
 
 
 def _optimized(**fields: Any) -> Any:
@@ -589,7 +597,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.refine_pose, **seen, **more)
     yield _row(mapping.PositionPriors, positions_in_world=_some(4, 3), sigma=1.0)
     yield _row(mapping.Freedom, focal=True, principal_point=False, distortion=True)
-    priors = mapping.PositionPriors(_some(4, 3), 1.0)
+    priors = mapping.PositionPriors(_some(4, 3), np.ones((4, 3)))
     yield _row(free_params_of, cameras=model.cameras, freedom=freedom)
     yield _row(expected_params, model=builder)
     yield _row(mapping.adjust_all, model=builder, config=quick, freedom=freedom, priors=priors)

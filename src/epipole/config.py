@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from epipole._declared import check_fields, did_you_mean
+from epipole._declared import check_options, did_you_mean
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -107,7 +107,7 @@ class FeatureConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
         if not 0 <= self.contrast_threshold < math.inf:
@@ -143,7 +143,7 @@ class MatchConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
         if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
@@ -171,7 +171,7 @@ class FlowConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
             raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
         if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
@@ -204,7 +204,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if _LARGEST < self.max_error_px < math.inf:
@@ -258,7 +258,7 @@ class BoardConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -325,7 +325,7 @@ class AnchorOptions:
         Raises:
             ConfigError: a value makes no sense, or lacks another.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

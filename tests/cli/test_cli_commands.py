@@ -21,10 +21,10 @@ from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.depth_maps import read_pfm
+from epipole.io.photograph_writing import write_photograph
 from epipole.metrics import camera_errors
 from epipole.pipelines.stereo import command
 from epipole.pipelines.stereo.config import RigOptions, StereoConfig
-from epipole.pipelines.undistortion.run import write_picture
 from epipole.synthetic.stereo_rooms import stereo_room
 
 
@@ -172,8 +172,8 @@ def test_help_is_quick_and_loads_nothing_heavy():
 def test_undistort_says_what_it_cannot_write(tmp_path):
     rgb = np.zeros((8, 8, 3), np.uint8)
     with pytest.raises(FileFormatError, match="convert yours"):
-        write_picture(tmp_path / "a.heic", rgb)
-    write_picture(tmp_path / "a.png", rgb)
+        write_photograph(tmp_path / "a.heic", rgb)
+    write_photograph(tmp_path / "a.png", rgb)
     assert (tmp_path / "a.png").is_file()
 
 

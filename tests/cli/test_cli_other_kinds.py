@@ -20,8 +20,8 @@ from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.contents_in_words import results_of, what_it_is
 from epipole.io.gaussian_ply import write_gaussian_ply
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.sfm.gps_evidence import GpsEvidence
-from epipole.pipelines.sfm.mapping_stage import gps_note
+from epipole.pipelines.sfm.gps.evidence import GpsEvidence
+from epipole.pipelines.sfm.mapping_stage import gps_notes
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.scene.gaussian_cloud import GaussianCloud
 
@@ -133,13 +133,14 @@ def test_gps_that_is_not_used_does_not_make_a_known_scale_unknown():
     images = SimpleNamespace(lat_lon_alt=np.array([[50.0, 10.0, 0.0]] * 2 + [[np.nan] * 3] * 2))
     config = epipole.MapperConfig()
     for scale, said in ((None, "the scale is unknown: "), ("by tags", "GPS is not used: ")):
-        mapped = SimpleNamespace(models=(model,), gps_residuals_m=(None,), scale=scale)
-        assert gps_note(images, mapped, config).startswith(said)
+        mapped = SimpleNamespace(models=(model,), gps=(None,), scale=scale)
+        (note,) = gps_notes(images, mapped, config)
+        assert note.startswith(said)
 
 
 def test_distances_below_a_metre_are_not_none():
     said = GpsEvidence(12, 0.042, 3.25, 0.5).in_words()
-    assert "0.042 m or more" in said and "3.2 m around" in said
+    assert "0.042 m or more" in said and "spread over 3.2 m" in said
     assert "lie 41 m or more" in GpsEvidence(12, 41.2, 300.0, 0.5).in_words()
 
 

@@ -13,6 +13,7 @@ from epipole.io.exif import (
     camera_of,
     capture_time_of,
     focal_of,
+    gimbal_up_of,
     gps_of,
     gps_to_enu,
     new_exif,
@@ -244,3 +245,23 @@ def test_enu_with_missing_values():
     without_altitude = gps_to_enu(np.array([[50.0, 8.0, np.nan], [50.001, 8.0, np.nan]]))
     assert np.isfinite(without_altitude[:, :2]).all()
     assert np.isnan(without_altitude[:, 2]).all()
+
+
+@pytest.mark.parametrize(
+    ("xmp", "up"),
+    [
+        (b'<x drone-dji:GimbalRollDegree="+0.00" drone-dji:GimbalPitchDegree="-90.00"/>', (0.0, 0.0, -1.0)),
+        (b"<drone-dji:GimbalPitchDegree>+0.0</drone-dji:GimbalPitchDegree>", (0.0, -1.0, 0.0)),
+        (b'GimbalPitchDegree="-30.0"', (0.0, -np.cos(np.pi / 6), -0.5)),
+        (b'GimbalRollDegree="90" GimbalPitchDegree="0"', (-1.0, 0.0, 0.0)),
+        (b'GimbalPitchDegree="-900"', None),
+        (b'GimbalPitchDegree="x"', None),
+        (b"\xff\xfe", None),
+        (None, None),
+    ],
+)
+def test_a_gimbal_measures_up(xmp, up) -> None:
+    found = gimbal_up_of(xmp)
+    assert (found is None) == (up is None)
+    if up is not None:
+        np.testing.assert_allclose(found, up, atol=1e-12)

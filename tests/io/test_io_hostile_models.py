@@ -79,7 +79,12 @@ def test_colmap_databases(folder: Path, database: bytes, data: st.DataObject) ->
 
 def transforms_text(known: str) -> bytes:
     frame = {"file_path": "images/a.png", "transform_matrix": np.eye(4).tolist()}
-    content = {"camera_angle_x": 0.7, "ply_file_path": "points.ply", "k1": 0.01, "frames": [frame, frame]}
+    content = {
+        "camera_angle_x": 2 * np.arctan(320 / 500),
+        "ply_file_path": "points.ply",
+        "k1": 0.01,
+        "frames": [frame, frame],
+    }
     size = {"w": 640, "h": 480, "cx": 320.0, "cy": 240.0}
     own = {"all": {**size, "fl_x": 500.0, "fl_y": 501.5}, "size": size, "nothing": {}}[known]
     return json.dumps(content | own, indent=1).encode()

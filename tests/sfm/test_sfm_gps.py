@@ -5,17 +5,20 @@ import pytest
 from photographs import CAMERA, FOCAL_35MM, neighbouring_views
 
 from epipole import reconstruct
-from epipole.geometry import Rotation3, Similarity3
+from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.io.exif import gps_to_enu
 from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
-from epipole.pipelines.sfm.gps_evidence import gps_evidence
-from epipole.pipelines.sfm.orientation import align_to_gps, upright_from_world
+from epipole.pipelines.sfm.gps.alignment import align_to_gps
+from epipole.pipelines.sfm.gps.evidence import gps_evidence
+from epipole.pipelines.sfm.orientation import upright_from_world
+from epipole.pipelines.sfm.up_direction import UpDirection, up_directions
 from epipole.synthetic import courtyard, courtyard_views, render
 
-REACH_M = 15.0
+SIGMA_M, REACH_M = 3.0, 15.0
 TILT = Similarity3(np.array(1.0), Rotation3.exp([0.4, -0.7, 0.2]).matrix, np.array([1.0, 2.0, 3.0]))
-"""upright_from_world of the models below: as they come, they lie on their side."""
+"""Rotates the models below upright: as they come, they lie on their side."""
+UP = UpDirection(TILT.rotation.T @ [0.0, 0.0, 1.0], np.deg2rad(4.0))
 ENU_FROM_UPRIGHT = Similarity3(
     np.array(12.5), Rotation3.exp([0.0, 0.0, 2.1]).matrix, np.array([120.0, -45.0, 7.0])
 )
@@ -33,7 +36,7 @@ def walk(kind: str, count: int = 12) -> np.ndarray:
 
 
 def aligned(upright_centers: np.ndarray, fixes: np.ndarray):
-    return align_to_gps(TILT.inverse().apply(upright_centers), TILT, fixes, REACH_M)
+    return align_to_gps(TILT.inverse().apply(upright_centers), [UP], fixes, SIGMA_M, REACH_M)
 
 
 @pytest.mark.parametrize("kind", ["line", "block", "hill"])
@@ -122,13 +125,14 @@ def test_noisy_fixes_are_believed(count: int, least: int) -> None:
 def test_what_speaks_against_the_fixes_is_said() -> None:
     rng = np.random.default_rng(0)
     centers = walk("hill")
-    found = gps_evidence(centers, rng.uniform(0, 111, (12, 3)))
-    assert not found.is_convincing and found.num_fixes == 12
-    assert "half of the 12 pictures lie" in found.in_words() and "% of the trials" in found.in_words()
-    same_place = gps_evidence(0 * centers, rng.uniform(0, 111, (12, 3)))
-    assert not same_place.is_convincing
-    few = gps_evidence(centers[:2], centers[:2])
-    assert not few.is_convincing and few.num_fixes == 2
+    up = [np.array([0.0, 0.0, 1.0])]
+    found = gps_evidence(centers, rng.uniform(0, 111, (12, 3)), up)
+    assert not found.is_convincing and found.num_positions == 12
+    assert "half of the 12 images lie" in found.in_words() and "shuffled among the images" in found.in_words()
+    same_position = gps_evidence(0 * centers, rng.uniform(0, 111, (12, 3)), up)
+    assert not same_position.is_convincing
+    few = gps_evidence(centers[:2], centers[:2], up)
+    assert not few.is_convincing and few.num_positions == 2
 
 
 def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
@@ -136,12 +140,97 @@ def test_upright_is_the_direction_that_the_cameras_call_up() -> None:
     views = courtyard_views(24)
     tilted = TILT.move_cam_from_source(views)
     points = TILT.apply(np.random.default_rng(0).normal(size=(200, 3)))
-    upright = upright_from_world(tilted, points)
+    upright = upright_from_world(tilted, points, up_directions(tilted)[0])
     up = (upright @ TILT).rotation @ np.array([0.0, 0.0, 1.0])
     assert np.rad2deg(np.arccos(up[2])) < 1.0
     moved = upright.apply(points)
     assert np.median(np.linalg.norm(moved, axis=1)) == pytest.approx(1.0, rel=0.05)
     np.testing.assert_allclose(np.median(moved, axis=0), 0.0, atol=0.2)
+
+
+def flight(kind: str, rng: np.random.Generator, count: int = 24) -> tuple[np.ndarray, Rigid3]:
+    """Positions in metres and poses in an upright world: four lines back and forth, 80 m above the ground."""
+    row, column = np.divmod(np.arange(count), count // 4)
+    forward = np.where(row % 2 == 0, 1.0, -1.0)
+    column = np.where(row % 2 == 0, column, count // 4 - 1 - column)
+    position = np.stack([20.0 * column, 25.0 * row, np.full(count, 80.0)], axis=1) + rng.normal(
+        0, 1.0, (count, 3)
+    )
+    if kind == "hillside":
+        position[:, 2] += 0.4 * position[:, 0]
+    looks_down = {"oblique": np.zeros(count, bool), "mixed": row % 2 == 0}.get(kind, np.ones(count, bool))
+    pitch = np.deg2rad(np.where(looks_down, -90.0, -50.0))
+    heading = np.where(looks_down, np.arctan2(0.0, forward), rng.uniform(0, 2 * np.pi, count))
+    ahead = np.stack([np.cos(heading), np.sin(heading), np.zeros(count)], axis=1)
+    z_axis = np.cos(pitch)[:, None] * ahead + np.sin(pitch)[:, None] * [0.0, 0.0, 1.0]
+    x_axis = np.cross(ahead, [0.0, 0.0, 1.0])
+    rotation = np.stack([x_axis, np.cross(z_axis, x_axis), z_axis], axis=1)
+    rotation = rotation @ Rotation3.exp(rng.normal(0, np.deg2rad(2.0), (count, 3))).matrix
+    return position, Rigid3(rotation, -np.einsum("nij,nj->ni", rotation, position))
+
+
+def align_flight(kind: str, seed: int, case: str = ""):
+    """What GPS makes of a flight whose model has a random world: the alignment, and its error of up in degrees."""
+    rng = np.random.default_rng(seed)
+    position, cams_from_enu = flight(kind, rng)
+    model_from_enu = Similarity3(
+        np.array(0.02), Rotation3.exp(2 * rng.normal(size=3)).matrix, rng.normal(size=3)
+    )
+    gps = position + rng.normal(0, [1.0, 1.0, 2.0], position.shape)
+    if case == "outlier":
+        gps[3, 0] += 500e3
+    elif case == "no altitude":
+        gps[:, 2] = np.nan
+    elif case == "random":
+        gps = rng.uniform(0, 100, position.shape) * [1, 1, 0.2]
+    ups = up_directions(model_from_enu.move_cam_from_source(cams_from_enu))
+    found = align_to_gps(model_from_enu.apply(position), ups, gps, SIGMA_M, REACH_M, seed)
+    if found is None:
+        return None, np.nan
+    up = found.enu_from_world.rotation @ model_from_enu.rotation @ [0.0, 0.0, 1.0]
+    return found, np.rad2deg(np.arccos(min(up[2], 1.0)))
+
+
+@pytest.mark.parametrize("kind", ["nadir", "oblique", "mixed", "hillside"])
+@pytest.mark.parametrize("case", ["", "outlier", "no altitude"])
+def test_flights_are_aligned_whichever_way_they_look(kind: str, case: str) -> None:
+    """GPS of 1 m (2 m in altitude) over 100 m by 75 m fixes up to a degree or so, the scale to 2 %."""
+    trials = [align_flight(kind, seed, case) for seed in range(8)]
+    assert all(found is not None for found, _ in trials)
+    assert max(tilt_deg for _, tilt_deg in trials) < 7.0
+    assert np.median([tilt_deg for _, tilt_deg in trials]) < 1.5
+    for found, _ in trials:
+        assert found.enu_from_world.scale == pytest.approx(50.0, rel=0.03)
+        assert found.up_sigma_rad < np.deg2rad(4.5)
+        if case == "outlier":
+            assert found.residuals_m[3] == pytest.approx(500e3, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["nadir", "oblique"])
+def test_random_positions_of_a_flight_are_refused(kind: str) -> None:
+    assert all(align_flight(kind, seed, "random")[0] is None for seed in range(10))
+
+
+def test_positions_along_a_line_leave_up_to_the_cameras() -> None:
+    centers = walk("line")
+    fixes = ENU_FROM_UPRIGHT.apply(centers) + np.random.default_rng(0).normal(0, 1.0, centers.shape)
+    found = aligned(centers, fixes)
+    assert np.deg2rad(2.0) < found.up_sigma_rad < np.deg2rad(4.5)  # the cameras' 4 degrees
+    up = (found.enu_from_world @ TILT.inverse()).rotation @ [0.0, 0.0, 1.0]
+    assert np.rad2deg(np.arccos(up[2])) < 3.0
+
+
+def test_measured_gravity_outweighs_habits() -> None:
+    """A straight flight that looks down may as well be a walk along a wall; the gimbal tells them apart."""
+    rng = np.random.default_rng(0)
+    rotation = np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (8, 3, 3))  # x east, y south, z down
+    cams = Rigid3(rotation.copy(), rng.normal(size=(8, 3)))
+    assert len(up_directions(cams)) == 2
+    gimbal = np.tile([0.0, 0.0, -1.0], (8, 1)) + rng.normal(0, 0.01, (8, 3))
+    gimbal[2], gimbal[5] = np.nan, [1.0, 0.0, 0.0]  # one image without, one that is wrong
+    (found,) = up_directions(cams, gimbal)
+    assert found.is_measured
+    np.testing.assert_allclose(found.direction, [0.0, 0.0, 1.0], atol=0.02)
 
 
 METRES_PER_UNIT = 20.0
@@ -173,6 +262,8 @@ def test_a_model_of_photographs_with_gps_stands_in_metres(photographs, tmp_path)
     assert np.delete(off, 4).max() < 1.0  # of views that stand ten metres apart
     assert abs(off[4] - 2000.0) < 20.0
     assert result.summary["median_gps_residual_m"] < 1.0
+    (said,) = [w for w in result.warnings if "GPS positions that contradict the model are not used" in w]
+    assert "view_04.jpg by" in said and "view_03" not in said
     truth = METRES_PER_UNIT * neighbouring_views(7).centers()
     length = np.linalg.norm(np.diff(result.model.cams_from_world().centers(), axis=0), axis=1)
     np.testing.assert_allclose(length, np.linalg.norm(np.diff(truth, axis=0), axis=1), rtol=0.03)
@@ -188,7 +279,7 @@ def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, t
     result = reconstruct(folder, tmp_path / "out")
     assert not result.summary["is_metric"]
     assert result.summary["median_gps_residual_m"] is None
-    assert any("of the model's pictures 2 carry GPS, at least 3 are needed" in w for w in result.warnings)
+    assert any("2 of the model's images carry GPS, at least 3 are needed" in w for w in result.warnings)
     # Fixes within their own error of each other: as many as it takes, but of a courtyard.
     vague = ReconstructConfig(mapper=MapperConfig(gps_sigma_m=1000.0))
     again = reconstruct(photographs, tmp_path / "vague", vague)
@@ -202,7 +293,7 @@ def test_without_enough_fixes_the_scale_is_unknown_and_said_to_be(photographs, t
         write_jpeg_with_exif(random / path.name, read_rgb(path), focal_35mm=FOCAL_35MM, gps=gps)
     lost = reconstruct(random, tmp_path / "lost")
     assert not lost.summary["is_metric"] and lost.summary["median_gps_residual_m"] is None
-    assert any("GPS places do not fit the model: after the best fit" in w for w in lost.warnings)
+    assert any("GPS positions do not fit the model: after the best fit" in w for w in lost.warnings)
     # Who asks for no GPS is not told of it.
     without = ReconstructConfig(mapper=MapperConfig(use_gps=False))
     assert reconstruct(folder, tmp_path / "without", without).warnings == ()

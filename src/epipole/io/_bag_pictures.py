@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ from jaxtyping import Float32, UInt8
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io._lens_coefficients import camera_of_coefficients
-from epipole.io._photograph_pixels import decode_bytes
+from epipole.io._deep_pixels import GreyScale, scale_of
+from epipole.io._lens_coefficients import camera_of_coefficients, require_plain
+from epipole.io._lens_words import lens_words, refuse_binning, require_coefficients
+from epipole.io._photograph_pixels import decode_bytes, deep_grey
 from epipole.io.depth_maps import png16_in
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -35,7 +38,7 @@ _TO_GREY: dict[str, tuple[int, int | None]] = {
     "bayer_gbrg8": (1, cv2.COLOR_BayerGR2GRAY),
     "bayer_grbg8": (1, cv2.COLOR_BayerGB2GRAY),
     **dict.fromkeys(("yuv422", "uyvy"), (2, cv2.COLOR_YUV2GRAY_UYVY)),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, cv2.COLOR_YUV2GRAY_YUY2)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), (2, cv2.COLOR_YUV2GRAY_YUY2)),
 }
 _DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
@@ -52,25 +55,78 @@ def is_depth(topic: str, encoding: str) -> bool:
     return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
 
 
-def grey_of(path: Path, topic: str, message: Any) -> UInt8[np.ndarray, "h w"]:
-    """The picture of a message in grey; 16 bits are cut to the upper 8.
+def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
+    """The picture of a message in grey of 8 bits.
+
+    Args:
+        path: of the recording, for errors.
+        topic: for errors.
+        message: an Image or a CompressedImage.
+        scale: how 16 bits become 8, for all messages of the topic alike; None: by this one alone.
 
     Raises:
         FileFormatError: its numbers do not fit each other, or the encoding is not known.
     """
     if not hasattr(message, "encoding"):
-        return decode_bytes(path, bytes(message.data), True, None)
+        return _decompressed(path, topic, message, scale)
     encoding = str(message.encoding)
-    if encoding in ("mono16", "16UC1"):
-        return (_values(path, topic, message, 1, "u2")[:, :, 0] >> 8).astype(np.uint8)
-    if encoding not in _TO_GREY:
+    is_deep, plain = _as_8_bits(encoding)
+    if plain not in _TO_GREY:
         raise FileFormatError(path, f"{topic}: pictures of the encoding {encoding[:60]!r} are not read")
-    channels, conversion = _TO_GREY[encoding]
-    pixels = _values(path, topic, message, channels, "u1")
+    channels, conversion = _TO_GREY[plain]
+    pixels = _values(path, topic, message, channels, "u2" if is_deep else "u1")
+    if is_deep:
+        pixels = (scale_of([pixels]) if scale is None else scale).apply(pixels)
+    return _converted(path, topic, pixels, conversion)
+
+
+def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | None:
+    """How the pictures of a topic become 8 bits, from some of them; None where they have 8 bits.
+
+    Raises:
+        FileFormatError: as of `grey_of`.
+    """
+    deep = []
+    for message in messages:
+        if not hasattr(message, "encoding"):
+            values = deep_grey(path, bytes(message.data))
+        else:
+            is_deep, plain = _as_8_bits(str(message.encoding))
+            if not is_deep or plain not in _TO_GREY:
+                return None
+            values = _values(path, topic, message, _TO_GREY[plain][0], "u2")
+        if values is None:
+            return None
+        deep.append(values)
+    return scale_of(deep) if deep else None
+
+
+def _as_8_bits(encoding: str) -> tuple[bool, str]:
+    """Whether an encoding has 16 bits a channel, and the like one of 8."""
+    if encoding.endswith("16"):
+        return True, f"{encoding[:-2]}8"
+    return encoding.startswith("16UC"), encoding.replace("16UC", "8UC")
+
+
+def _decompressed(path: Path, topic: str, message: Any, scale: GreyScale | None) -> UInt8[np.ndarray, "h w"]:
+    """`FORMAT; jpeg compressed FORMAT` (image_transport): what was compressed may be the raw mosaic of a sensor."""
+    grey = decode_bytes(path, bytes(message.data), True, None, None if scale is None else scale.range)
+    words = str(message.format).replace(";", " ").split()
+    _, plain = _as_8_bits(words[3 if len(words) > 3 else 0] if words else "")
+    if not plain.startswith("bayer_"):
+        return grey
+    if plain not in _TO_GREY:
+        raise FileFormatError(path, f"{topic}: pictures of the encoding {plain[:60]!r} are not read")
+    return _converted(path, topic, grey[:, :, None], _TO_GREY[plain][1])
+
+
+def _converted(
+    path: Path, topic: str, pixels: UInt8[np.ndarray, "h w c"], conversion: int | None
+) -> UInt8[np.ndarray, "h w"]:
     if conversion is None:
         return np.ascontiguousarray(pixels[:, :, 0])
     try:
-        flat = np.ascontiguousarray(pixels if channels > 1 else pixels[:, :, 0])
+        flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
         return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
     except cv2.error as error:  # Bayer and YUV need sides of two pixels and more
         raise FileFormatError(path, f"{topic}: the picture cannot be made grey ({error.err})") from error
@@ -115,14 +171,20 @@ def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
         words = "plumb_bob"
     if not K[0, 0]:
         return None
-    if words not in ("", "none", "plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
-        raise FileFormatError(path, f"the distortion_model {words[:60]} is not known")
+    lens = lens_words(path, {"distortion_model": words})
+    roi = getattr(message, "roi", None)
+    refuse_binning(
+        path,
+        {name: getattr(message, name, 0) for name in ("binning_x", "binning_y")}
+        | {"roi": {name: getattr(roi, name, 0) for name in ("x_offset", "y_offset")}},
+    )
     if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
         raise FileFormatError(path, "a number of a CameraInfo is not finite")
-    is_fisheye = words in ("equidistant", "fisheye")
-    if not is_fisheye and not coefficients.any():
+    require_plain(path, K)
+    require_coefficients(path, lens, coefficients)
+    if not lens.is_fisheye and not coefficients.any():
         return _pinhole(path, size, K)
-    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=is_fisheye)
+    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=lens.is_fisheye)
 
 
 def _pinhole(path: Path, size: tuple[int, int], K: np.ndarray) -> Camera:

@@ -12,7 +12,7 @@ import numpy as np
 
 from epipole.io import _colmap_tables as tables
 from epipole.io._bytes import ByteReader
-from epipole.io._colmap_cameras import num_params_of, readable_models
+from epipole.io._colmap_cameras import num_params_of, unknown_model
 from epipole.io.files import file_bytes, problem_of_name
 
 Table = TypeVar("Table")
@@ -60,9 +60,7 @@ def _read_cameras(reader: ByteReader) -> list[tables.CameraRecord]:
         camera_id, model_id, width, height = reader.values(_CAMERA, "a camera")
         num_params = num_params_of(model_id)
         if num_params is None:
-            raise reader.fail(
-                f"camera {camera_id} has the unknown model {model_id}; known are {readable_models()}"
-            )
+            raise reader.fail(f"camera {camera_id}: {unknown_model(model_id)}")
         params = reader.array("<f8", num_params, "a camera's parameters")
         cameras.append(tables.CameraRecord(camera_id, model_id, width, height, params))
     return cameras

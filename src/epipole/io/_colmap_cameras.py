@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from epipole._checks import as_float_array
 from epipole.cameras import Camera, CameraModel, as_camera_model
 from epipole.errors import ConfigError
+from epipole.io._spherical import SPHERICAL_REFUSAL, is_spherical_word
 
 HALF_PIXEL = 0.5
 
@@ -23,6 +24,14 @@ _OTHER_MODELS = {
     _RADIAL_FISHEYE: ("RADIAL_FISHEYE", 5),
     _SIMPLE_FISHEYE: ("SIMPLE_FISHEYE", 3),
     _FISHEYE: ("FISHEYE", 4),
+}
+# Models of COLMAP without an equal here.
+_UNREADABLE_MODELS = {
+    7: "FOV",
+    10: "THIN_PRISM_FISHEYE",
+    11: "RAD_TAN_THIN_PRISM_FISHEYE",
+    12: "SIMPLE_DIVISION",
+    13: "DIVISION",
 }
 _MAX_SIZE = 2**31 - 1
 
@@ -69,9 +78,13 @@ def model_id_named(name: str) -> int | None:
     return int(CameraModel[name]) if name in CameraModel.__members__ else others.get(name)
 
 
-def readable_models() -> str:
-    """Names of the models that can be read, for messages."""
-    return ", ".join([*CameraModel.__members__, *(name for name, _ in _OTHER_MODELS.values())])
+def unknown_model(model: int | str) -> str:
+    """Why a camera model, by its number or name, cannot be read."""
+    name = _UNREADABLE_MODELS.get(model, str(model)) if isinstance(model, int) else model[:40]
+    if is_spherical_word(name):
+        return f"unknown camera model {name}; {SPHERICAL_REFUSAL}"
+    known = ", ".join([*CameraModel.__members__, *(other for other, _ in _OTHER_MODELS.values())])
+    return f"unknown camera model {name}; known are {known}"
 
 
 def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarray) -> Camera:
@@ -82,7 +95,7 @@ def camera_from_colmap(model_id: int, width: int, height: int, params: np.ndarra
     """
     expected = num_params_of(model_id)
     if expected is None:
-        raise ConfigError(f"unknown camera model {model_id}; known are {readable_models()}")
+        raise ConfigError(unknown_model(model_id))
     if len(params) != expected:
         raise ConfigError(f"camera model {model_id} has {expected} parameters, got {len(params)}")
     if not (0 < width <= _MAX_SIZE and 0 < height <= _MAX_SIZE):

@@ -11,7 +11,7 @@ import numpy as np
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io import _colmap_tables as tables
-from epipole.io._colmap_cameras import model_id_named, readable_models
+from epipole.io._colmap_cameras import model_id_named, unknown_model
 from epipole.io.files import file_text, problem_of_name
 
 Record = TypeVar("Record")
@@ -92,7 +92,7 @@ def _camera(line: str) -> tables.CameraRecord:
     camera_id, model_name, width, height, *params = line.split()
     model_id = model_id_named(model_name)
     if model_id is None:
-        raise ConfigError(f"unknown camera model {model_name}; known are {readable_models()}")
+        raise ConfigError(unknown_model(model_name))
     return tables.CameraRecord(
         _id(camera_id), model_id, int(width), int(height), _floats(params, len(params))
     )
@@ -109,6 +109,8 @@ def _rig(line: str) -> tables.RigRecord:
             pose = _floats(words[1:], 7) if has_pose else tables.UNKNOWN_POSE
             words = words[8:] if has_pose else words[1:]
         sensors.append(tables.SensorRecord(sensor_type, sensor_id, pose))
+    if words:
+        raise ValueError("the number of sensors does not fit")
     return tables.RigRecord(_id(rig_id), tuple(sensors))
 
 

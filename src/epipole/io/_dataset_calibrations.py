@@ -12,7 +12,8 @@ import numpy as np
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io._lens_coefficients import camera_of_words
+from epipole.io._camera_chains import camera_of_intrinsics
+from epipole.io._lens_coefficients import require_plain
 from epipole.io._named_numbers import numbers_of, size_of
 
 _KITTI = re.compile(r"(?:P|P_rect_)(\d{1,2})")
@@ -57,12 +58,7 @@ def euroc_cameras(
     cameras, cams_from_body = [], []
     for path, content in zip(files, contents):
         size = size_of(path, *numbers_of(path, content, "resolution", 2))
-        words = str(content.get("distortion_model", "none"))
-        d = np.zeros(4) if words == "none" else numbers_of(path, content, "distortion_coefficients", 4)
-        model = str(content.get("camera_model", "pinhole"))
-        cameras.append(
-            camera_of_words(path, size, numbers_of(path, content, "intrinsics", 4), model, words, d)
-        )
+        cameras.append(camera_of_intrinsics(path, size, content, "distortion_coefficients"))
         cams_from_body.append(body_from_camera(path, content).inverse())
     places = [cam_from_body @ cams_from_body[0].inverse() for cam_from_body in cams_from_body]
     return tuple(cameras), Rigid3(
@@ -76,6 +72,8 @@ def body_from_camera(path: Path, content: Mapping[str, Any]) -> Rigid3:
     rotation = body_from_cam[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise FileFormatError(path, "T_BS holds no rotation")
+    if (body_from_cam[3] != [0, 0, 0, 1]).any():
+        raise FileFormatError(path, f"T_BS has the last row {body_from_cam[3].tolist()}, not 0 0 0 1")
     return Rigid3.from_matrix(body_from_cam[:3])
 
 
@@ -123,6 +121,7 @@ def _matrices(content: Mapping[str, Any]) -> list[str]:
 
 
 def _pinhole(path: Path, K: np.ndarray, size: tuple[int, int]) -> Camera:
+    require_plain(path, K)
     try:
         return Camera(CameraModel.PINHOLE, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]))
     except EpipoleError as error:

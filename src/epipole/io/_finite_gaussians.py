@@ -9,29 +9,43 @@ import numpy as np
 
 from epipole.errors import FileFormatError
 from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.scene.local_origin import local_origin
 
 MOST_GAUSSIANS = 100_000_000
 MOST_LOGIT = 15.0
 """Of an opacity that a file holds as 0 or 1."""
+LEAST_LOG_SCALE = -30.0
+"""Of a deviation that a file holds as 0."""
 
 
-def finite_gaussians(path: Path, parts: Sequence[np.ndarray]) -> GaussianCloud:
-    """A cloud of those that are finite.
+def finite_gaussians(
+    path: Path, parts: Sequence[np.ndarray], origin_in_world: np.ndarray | None = None
+) -> GaussianCloud:
+    """A cloud of those that are finite, about an origin near them where they are far from that of the file.
 
     Args:
         path: the file, for the message.
-        parts: means, logarithms of deviations, rotations, logits and harmonics, float32; a rotation of length zero is taken as none.
+        parts: means, which may be in double precision, logarithms of deviations, rotations, logits and harmonics; a rotation of length
+            zero is taken as none. An infinite logit is an opacity of 1 or 0, and a
+            logarithm of minus infinity that of a flat Gaussian.
+        origin_in_world: what the file says is to be added to the means; None: nothing.
 
     Raises:
         FileFormatError: none is.
     """
     n = len(parts[0])
     means, log_scales, quats, logits, sh = parts
-    with np.errstate(over="ignore"):
+    logits = np.where(np.isinf(logits), np.sign(logits) * MOST_LOGIT, logits)
+    log_scales = np.where(log_scales == -np.inf, LEAST_LOG_SCALE, log_scales)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file
         turned = (quats**2).sum(axis=1, keepdims=True) != 0
     quats = np.where(turned, quats, np.array([1, 0, 0, 0], np.float32))
     whole = (means, log_scales, quats, logits, sh)
     good = np.all([np.isfinite(part).all(axis=tuple(range(1, part.ndim))) for part in whole], axis=0)
     if not good.any():
         raise FileFormatError(path, f"none of its {n} Gaussians is finite" if n else "holds no Gaussian")
-    return GaussianCloud(*(np.ascontiguousarray(part[good]) for part in whole))
+    centers = means[good].astype(np.float64)
+    near = local_origin(centers)
+    log_scales, quats, logits, sh = (np.ascontiguousarray(part[good], np.float32) for part in whole[1:])
+    origin = near if origin_in_world is None else origin_in_world + near
+    return GaussianCloud((centers - near).astype(np.float32), log_scales, quats, logits, sh, origin)

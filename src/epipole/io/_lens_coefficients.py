@@ -10,6 +10,8 @@ from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 
 _PLAIN, _RATIONAL = 4, 8
+_SAME = 1e-6
+_LENGTHS = (0, 4, 5, 8, 12, 14)
 
 
 def coefficients_of_camera(camera: Camera) -> tuple[str, np.ndarray]:
@@ -30,9 +32,10 @@ def camera_of_coefficients(
     Raises:
         FileFormatError: there is skew, thin prism or tilt, or the numbers make no camera.
     """
+    require_plain(path, K)
     d = np.asarray(coefficients, np.float64).ravel()
-    if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
-        raise FileFormatError(path, "the camera matrix has skew, which is not supported")
+    if not is_fisheye and len(d) not in _LENGTHS:
+        raise FileFormatError(path, f"it has {len(d)} distortion coefficients, not 4, 5, 8, 12 or 14")
     if d[_PLAIN if is_fisheye else _RATIONAL :].any():
         raise FileFormatError(
             path,
@@ -52,23 +55,13 @@ def camera_of_coefficients(
         raise FileFormatError(path, str(error)) from error
 
 
-def camera_of_words(
-    path: Path,
-    size: tuple[int, int],
-    intrinsics: np.ndarray,
-    model: str,
-    distortion: str,
-    coefficients: np.ndarray,
-) -> Camera:
-    """The camera of Kalibr's and EuRoC's words: a model, (fx, fy, cx, cy), a distortion and its coefficients.
+def require_plain(path: Path, K: np.ndarray) -> None:
+    """Check that a camera matrix has no other numbers than fx, fy, cx and cy.
 
     Raises:
-        FileFormatError: one of the words is not known, or the numbers make no camera.
+        FileFormatError: it has skew, or is scaled.
     """
-    if model != "pinhole":
-        raise FileFormatError(path, f"the model {model} is not known")
-    if distortion not in ("radtan", "radial-tangential", "equidistant", "none"):
-        raise FileFormatError(path, f"the distortion {distortion} is not known")
-    fx, fy, cx, cy = intrinsics
-    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=distortion == "equidistant")
+    if abs(K[0, 1]) > _SAME * abs(K[0, 0]):
+        raise FileFormatError(path, "the camera matrix has skew, which is not supported")
+    if abs(K[1, 0]) > _SAME * abs(K[0, 0]) or np.abs(K[2] - [0.0, 0.0, 1.0]).max() > _SAME:
+        raise FileFormatError(path, "the camera matrix is not (fx 0 cx, 0 fy cy, 0 0 1)")

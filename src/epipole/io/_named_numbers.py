@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,14 @@ class _BoundedLoader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no ty
             self._count_of[anchor] = self._count - before
         return node
 
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        """Names and values; of a name that is there twice, one value would be skipped."""
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        twice = next((name for name, count in Counter(names).items() if count > 1 and name != "<<"), None)
+        if twice is not None:
+            raise ValueError(f"the key {twice[:80]} is there twice")
+        return super().construct_mapping(node, deep)
+
 
 def yaml_values(text: str) -> Any:
     """What a YAML text holds.
@@ -129,6 +138,10 @@ def xml_values(data: bytes) -> dict[str, Any]:
         raise ValueError(str(error)) from error
     if root.tag != "opencv_storage":
         raise ValueError(f"it begins with <{root.tag[:20]}>, not <opencv_storage>")
+    tags = [node.tag for node in root]
+    twice = next((tag for tag, count in Counter(tags).items() if count > 1), None)
+    if twice is not None:
+        raise ValueError(f"the key {twice[:80]} is there twice")
     return {node.tag: _xml_value(node) for node in root}
 
 

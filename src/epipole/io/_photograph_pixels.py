@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,7 +23,10 @@ from PIL.PpmImagePlugin import PpmImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from epipole.errors import FileFormatError, MissingDependencyError
+from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
+from epipole.io._deep_pixels import GreyRange, colour_16, has_16_bits, range_of, sample_of, stretched
+from epipole.io._image_formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
+from epipole.io._spherical import refuse_panorama
 from epipole.io.exif import EXIF_ERRORS, orientation_of
 from epipole.io.files import file_bytes
 
@@ -32,31 +36,14 @@ MAX_LOSSLESS_PX = 150_000_000
 MAX_JPEG_PX = 2**30
 """Largest JPEG, in pixels."""
 
+MOST_SAMPLED = 16
+"""Images of a set that its range of grey is taken from."""
+
 _MOST_JPEG_PX_PER_BYTE = 1024
 _MOST_PX_PER_BYTE, _MANY_PX = 8256, 1 << 24
 _COMMENT, _LONGEST_PPM_HEADER = re.compile(rb"#[^\r\n]*"), 1 << 16
 _MOST_SCANS, _MOST_SCANNED_PX = 16, 1 << 30
 
-_PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".pgm", ".ppm"})
-HEIF_SUFFIXES = frozenset({".heic", ".heif", ".hif"})
-AVIF_SUFFIXES = frozenset({".avif"})
-RAW_SUFFIXES = frozenset(
-    f".{kind}"
-    for kind in (
-        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "fff", "iiq", "k25", "kdc", "mef", "mos"),
-        *("mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f"),
-    )
-)
-_MAGIC = (
-    ("JPEG", re.compile(rb"\xff\xd8\xff")),
-    ("PNG", re.compile(rb"\x89PNG\r\n\x1a\n")),
-    ("TIFF", re.compile(rb"II[*+]\x00|MM\x00[*+]")),
-    ("WEBP", re.compile(rb"RIFF....WEBP", re.DOTALL)),
-    ("BMP", re.compile(rb"BM")),
-    ("PPM", re.compile(rb"P[1-6]\s")),
-    ("AVIF", re.compile(rb"....ftypavi[fs]", re.DOTALL)),
-    ("HEIF", re.compile(rb"....ftyp(?:he[ivx][cxms]|mif1|msf1)", re.DOTALL)),
-)
 _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
     "JPEG": JpegImageFile,
     "PNG": PngImageFile,
@@ -67,6 +54,10 @@ _PILLOW_READERS: dict[str, Callable[..., ImageFile]] = {
 }
 PILLOW_ERRORS = (*EXIF_ERRORS, MemoryError, AttributeError, RuntimeError, Image.DecompressionBombError)
 """What Pillow may raise on a damaged picture."""
+_SUBFILE_TYPE, _PHOTOMETRIC, _BITS_PER_SAMPLE, _DNG_VERSION = 254, 262, 258, 50706
+_IS_PREVIEW, _IS_NO_PAGE = 1, 5
+_WHITE_IS_ZERO = 0
+_MOST_PAGES = 64
 _JPEG_MARKER = re.compile(rb"\xff+[\x01-\xcf\xd8-\xfe]")
 _REDUCED_FLAGS = {
     1: (cv2.IMREAD_GRAYSCALE, cv2.IMREAD_COLOR),
@@ -77,25 +68,9 @@ _REDUCED_FLAGS = {
 
 
 def readable_suffixes() -> frozenset[str]:
-    """Suffixes of the pictures that can be read with what is installed."""
-    heif = HEIF_SUFFIXES if find_spec("pillow_heif") else frozenset()
-    return _PICTURE_SUFFIXES | heif | (AVIF_SUFFIXES if features.check("avif") else frozenset())
-
-
-def format_of(path: Path, head: bytes) -> str:
-    """Format by the first bytes, whatever the name says."""
-    if not head:
-        raise FileFormatError(path, "the file is empty (0 bytes)")
-    if path.suffix.lower() in RAW_SUFFIXES:
-        raise FileFormatError(path, "camera RAW is not read; develop it to JPEG or TIFF first")
-    found = next((name for name, magic in _MAGIC if magic.match(head)), None)
-    if found is None:
-        is_text = all(
-            32 <= byte < 127 or byte in b"\t\n\r\f" for byte in head.removeprefix(b"\xef\xbb\xbf")[:16]
-        )
-        kind = "it looks like text" if is_text else f"it starts with the bytes {head[:8].hex(' ')}"
-        raise FileFormatError(path, f"is not a picture in a known format: {kind}")
-    return found
+    """Suffixes of the images that can be read with what is installed."""
+    missing = frozenset() if find_spec("pillow_heif") else HEIF_SUFFIXES
+    return frozenset(FORMAT_OF_SUFFIX) - missing - (frozenset() if features.check("avif") else AVIF_SUFFIXES)
 
 
 def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) -> ImageFile:
@@ -104,16 +79,51 @@ def open_with_pillow(path: Path, stream: io.BufferedIOBase, file_format: str) ->
     # Pillow would look for the numbers of the header byte by byte, behind comments without end.
     if file_format == "PPM" and len(_COMMENT.sub(b" ", stream.read(_LONGEST_PPM_HEADER)).split()) < 3:
         raise FileFormatError(path, "the PPM header is damaged: it has no size")
-    stream.seek(0)
-    reader = _PILLOW_READERS.get(file_format) or _optional_reader(path, file_format)
+    reader = _reader(path, file_format)
     try:
-        return reader(stream)
+        stream.seek(0)
+        image = reader(stream)
+        problem = _problem_of_pages(image)
+        if isinstance(image, TiffImageFile):  # it stands at another page now
+            stream.seek(0)
+            image = reader(stream)
     except PILLOW_ERRORS as error:
-        raise FileFormatError(path, f"the {file_format} header is damaged ({error})") from error
+        problem = f"the {file_format} header is damaged, or of a kind that is not read ({error})"
+        raise FileFormatError(path, problem) from error
+    if problem:
+        raise FileFormatError(path, problem)
+    return image
 
 
-def _optional_reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
-    """Reader of HEIC or AVIF, which not every installation has."""
+def _problem_of_pages(image: ImageFile) -> str:
+    """Why an image is not one photograph: an animation, or a TIFF of several pages; empty where it is."""
+    if isinstance(image, TiffImageFile):
+        return _problem_of_tiff(image)
+    if image.format not in ("WEBP", "AVIF"):  # others begin with the image that is meant, an animated PNG too
+        return ""
+    count = int(getattr(image, "n_frames", 1))
+    return f"is an animation of {count} frames; extract those needed as PNG or JPEG" if count > 1 else ""
+
+
+def _problem_of_tiff(image: TiffImageFile) -> str:
+    """Previews and masks (TIFF 6.0, NewSubfileType) are no pages, and neither is an image of another size."""
+    if _DNG_VERSION in image.tag_v2:
+        return "is camera RAW (DNG), which is not read; develop it to JPEG or TIFF first"
+    if int(image.tag_v2.get(_SUBFILE_TYPE, 0)) & _IS_PREVIEW:
+        return "begins with a preview instead of the image; save it again as a TIFF of one image"
+    size, count = image.size, 1
+    with suppress(EOFError):
+        for page in range(1, _MOST_PAGES):
+            image.seek(page)
+            kind = int(image.tag_v2.get(_SUBFILE_TYPE, 0))
+            count += image.size == size and not kind & _IS_NO_PAGE
+    return f"holds {count} pages; save those that are needed as files of one image" if count > 1 else ""
+
+
+def _reader(path: Path, file_format: str) -> Callable[..., ImageFile]:
+    """Pillow's reader of a format; not every installation has those of HEIC and AVIF."""
+    if file_format in _PILLOW_READERS:
+        return _PILLOW_READERS[file_format]
     module, name, package = {
         "HEIF": ("pillow_heif", "HeifImageFile", "pillow-heif"),
         "AVIF": ("PIL.AvifImagePlugin", "AvifImageFile", "--upgrade Pillow"),
@@ -183,24 +193,29 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
         raise FileFormatError(path, f"the JPEG goes over its pixels {num_scans} times: no picture needs that")
 
 
-def decode(path: Path, grey: bool, max_size_px: int | None) -> UInt8[np.ndarray, "h w *channels"]:
+def decode(
+    path: Path, grey: bool, max_size_px: int | None, limits: GreyRange | None = None
+) -> UInt8[np.ndarray, "h w *channels"]:
     """Decode to grey or RGB, shrink to `max_size_px`, turn upright."""
-    return decode_bytes(path, file_bytes(path), grey, max_size_px)
+    return decode_bytes(path, file_bytes(path), grey, max_size_px, limits)
 
 
 def decode_bytes(
-    path: Path, data: bytes, grey: bool, max_size_px: int | None
+    path: Path, data: bytes, grey: bool, max_size_px: int | None, limits: GreyRange | None = None
 ) -> UInt8[np.ndarray, "h w *channels"]:
     """As `decode`, of bytes that stand in some file."""
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
+    refuse_panorama(path, image)
     if isinstance(image, JpegImageFile):
         orientation = orientation_of(exif_of(image))
         full_size = image.size
         reduction = _jpeg_reduction(full_size, max_size_px)
         pixels = _decode_jpeg(path, data, image, grey, reduction)
         return turn(_shrink(pixels, full_size, reduction, max_size_px), orientation)
-    pixels, orientation = pillow_pixels(path, image, stretch=True)
+    pixels, orientation = pillow_pixels(path, image, data)
+    if pixels.dtype != np.uint8:
+        pixels = stretched(pixels, limits)
     if grey and pixels.ndim == 3:
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
     elif not grey and pixels.ndim == 2:
@@ -227,7 +242,7 @@ def _decode_jpeg(
     if image.layers == 4:
         if reduction > 1:
             image.draft(None, (image.width // reduction, image.height // reduction))
-        pixels, _ = pillow_pixels(path, image, stretch=False)
+        pixels, _ = pillow_pixels(path, image, data)
         return cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if grey else pixels
     flags = _REDUCED_FLAGS[reduction][0 if grey else 1] | cv2.IMREAD_IGNORE_ORIENTATION
     try:
@@ -258,36 +273,76 @@ def _jpeg_is_complete(data: bytes) -> bool:
     return False
 
 
-def pillow_pixels(path: Path, image: ImageFile, *, stretch: bool) -> tuple[np.ndarray, int]:
-    """Grey or RGB pixels, and the orientation still to be applied; deep grey is stretched if asked."""
+def pillow_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray, int]:
+    """Pixels and the orientation still to be applied: grey or RGB of 8 bits, or deep grey as it is.
+
+    Transparency is composited on black.
+    """
+    pixels, orientation = stored_pixels(path, image, data)
+    if pixels.ndim == 2 or pixels.shape[2] == 3:
+        return pixels, orientation
+    rgba = Image.fromarray(pixels)
+    black = Image.new("RGB", rgba.size)
+    black.paste(rgba, mask=rgba.getchannel("A"))
+    return np.array(black), orientation
+
+
+def stored_pixels(path: Path, image: ImageFile, data: bytes) -> tuple[np.ndarray, int]:
+    """As `pillow_pixels`, with alpha (RGBA) where there is transparency.
+
+    Raises:
+        FileFormatError: the image is damaged, or of a kind that cannot be converted.
+    """
     try:
+        is_deep_colour = has_16_bits(image)
         image.load()
         orientation = orientation_of(exif_of(image))
         if image.mode.startswith(("I", "F")):
-            deep = np.array(image)
-            return (_stretched(deep) if stretch else deep), orientation
-        if image.mode in ("1", "L"):
+            return _black_is_zero(image, np.array(image)), orientation
+        is_transparent = "transparency" in image.info or image.mode in ("LA", "La", "PA", "RGBA", "RGBa")
+        if image.mode in ("1", "L") and not is_transparent:
             return np.array(image.convert("L")), orientation
-        if image.mode in ("LA", "La", "PA", "RGBA", "RGBa") or "transparency" in image.info:
-            rgba = image.convert("RGBA")
-            black = Image.new("RGB", image.size)
-            black.paste(rgba, mask=rgba.getchannel("A"))
-            return np.array(black), orientation
-        return np.array(image.convert("RGB")), orientation
+        pixels = np.array(image.convert("RGBA" if is_transparent else "RGB"))
+        if is_deep_colour:
+            pixels = colour_16(type(image), io.BytesIO(data), pixels)
+        return pixels, orientation
     except PILLOW_ERRORS as error:
         raise FileFormatError(path, f"the {image.format} data are damaged or truncated ({error})") from error
 
 
-def _stretched(deep: np.ndarray) -> UInt8[np.ndarray, "h w"]:
-    """Map the 0.1 and 99.9 percentiles to 0 and 255 (of every k-th pixel where there are very many)."""
-    values = deep.astype(np.float32)
-    sample = values.ravel()[:: max(1, values.size // 1_000_000)]
-    sample = sample[np.isfinite(sample)]
-    low, high = np.percentile(sample, [0.1, 99.9]) if len(sample) else (0.0, 0.0)
-    if high <= low:
-        low, high = 0.0, float(np.iinfo(deep.dtype).max) if deep.dtype.kind in "iu" else 1.0
-    scaled = np.nan_to_num((values - np.float32(low)) * np.float32(255.0 / (high - low)), nan=0.0)
-    return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
+def _black_is_zero(image: ImageFile, deep: np.ndarray) -> np.ndarray:
+    """Deep grey of a TIFF whose zero is white, the other way round (Pillow does that for 8 bits alone)."""
+    if not isinstance(image, TiffImageFile) or image.tag_v2.get(_PHOTOMETRIC) != _WHITE_IS_ZERO:
+        return deep
+    if deep.dtype.kind == "f":
+        return -deep
+    bits = image.tag_v2.get(_BITS_PER_SAMPLE, 16)
+    white = (1 << int(bits[0] if isinstance(bits, tuple) else bits)) - 1
+    return (white - deep.astype(np.int64)).astype(deep.dtype)
+
+
+def common_range(paths: Sequence[Path]) -> GreyRange | None:
+    """The range of the deep grey images among some of a set, so that all of the set are mapped alike; None where there are none.
+
+    Images that cannot be read have no part in it.
+    """
+    samples, dtype = [], np.dtype(np.uint8)
+    chosen = np.unique(np.linspace(0, len(paths) - 1, min(len(paths), MOST_SAMPLED)).astype(int))
+    for row in chosen.tolist():
+        with suppress(EpipoleError):
+            deep = deep_grey(paths[row], file_bytes(paths[row]))
+            if deep is None:
+                return None
+            samples.append(sample_of(deep))
+            dtype = deep.dtype
+    return range_of(np.concatenate(samples), dtype) if samples else None
+
+
+def deep_grey(path: Path, data: bytes) -> np.ndarray | None:
+    """The values of an image of deep grey; None of others, which are not decoded."""
+    image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
+    refuse_huge(path, image, data)
+    return pillow_pixels(path, image, data)[0] if image.mode.startswith(("I", "F")) else None
 
 
 def _shrink(

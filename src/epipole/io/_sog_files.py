@@ -47,6 +47,17 @@ def is_sog(path: Path) -> bool:
         return False
 
 
+def is_unpacked_sog(path: Path) -> bool:
+    """Whether a file is the meta.json of an unpacked SOG: many programs write files of that name."""
+    if path.name.lower() != META or not path.is_file():
+        return False
+    try:
+        _meta(path, file_bytes(path, _MOST_META))
+    except FileFormatError:
+        return False
+    return True
+
+
 def in_folder(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
     """What a meta.json tells, and the pictures beside it."""
     meta = _meta(path, file_bytes(path, _MOST_META))

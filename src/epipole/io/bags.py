@@ -7,6 +7,7 @@ by the package `rosbags` (`pip install 'epipole[ros]'`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
@@ -23,7 +25,9 @@ from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
 from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
+from epipole.io._deep_pixels import GreyScale
 from epipole.io._named_numbers import is_rotation
+from epipole.io._photograph_pixels import MOST_SAMPLED
 from epipole.scene import StereoRig
 
 __all__ = ["BagFrame", "BagSequence", "BagTopic", "bag_frames", "is_bag"]
@@ -57,6 +61,8 @@ class BagSequence:
     depth_from_color: Rigid3 | None = None
     """None for depth that is registered to the pictures, or of a sensor whose place is not known."""
     warnings: tuple[str, ...] = ()
+    scales: tuple[GreyScale | None, ...] = ()
+    """How pictures of 16 bits become 8, by topic: the same way for all of a topic."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,6 +86,7 @@ class _Info:
     projection: np.ndarray
 
 
+@checked
 def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
     """The topics of a recording that have messages.
 
@@ -91,6 +98,7 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
         return _topics(bag)
 
 
+@checked
 def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ()) -> BagSequence:
     """Which topics are followed, and their cameras.
 
@@ -111,6 +119,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         firsts = [_first(bag, name) for name in names]
         infos = [_info_of(bag, name, first, all_topics) for name, first in zip(names, firsts)]
         size = _size_of(path, names[0], firsts[0])
+        scales = tuple(_scale(bag, name) for name in names[: 2 if found == "stereo" else 1])
     count = min(t.num_messages for t in all_topics if t.name in names)
     warnings = list(bag.warnings)
     for row, info in enumerate(infos[: 1 if found == "rgbd" else 2]):
@@ -124,16 +133,27 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     lens = None if infos[0] is None else infos[0].camera
     if found == "stereo":
         rig = None if lens is None or infos[1] is None else _rig(path, infos[0], infos[1])
-        return BagSequence(path, found, names, count, size, lens, rig, warnings=tuple(warnings))
+        return BagSequence(
+            path, found, names, count, size, lens, rig, warnings=tuple(warnings), scales=scales
+        )
     if found == "mono":
-        return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings))
+        return BagSequence(path, found, names, count, size, lens, warnings=tuple(warnings), scales=scales)
     warnings += _unregistered(names[1], infos[0], infos[1])
     depth_camera = None if infos[1] is None else infos[1].camera
     return BagSequence(
-        path, found, names, count, size, lens, depth_camera=depth_camera, warnings=tuple(warnings)
+        path,
+        found,
+        names,
+        count,
+        size,
+        lens,
+        depth_camera=depth_camera,
+        warnings=tuple(warnings),
+        scales=scales,
     )
 
 
+@checked
 def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
     """The frames of a recording, in the order in which they were recorded, by the stamps in their headers.
 
@@ -157,6 +177,7 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
                 yield BagFrame(time_s, _grey(bag, 0, first), None, _depth(bag, second))
 
 
+@checked
 def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     """What an IMU measured (sensor_msgs/Imu), by the stamps in its headers.
 
@@ -215,6 +236,17 @@ def _first(bag: OpenBag, topic: str) -> Any:
         except FileFormatError as error:
             problem = error
     raise problem
+
+
+def _scale(bag: OpenBag, topic: str) -> GreyScale | None:
+    """From the first pictures of a topic that can be read."""
+    contents: list[Any] = []
+    for message in islice(bag.messages([topic]), MOST_SAMPLED):
+        with suppress(FileFormatError):
+            contents.append(bag.content(message))
+    with suppress(FileFormatError):  # it is raised where the picture is read
+        return pictures.grey_scale(bag.path, topic, contents)
+    return None
 
 
 def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
@@ -292,7 +324,8 @@ def _grey(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:
     def read() -> np.ndarray:
         if isinstance(content, FileFormatError):
             raise content
-        return pictures.grey_of(bag.path, bag.topics[row], content)
+        scale = bag.scales[row] if row < len(bag.scales) else None
+        return pictures.grey_of(bag.path, bag.topics[row], content, scale)
 
     return read
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,18 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import _dataset_calibrations as datasets
-from epipole.io._lens_coefficients import camera_of_coefficients, camera_of_words, coefficients_of_camera
+from epipole.io._camera_chains import camodocal_camera, chain_cameras, is_camodocal, is_chain, is_link
+from epipole.io._lens_coefficients import camera_of_coefficients, coefficients_of_camera
+from epipole.io._lens_words import lens_words, refuse_binning, require_coefficients
+from epipole.io._mrcal_models import is_mrcal, is_mrcal_text, mrcal_cameras, mrcal_values
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
+from epipole.io.calibrated_cameras import CalibrationFile as CalibrationFile
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
@@ -30,8 +34,15 @@ from epipole.scene import StereoRig
 FORMAT = "epipole calibration"
 _VERSION = 1
 _MOST_BYTES = 1 << 23
+_OPENCV_VERSION = re.compile(r"^%YAML:.*$", re.MULTILINE)
 _OPENCV_TAG = re.compile(r"!!opencv-[a-z-]+")
 _SIZES = (("image_width", "image_height"), ("width", "height"), ("imageWidth", "imageHeight"))
+_SINGLE_KEYS = (
+    ("camera_matrix", "distortion_coefficients"),
+    ("Camera_Matrix", "Distortion_Coefficients"),
+    ("cameraMatrix", "distCoeffs"),
+    ("M", "D"),
+)
 _PAIR_KEYS = (
     ("M1", "D1", "M2", "D2"),
     ("K1", "D1", "K2", "D2"),
@@ -39,21 +50,7 @@ _PAIR_KEYS = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFile:
-    """What a calibration file holds."""
-
-    cameras: tuple[Camera, ...]
-    cam_from_rig: Rigid3
-    """One row per camera; the first is the identity."""
-    covariance: Float64[np.ndarray, "30 30"] | None = None
-    """Of a pair, as in `StereoRig`."""
-
-    def __repr__(self) -> str:
-        errors = "no covariance" if self.covariance is None else "with covariance"
-        return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
-
-
+@checked
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
     """Read cameras, and how they stand to each other where a file says so.
 
@@ -87,6 +84,8 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
 
 def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
     contents = [parsed_file(path) for path in files]
+    if any(is_mrcal(content) for content in contents):
+        return CalibrationFile(*mrcal_cameras(files, contents))
     with_camera = [k for k, content in enumerate(contents) if _is_single(content)]
     if len(files) == 2 and len(with_camera) == 2:
         return _left_and_right(files, contents, size)
@@ -107,13 +106,17 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
             return CalibrationFile(*cameras_of(path, merged, size))
     if merged.get("format") == FORMAT:
         return _own(path, merged)
-    if "cam0" in merged:
-        return _kalibr(path, merged)
+    if is_chain(merged) or is_link(merged):
+        return CalibrationFile(*chain_cameras(path, merged, size))
+    if is_camodocal(merged):
+        camera = camodocal_camera(path, merged, _size(path, merged, size))
+        return CalibrationFile((camera,), Rigid3.identity(1))
     if _is_single(merged):
         return CalibrationFile((_single(path, merged, size),), Rigid3.identity(1))
     return _opencv_pair(path, merged, size)
 
 
+@checked
 def read_body_from_camera(path: str | Path) -> Rigid3:
     """The place of a camera in the body (the IMU) that EuRoC's `sensor.yaml` tells (T_BS): body_from_camera.
 
@@ -127,6 +130,7 @@ def read_body_from_camera(path: str | Path) -> Rigid3:
         raise FileFormatError(path, f"T_BS cannot be read: {error}") from error
 
 
+@checked
 def read_stereo_rig(
     *paths: str | Path, size: tuple[int, int] | None = None, cameras: tuple[int, int] | None = None
 ) -> StereoRig:
@@ -161,6 +165,7 @@ def read_stereo_rig(
         raise FileFormatError(paths[0], str(error)) from error
 
 
+@checked
 def write_calibration(
     path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
 ) -> None:
@@ -192,6 +197,7 @@ def write_calibration(
         aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
 
+@checked
 def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
     """Write what OpenCV's samples read: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
 
@@ -216,6 +222,7 @@ def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
         aside.write_text(storage.releaseAndGetString(), encoding="utf-8")
 
 
+@checked
 def write_ros_yaml(
     path: str | Path,
     camera: Camera,
@@ -248,6 +255,7 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": [float(v) for v in matrix.ravel()]}
 
 
+@checked
 def parsed_file(path: Path) -> dict[str, Any]:
     """Names and values of a file of YAML, JSON, OpenCV's XML, or lines of KITTI's kind.
 
@@ -259,11 +267,13 @@ def parsed_file(path: Path) -> dict[str, Any]:
     try:
         if head.startswith((b"<?xml", b"<opencv_storage")):
             return xml_values(data)
-        text = data.decode("utf-8")
+        text = data.decode("utf-8-sig")
         if lines := datasets.named_lines(text):
             return lines
+        if is_mrcal_text(text):
+            return mrcal_values(text)
         # OpenCV's version line and its matrices are not standard YAML.
-        text = _OPENCV_TAG.sub("", text.removeprefix("%YAML:1.0"))
+        text = _OPENCV_TAG.sub("", _OPENCV_VERSION.sub("", text, count=1))
         content = json_values(path, text, allow_nan=True) if head.startswith(b"{") else yaml_values(text)
     except FileFormatError:
         raise
@@ -285,22 +295,27 @@ def _size(path: Path, content: Mapping[str, Any], given: tuple[int, int] | None)
 
 def _is_whole(content: Mapping[str, Any]) -> bool:
     """Whether it is of a format that holds both cameras in one file."""
-    return content.get("format") == FORMAT or "cam0" in content or datasets.is_kitti(content)
+    return content.get("format") == FORMAT or is_chain(content) or datasets.is_kitti(content)
 
 
 def _is_single(content: Mapping[str, Any]) -> bool:
-    return "camera_matrix" in content or "Camera_Matrix" in content
+    return any(matrix in content for matrix, _ in _SINGLE_KEYS)
 
 
 def _single(path: Path, content: Mapping[str, Any], size: tuple[int, int] | None) -> Camera:
-    prefix = "Camera_Matrix" if "Camera_Matrix" in content else "camera_matrix"
-    coefficients = "Distortion_Coefficients" if prefix[0] == "C" else "distortion_coefficients"
-    words = str(content.get("distortion_model", ""))
-    if words not in ("", "plumb_bob", "rational_polynomial", "equidistant", "fisheye"):
-        raise FileFormatError(path, f"the distortion_model {words} is not known")
-    is_fisheye = words in ("equidistant", "fisheye") or bool(content.get("fisheye_model", 0))
-    K, d = numbers_of(path, content, prefix, 3, 3), numbers_of(path, content, coefficients)
-    return camera_of_coefficients(path, _size(path, content, size), K, d, is_fisheye=is_fisheye)
+    matrix, coefficients = next(keys for keys in _SINGLE_KEYS if keys[0] in content)
+    refuse_binning(path, content)
+    return _camera(path, content, (matrix, coefficients), _size(path, content, size))
+
+
+def _camera(path: Path, content: Mapping[str, Any], keys: tuple[str, str], size: tuple[int, int]) -> Camera:
+    """The camera of a matrix and of coefficients in OpenCV's order, by their keys."""
+    words = lens_words(path, content)
+    K = numbers_of(path, content, keys[0], 3, 3)
+    is_empty = words.is_without_distortion and keys[1] not in content
+    d = np.zeros(4) if is_empty else numbers_of(path, content, keys[1])
+    require_coefficients(path, words, d)
+    return camera_of_coefficients(path, size, K, d, is_fisheye=words.is_fisheye)
 
 
 def _left_and_right(
@@ -329,38 +344,12 @@ def _opencv_pair(path: Path, content: Mapping[str, Any], size: tuple[int, int] |
         raise FileFormatError(
             path, f"{'the key' if len(missing) == 1 else 'the keys'} {', '.join(missing)} missing"
         )
-    is_fisheye = bool(content.get("fisheye_model", 0))
     shape = _size(path, content, size)
-    cameras = tuple(
-        camera_of_coefficients(
-            path,
-            shape,
-            numbers_of(path, content, k, 3, 3),
-            numbers_of(path, content, d),
-            is_fisheye=is_fisheye,
-        )
-        for k, d in (keys[:2], keys[2:])
-    )
+    cameras = tuple(_camera(path, content, pair, shape) for pair in (keys[:2], keys[2:]))
     rotation, translation = numbers_of(path, content, "R", 3, 3), numbers_of(path, content, "T", 3)
     return CalibrationFile(
         cameras, Rigid3(np.stack([np.eye(3), rotation]), np.stack([np.zeros(3), translation]))
     )
-
-
-def _kalibr(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
-    cameras, places = [], [np.eye(4)]
-    for k in range(sum(key.startswith("cam") and key[3:].isdigit() for key in content)):
-        own = content.get(f"cam{k}")
-        if not isinstance(own, Mapping):
-            raise FileFormatError(path, f"the key cam{k} is missing")
-        size = size_of(path, *numbers_of(path, own, "resolution", 2))
-        words = str(own.get("distortion_model", "none"))
-        d = np.zeros(4) if words == "none" else numbers_of(path, own, "distortion_coeffs")
-        model = str(own.get("camera_model", "pinhole"))
-        cameras.append(camera_of_words(path, size, numbers_of(path, own, "intrinsics", 4), model, words, d))
-        if k:
-            places.append(numbers_of(path, own, "T_cn_cnm1", 4, 4) @ places[-1])
-    return CalibrationFile(tuple(cameras), Rigid3.from_matrix(np.stack(places)[:, :3]))
 
 
 def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
@@ -373,6 +362,8 @@ def _own(path: Path, content: Mapping[str, Any]) -> CalibrationFile:
         for own in content["cameras"]:
             model = camera_model_named(str(own["model"]))
             params = np.array([float(own["params"][name]) for name in model.param_names])
+            if unknown := sorted(set(own["params"]) - set(model.param_names)):
+                raise FileFormatError(path, f"{model.name} has no parameter {', '.join(unknown)[:80]}")
             cameras.append(Camera(model, *size_of(path, float(own["width"]), float(own["height"])), params))
             place = own["cam_from_rig"]
             quaternion = np.asarray(place["quat_wxyz"], np.float64).reshape(4)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io.calibration_files import read_calibration
@@ -19,6 +20,7 @@ MAX_OFFSET = 10.0
 MAX_DISTORTION = 1e4
 
 
+@checked
 def params_of_text(text: str) -> tuple[float, ...]:
     """The numbers of an option `camera_params`.
 
@@ -34,6 +36,7 @@ def params_of_text(text: str) -> tuple[float, ...]:
     return known
 
 
+@checked
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:
     """The camera of an option `camera_params`.
 
@@ -83,11 +86,13 @@ def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
     return found[0]
 
 
+@checked
 def text_of_camera(camera: Camera) -> str:
     """A camera's parameters as `camera_of_text` reads them, to seven digits."""
     return ",".join(f"{value:.7g}" for value in params_to_colmap(camera.model, camera.params))
 
 
+@checked
 def refuse_impossible(camera: Camera, where: str) -> None:
     """Refuse numbers that no lens has.
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.bundler import write_bundler
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
@@ -31,6 +32,7 @@ FOLDER_WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
 MODELS = "models are read from an output folder of `epipole reconstruct`, a COLMAP model or a transforms.json"
 
 
+@checked
 def read_model(source: str | Path) -> Reconstruction:
     """Read the model of an output folder, a COLMAP model, or a transforms.json or the folder that holds one.
 

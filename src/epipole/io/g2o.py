@@ -6,7 +6,7 @@ the imaginary part of a quaternion, half a rotation vector.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +25,8 @@ from epipole.optim.pose_graph import not_definite
 
 _KINDS = {"SE2": (3, 3), "SE3:QUAT": (7, 6), "SIM3:QUAT": (8, 7)}
 """Numbers of a motion, and size of its tangent."""
-_IGNORED = ("PARAMS_", "#", "FIX")
+_IGNORED = ("PARAMS_", "#")
+"""Parameters are used by edges of other kinds, which are refused."""
 _FEW = 5
 _LEAST_SHARE = 1e-9
 
@@ -46,7 +47,7 @@ class G2oFile:
 
 @checked
 def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "refuse") -> G2oFile:
-    """Read vertices and edges of one kind; parameters and comments are passed over.
+    """Read vertices and edges of one kind, and which vertices are fixed; parameters and comments are passed over.
 
     Args:
         path: the file.
@@ -64,9 +65,13 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
     vertices: dict[int, list[float]] = {}
     edges: list[tuple[int, int]] = []
     values: list[list[float]] = []
+    fixed: dict[int, int] = {}
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words or words[0].startswith(_IGNORED):
+            continue
+        if words[0] == "FIX":
+            fixed |= dict.fromkeys(_fixed_names(path, number, words[1:]), number)
             continue
         what, _, this = words[0].partition("_")
         if what not in ("VERTEX", "EDGE") or this not in _KINDS:
@@ -83,8 +88,7 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
             raise FileFormatError(path, f"line {number}: {error}") from error
         if len(numbers) != wanted or len(index) != names or not np.isfinite(numbers).all():
             raise FileFormatError(path, f"line {number}: {wanted} finite numbers are needed after the names")
-        if not all(-(2**63) <= i < 2**63 for i in index):
-            raise FileFormatError(path, f"line {number}: a name must be a number of 64 bits")
+        _require_names(path, number, index)
         if not _is_motion(numbers[:size]):
             raise FileFormatError(
                 path, f"line {number}: {words[0]} holds no unit quaternion or no positive scale"
@@ -98,7 +102,34 @@ def read_g2o(path: str | Path, *, indefinite: Literal["refuse", "nearest"] = "re
             values.append(numbers)
     if kind is None or not vertices:
         raise FileFormatError(path, "no vertices: this is no pose graph")
-    return _assemble(path, kind, vertices, edges, values, indefinite)
+    return _with_fixed(path, _assemble(path, kind, vertices, edges, values, indefinite), fixed)
+
+
+def _with_fixed(path: Path, found: G2oFile, fixed: dict[int, int]) -> G2oFile:
+    """The graph with the vertices that are fixed, by the lines that name them."""
+    known = set(found.ids.tolist())
+    for name, number in fixed.items():
+        if name not in known:
+            raise FileFormatError(path, f"line {number}: FIX names vertex {name}, which is not there")
+    rows = np.searchsorted(found.ids, np.array(sorted(fixed), np.int64)).astype(np.int64)
+    return replace(found, graph=replace(found.graph, fixed=rows))
+
+
+def _fixed_names(path: Path, number: int, words: list[str]) -> list[int]:
+    """Of a line FIX, which holds one vertex or more."""
+    try:
+        names = [int(word) for word in words]
+    except ValueError as error:
+        raise FileFormatError(path, f"line {number}: {error}") from error
+    if not names:
+        raise FileFormatError(path, f"line {number}: FIX names no vertex")
+    _require_names(path, number, names)
+    return names
+
+
+def _require_names(path: Path, number: int, names: list[int]) -> None:
+    if not all(-(2**63) <= name < 2**63 for name in names):
+        raise FileFormatError(path, f"line {number}: a name must be a number of 64 bits")
 
 
 @checked
@@ -116,6 +147,7 @@ def write_g2o(path: str | Path, graph: PoseGraph, ids: Any = None) -> None:
     upper = np.triu_indices(graph.dimension)
     places, measured = _numbers(graph.world_from_body), _numbers(graph.first_from_second)
     lines = [f"VERTEX_{name} {i} {_text(row)}" for i, row in zip(names, places)]
+    lines += [f"FIX {names[row]}" for row in graph.fixed]
     information = graph.information[:, upper[0], upper[1]]
     for i, j, row, weights in zip(names[graph.first], names[graph.second], measured, information):
         lines.append(f"EDGE_{name} {i} {j} {_text(row)} {_text(weights)}")

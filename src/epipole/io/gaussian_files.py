@@ -1,46 +1,40 @@
 """Gaussians in the files that splats are passed on in: PLY, compressed PLY, SPZ, SOG and .splat.
 
-Compressed PLY (16 bytes a Gaussian and 45 of harmonics) and SPZ (Niantic; gzip before version 4, zstd from then on) are read and written
-by `gsply`. SPZ's axes are right, up, back: turned half around x from those of a PLY file. A .splat holds 32 bytes a Gaussian: place,
-deviations, colour with opacity, and rotation in whole numbers; it has no harmonics.
+The contents decide which of them a file is, but of a .splat, which has no header: 32 bytes a Gaussian with position, deviations, colour with
+opacity, and rotation in whole numbers; it has no harmonics.
 """
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io._finite_gaussians import MOST_GAUSSIANS, MOST_LOGIT, finite_gaussians
-from epipole.io._sog_files import META
+from epipole.io._finite_gaussians import finite_gaussians
+from epipole.io._sog_files import META as META
 from epipole.io._sog_files import is_sog as is_sog
+from epipole.io._sog_files import is_unpacked_sog as is_unpacked_sog
 from epipole.io.atomic import atomic_write
+from epipole.io.compressed_ply import read_compressed_ply, write_compressed_ply
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import file_bytes, open_file
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.sog import read_sog, write_sog
-from epipole.scene.gaussian_cloud import DC, NUM_SH, GaussianCloud
-
-if TYPE_CHECKING:
-    from gsply import GSData
+from epipole.io.spz import read_spz, write_spz
+from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".sog", ".splat")
+SPLAT = "splat.ply"
+"""In an output folder of `splat`."""
+WITHOUT_ORIGIN = (".spz", ".splat")
+"""Files that cannot hold a cloud's origin: their coordinates are relative to it."""
+_HEADER = 8192
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
-_NGSP = struct.Struct("<III")
-_TURNED = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs of the harmonics after half a turn around x."""
-_DAMAGE = (
-    *(ValueError, KeyError, IndexError, OSError, EOFError, TypeError, ArithmeticError, AssertionError),
-    *(MemoryError, struct.error, zlib.error, RuntimeError),
-)
-"""What gsply raises of damaged files."""
 
 
+@checked
 def read_gaussians(path: str | Path) -> GaussianCloud:
     """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
 
@@ -48,20 +42,25 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
         FileFormatError: it is of no such format, is cut short, or holds no Gaussian that is finite.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix == ".splat":
-        return _read_splat(path)
-    if suffix == ".spz":
-        return _read_spz(path)
-    if suffix == ".sog" or path.name.lower() == META:
+    if path.name.lower() == META:
         return read_sog(path)
-    if suffix != ".ply":
+    suffix = path.suffix.lower()
+    if suffix not in (".ply", ".spz", ".sog", ".splat"):
         raise FileFormatError(path, with_what_it_is(f"Gaussians are read from {', '.join(SUFFIXES)}", path))
-    return _read_compressed_ply(path) if _is_compressed(path) else read_gaussian_ply(path)
+    with open_file(path) as stream:
+        head = stream.read(_HEADER)
+    if head.startswith((b"ply\n", b"ply\r")):
+        return read_compressed_ply(path) if b" packed_position" in head else read_gaussian_ply(path)
+    if head.startswith((b"NGSP", b"\x1f\x8b\x08")):
+        return read_spz(path)
+    if head.startswith(b"PK\x03\x04"):
+        return read_sog(path)
+    readers = {".ply": read_gaussian_ply, ".spz": read_spz, ".sog": read_sog, ".splat": _read_splat}
+    return readers[suffix](path)
 
 
 def gaussians_file(path: Path) -> Path:
-    """The file of Gaussians that a path is, or that an output folder of `splat` holds.
+    """The file of Gaussians that a path is, or that a folder holds: `splat.ply`, or the meta.json of an unpacked SOG.
 
     Raises:
         FileFormatError: it is neither.
@@ -69,7 +68,8 @@ def gaussians_file(path: Path) -> Path:
     if path.is_file() and not path.name.lower().endswith((*SUFFIXES, META)):
         problem = f"is no file of trained Gaussians ({', '.join(SUFFIXES)})"
         raise FileFormatError(path, with_what_it_is(problem, path))
-    file = path if path.is_file() else path / "splat.ply"
+    is_sog_folder = not (path / SPLAT).is_file() and is_unpacked_sog(path / META)
+    file = path if path.is_file() else path / (META if is_sog_folder else SPLAT)
     if not file.is_file():
         problem = "holds no trained Gaussians (splat.ply) and no trained field (hash.npz, grid.npz)"
         raise FileFormatError(
@@ -78,6 +78,7 @@ def gaussians_file(path: Path) -> Path:
     return file
 
 
+@checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in the format of the file's name; all but .ply are rounded, and .splat has no harmonics above degree 0.
 
@@ -90,153 +91,15 @@ def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
     if suffix == ".splat":
         _write_splat(path, cloud)
     elif suffix == ".spz":
-        _write_by(path, ".spz", lambda part, gsply: gsply.write_spz(part, _gsdata(_half_turned(cloud))))
+        write_spz(path, cloud)
     elif suffix == ".sog":
         write_sog(path, cloud)
     elif path.name.lower().endswith(".compressed.ply"):
-        _write_by(
-            path,
-            ".compressed.ply",
-            lambda part, gsply: gsply.plywrite(part, _gsdata(cloud), compressed=True),
-        )
+        write_compressed_ply(path, cloud)
     elif suffix == ".ply":
         write_gaussian_ply(path, cloud)
     else:
         raise ConfigError(f"Gaussians are written to {', '.join(SUFFIXES)}, not to {path.name!r}")
-
-
-def _write_by(path: Path, ending: str, write: Callable[[Path, Any], None]) -> None:
-    """Let gsply write beside, with the ending that it looks at, then move it into its place."""
-    import gsply
-
-    with atomic_write(path) as part:
-        aside = part.with_name(part.name + ending)
-        try:
-            write(aside, gsply)
-            aside.replace(part)
-        finally:
-            aside.unlink(missing_ok=True)
-
-
-def _gsdata(cloud: GaussianCloud) -> GSData:
-    """As gsply wants it: unit rotations, coefficients above degree 0 apart."""
-    from gsply import GSData
-
-    quats = cloud.quats_wxyz / np.linalg.norm(cloud.quats_wxyz, axis=1, keepdims=True)
-    made: GSData = GSData.from_arrays(
-        means=cloud.means_in_world,
-        scales=cloud.log_scales,
-        quats=quats,
-        opacities=cloud.opacity_logits,
-        sh0=np.ascontiguousarray(cloud.sh[:, 0]),
-        shN=np.ascontiguousarray(cloud.sh[:, 1:]) if cloud.sh_degree else None,
-    )
-    return made
-
-
-def _cloud(path: Path, data: GSData) -> GaussianCloud:
-    """What gsply has read, checked.
-
-    Raises:
-        FileFormatError: nothing of it is finite.
-    """
-    n = len(data.means)
-    rest = np.zeros((n, 0, 3)) if data.shN is None else np.asarray(data.shN).reshape(n, -1, 3)
-    if rest.shape[1] + 1 not in NUM_SH:
-        raise FileFormatError(path, f"{rest.shape[1]} harmonics are those of no degree")
-    logits = np.clip(np.asarray(data.opacities), -MOST_LOGIT, MOST_LOGIT).reshape(-1)
-    sh = np.concatenate([np.asarray(data.sh0)[:, None], rest], axis=1)
-    parts = (data.means, data.scales, data.quats, logits, sh)
-    return finite_gaussians(path, [np.asarray(part, np.float32) for part in parts])
-
-
-def _half_turned(cloud: GaussianCloud) -> GaussianCloud:
-    """Seen with y and z the other way round."""
-    half = np.array([1, -1, -1], np.float32)
-    return GaussianCloud(
-        cloud.means_in_world * half,
-        cloud.log_scales,
-        cloud.quats_wxyz * np.array([1, 1, -1, -1], np.float32),
-        cloud.opacity_logits,
-        cloud.sh * _TURNED[: cloud.sh.shape[1], None],
-    )
-
-
-def _is_compressed(path: Path) -> bool:
-    with open_file(path) as stream:
-        return b" packed_position" in stream.read(8192)
-
-
-def _read_compressed_ply(path: Path) -> GaussianCloud:
-    import gsply
-
-    _check_ply_size(path)
-    try:
-        data = gsply.plyread(path)
-    except _DAMAGE as error:
-        raise FileFormatError(path, f"is a damaged compressed PLY ({error})") from error
-    return _cloud(path, data)
-
-
-def _check_ply_size(path: Path) -> None:
-    """Refuse a header that promises more vertices than the file has bytes for.
-
-    Raises:
-        FileFormatError: it does, or is no header.
-    """
-    with open_file(path) as stream:
-        head = stream.read(8192)
-    counts = [line.split() for line in head.split(b"end_header")[0].splitlines() if line[:8] == b"element "]
-    named = {words[1]: words[2] for words in counts if len(words) == 3}
-    count = named.get(b"vertex", b"")
-    if not count.isdigit() or b"end_header" not in head:
-        raise FileFormatError(path, "is a damaged compressed PLY (no header that tells its vertices)")
-    if int(count) * 16 > path.stat().st_size:
-        raise FileFormatError(path, f"is cut short: {int(count)} vertices are promised")
-
-
-def _read_spz(path: Path) -> GaussianCloud:
-    import gsply
-
-    data = file_bytes(path)
-    _check_spz_size(path, data)
-    try:
-        found = gsply.read_spz(path)
-    except (*_DAMAGE, ImportError) as error:
-        raise FileFormatError(path, f"is a damaged SPZ file ({error})") from error
-    return _half_turned(_cloud(path, found))
-
-
-def _check_spz_size(path: Path, data: bytes) -> None:
-    """Refuse a header that promises too much, and a stream that unpacks to more than its header tells.
-
-    Raises:
-        FileFormatError: it does.
-    """
-    if data[:4] == b"NGSP" and len(data) >= _NGSP.size:
-        count, unpacked = _NGSP.unpack_from(data)[2], 0
-    else:
-        count, unpacked = _unpacked_size(path, data)
-    if count > MOST_GAUSSIANS:
-        raise FileFormatError(path, f"promises {count} Gaussians, more than {MOST_GAUSSIANS}")
-    if unpacked > 2 * 64 * (count + 1024):
-        raise FileFormatError(path, f"unpacks to more than its {count} Gaussians need")
-
-
-def _unpacked_size(path: Path, data: bytes) -> tuple[int, int]:
-    """Gaussians that a gzip stream's header tells, and its bytes, without keeping them."""
-    unpack, total, head, rest = zlib.decompressobj(31), 0, b"", data
-    try:
-        while rest and not unpack.eof:
-            part = unpack.decompress(rest, 1 << 20)
-            head, total, rest = (head + part)[:16], total + len(part), unpack.unconsumed_tail
-            if len(head) == 16 and total > 128 * (_NGSP.unpack_from(head)[2] + 1024):
-                break
-    except zlib.error as error:
-        raise FileFormatError(path, f"is no SPZ file ({error})") from error
-    if len(head) < 16 or head[:4] != b"NGSP":
-        raise FileFormatError(path, "is no SPZ file")
-    return _NGSP.unpack_from(head)[2], total
 
 
 def _read_splat(path: Path) -> GaussianCloud:
@@ -246,15 +109,16 @@ def _read_splat(path: Path) -> GaussianCloud:
     rows = np.frombuffer(data, _SPLAT)
     with np.errstate(all="ignore"):
         log_scales = np.log(rows["scale"])
-        opacity = np.clip(rows["rgba"][:, 3] / 255.0, 1e-7, 1 - 1e-7)
+        opacity = rows["rgba"][:, 3] / 255.0
+        logits = np.log(opacity) - np.log1p(-opacity)
     parts = (
         rows["mean"],
         log_scales,
         (rows["quat"].astype(np.float32) - 128.0) / 128.0,
-        np.log(opacity / (1.0 - opacity)),
+        logits,
         ((rows["rgba"][:, :3] / 255.0 - 0.5) / DC)[:, None],
     )
-    return finite_gaussians(path, [np.asarray(part, np.float32) for part in parts])
+    return finite_gaussians(path, parts)
 
 
 def _write_splat(path: Path, cloud: GaussianCloud) -> None:

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise
+from epipole.io._camera_chains import camera_from_imu
 from epipole.io.bags import is_bag, read_bag_imu
 from epipole.io.calibration_files import parsed_file, read_body_from_camera
 from epipole.io.files import file_text
@@ -22,6 +24,7 @@ _DENSITIES = {
 }
 
 
+@checked
 def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
     """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
 
@@ -48,28 +51,20 @@ def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
     return ImuLog(times, values[:, 1:4].copy(), values[:, 4:7].copy()), noise
 
 
+@checked
 def read_camera_from_imu(path: str | Path) -> Rigid3:
-    """How the unit is mounted: Kalibr's `T_cam_imu` (of its first camera), or the camera's `sensor.yaml` of EuRoC (T_BS).
+    """How the unit is mounted: `T_cam_imu` or `T_imu_cam` (Kalibr, OpenVINS; of the first camera), or T_BS (EuRoC's sensor.yaml).
 
     The unit may be any point of the body: odometry that tells of the middle of the wheels is mounted in the same way.
 
     Raises:
-        FileFormatError: the file holds neither.
+        FileFormatError: the file holds none of them.
     """
     path = Path(path)
     content = parsed_file(path)
     own = content.get("cam0", content)
-    if not (isinstance(own, dict) and "T_cam_imu" in own):
-        return read_body_from_camera(path).inverse()
-    try:
-        matrix = np.asarray(own["T_cam_imu"], np.float64).reshape(4, 4)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise FileFormatError(path, "T_cam_imu is not 4 x 4 numbers") from error
-    rotation = matrix[:3, :3]
-    is_rotation = np.isfinite(matrix).all() and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-4
-    if not is_rotation or np.linalg.det(rotation) < 0:
-        raise FileFormatError(path, "T_cam_imu holds no rotation")
-    return Rigid3.from_matrix(matrix[:3])
+    found = camera_from_imu(path, own) if isinstance(own, dict) else None
+    return read_body_from_camera(path).inverse() if found is None else found
 
 
 def _table(path: Path) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
@@ -14,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 
 _MOST_VALUES = 1 << 23
 
 
+@checked
 def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
     """What the JSON text of a file holds.
 
@@ -28,23 +31,34 @@ def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
         allow_nan: whether NaN and Infinity are read as numbers.
 
     Raises:
-        FileFormatError: it is none, is nested too deeply, or holds more values than any file of ours.
+        FileFormatError: it is none, is nested too deeply, has a key twice, or holds more values than any file of ours.
     """
     # Three bytes of text may become a hundred of memory.
     if sum(text.count(mark) for mark in ",[{") > _MOST_VALUES:
         raise FileFormatError(path, f"not JSON of ours: more than {_MOST_VALUES} values")
     try:
-        return json.loads(text, parse_constant=None if allow_nan else _no_constant)
+        constant = None if allow_nan else _no_constant
+        return json.loads(text, parse_constant=constant, object_pairs_hook=_without_repeats)
     except RecursionError as error:
         raise FileFormatError(path, "not JSON: nested too deeply") from error
     except ValueError as error:
         raise FileFormatError(path, f"not JSON: {error}") from error
 
 
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object; of a key that is there twice, one value would be skipped."""
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {twice[:80]!r} is there twice")
+    return out
+
+
 def _no_constant(word: str) -> float:
     raise ValueError(f"{word} is not a finite number")
 
 
+@checked
 def json_text(content: Any, indent: int = 2) -> str:
     """The text of a file. Paths and other objects are written as their words."""
     return json.dumps(_plain(content), indent=indent, allow_nan=False, default=str) + "\n"

@@ -14,21 +14,21 @@ from tokenize import TokenError
 
 import numpy as np
 from jaxtyping import Float64
-from PIL import Image
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io._colmap_binary import read_binary_points
-from epipole.io._photograph_pixels import PILLOW_ERRORS
-from epipole.io.files import file_bytes, open_file
+from epipole.io._image_formats import FORMAT_OF_SUFFIX
+from epipole.io.files import file_bytes
+from epipole.io.photographs import read_header
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
 LLFF = "poses_bounds.npy"
 _POINTS = Path("sparse") / "0" / "points3D.bin"
 _COLUMNS = 17
 _SIZES = re.compile(r"images(?:_(\d+))?")
-_PICTURES = (".png", ".jpg", ".jpeg")
 _MOST_BYTES = 1 << 28
 _ORTHONORMAL_TOLERANCE = 1e-3
 
@@ -44,6 +44,7 @@ class LlffScene:
     """Depths between which a picture's scene lies, in the unit of the cameras."""
 
 
+@checked
 def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     """Read poses_bounds.npy, and the points of sparse/0 where they are there (they are in the same world).
 
@@ -60,7 +61,7 @@ def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     rows = _rows(path)
     matrices = rows[:, :15].reshape(-1, 3, 5)
     image_folder, size = _pictures(folder, max_side_px)
-    names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in _PICTURES)
+    names = sorted(p.name for p in image_folder.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
     if len(names) != len(rows):
         raise FileFormatError(
             path, f"tells {len(rows)} cameras, and {image_folder} holds {len(names)} pictures"
@@ -104,9 +105,10 @@ def _pictures(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, i
         found = _SIZES.fullmatch(place.name)
         if found is None or not place.is_dir():
             continue
-        files = sorted(p for p in place.iterdir() if p.suffix.lower() in _PICTURES)
+        files = sorted(p for p in place.iterdir() if p.suffix.lower() in FORMAT_OF_SUFFIX)
         if files:
-            sizes.append((int(found[1] or 1), place, _size_of(files[0])))
+            header = read_header(files[0])
+            sizes.append((int(found[1] or 1), place, (header.width, header.height)))
     if not sizes:
         raise FileFormatError(folder, "there are no pictures (no images, images_2, images_4 or images_8)")
     sizes.sort(key=lambda one: one[0])
@@ -114,14 +116,6 @@ def _pictures(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, i
         if max_side_px is None or max(size) <= max_side_px:
             return place, size
     return sizes[-1][1], sizes[-1][2]
-
-
-def _size_of(file: Path) -> tuple[int, int]:
-    try:
-        with open_file(file) as stream, Image.open(stream) as picture:
-            return picture.size
-    except PILLOW_ERRORS as error:
-        raise FileFormatError(file, "is no picture that can be read") from error
 
 
 def _camera(path: Path, told: np.ndarray, size: tuple[int, int]) -> Camera:

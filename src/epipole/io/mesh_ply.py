@@ -4,39 +4,44 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
-from epipole.io.ply import PlyHeader, ply_header, points_of_ply
+from epipole.io.ply import PlyHeader, ply_header, points_of_ply, vertex_type
 
-_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+_NO_SURFACE = ("vertex", "edge", "camera", "material")
+"""Elements without triangles."""
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
-def write_mesh_ply(path: str | Path, vertices: Any, faces: Any, rgb: Any) -> None:
-    """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY in single precision.
+@checked
+def write_mesh_ply(
+    path: str | Path,
+    vertices: Float64[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "m 3"],
+    rgb: UInt8[np.ndarray, "n 3"],
+) -> None:
+    """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY.
+
+    Coordinates far from the origin are doubles (`vertex_type`).
 
     Raises:
         ShapeError: the arrays do not fit, or a triangle names a vertex that is not there.
         WorkspaceError: the file cannot be written.
     """
-    vertices, faces, rgb = np.asarray(vertices), np.asarray(faces), np.asarray(rgb)
     n, m = len(vertices), len(faces)
-    if vertices.shape != (n, 3) or rgb.shape != (n, 3) or faces.shape != (m, 3):
-        raise ShapeError("a mesh has vertices (n, 3), triangles (m, 3) and colours (n, 3)")
     if m and not (faces.min() >= 0 and faces.max() < n):
         raise ShapeError("a triangle names a vertex that is not there")
-    corners, triangles = np.zeros(n, _VERTEX), np.zeros(m, _FACE)
+    kind, properties = vertex_type(vertices)
+    corners, triangles = np.zeros(n, kind), np.zeros(m, _FACE)
     corners["xyz"], corners["rgb"] = vertices, rgb
     triangles["count"], triangles["vertices"] = 3, faces
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {axis}" for axis in "xyz"]
-    header += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}", *properties]
     header += [f"element face {m}", "property list uchar int vertex_indices", "end_header"]
     with atomic_write(Path(path)) as part, part.open("wb") as stream:
         stream.write("".join(f"{line}\n" for line in header).encode("ascii"))
@@ -58,6 +63,7 @@ class PlyMesh:
         return f"PlyMesh({len(self.xyz)} vertices, {len(self.faces)} triangles)"
 
 
+@checked
 def read_mesh_ply(path: str | Path) -> PlyMesh:
     """Read vertices and faces of a PLY file, text or binary; polygons are cut into triangles around their first corner.
 
@@ -67,12 +73,28 @@ def read_mesh_ply(path: str | Path) -> PlyMesh:
     path = Path(path)
     data = file_bytes(path)
     header = ply_header(path, data)
+    _require_no_other_surface(path, header)
     points = points_of_ply(path, data, header)
     corners = _corners(path, data, header)
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(polygons) for polygons in corners)])
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(points)):
         raise FileFormatError(path, "a face names a vertex that is not there")
     return PlyMesh(points.xyz, points.rgb, faces)
+
+
+def _require_no_other_surface(path: Path, header: PlyHeader) -> None:
+    """Check that no surface is left out: strips of triangles, and faces that do not follow the vertices, are not read.
+
+    Raises:
+        FileFormatError: the file has some.
+    """
+    for name, count in header.elements:
+        if count == 0 or name in _NO_SURFACE or (name == "face" and header.num_faces):
+            continue
+        problem = (
+            "the faces must follow the vertices" if name == "face" else f"the element {name} is not read"
+        )
+        raise FileFormatError(path, f"{problem}: save the mesh as vertices and faces alone")
 
 
 def _fans(polygons: np.ndarray) -> np.ndarray:

@@ -37,9 +37,15 @@ def path_inside(root: Path, name: str) -> Path:
     Raises:
         FileFormatError: it is empty, absolute, too long or climbs out (`..`), or leads out through a linked folder.
     """
-    # The last part may be a link, for photographs often are; a writer has to look at that itself.
-    if not is_inside_name(name) or not _is_below(root, (root / name).parent):
+    if not is_inside_name(name):
         raise FileFormatError(root, f"{name!a} is no name of a file inside this folder")
+    # The last part may be a link, for photographs often are; a writer has to look at that itself.
+    if not _is_below(root, (root / name).parent):
+        raise FileFormatError(
+            root,
+            f"{name!a} is no name of a file inside this folder, for a symbolic link leads out of it"
+            " (copy the linked folder here, or give the folder that it points to)",
+        )
     return root / name
 
 

@@ -4,9 +4,11 @@ Every picture is returned upright (EXIF orientation applied), as 8-bit greyscale
 Rules for what is not 8-bit grey or RGB:
 
 - 16-bit, 32-bit and float greyscale is stretched so that its 0.1 and 99.9 percentiles become 0 and 255 (such
-  files often use a fraction of their range); one that is constant between them keeps its full-range value;
-- 16-bit colour keeps its full range (its high byte);
-- transparency is composited on black; palette and CMYK become RGB.
+  files often use a fraction of their range); one that is constant between them keeps its full-range value. A set
+  of images that must be mapped alike is read with the range of the set (`common_range`);
+- 16-bit colour keeps the upper 8 of its sensor's bits: 8, 10, 12, 14 or 16, by the largest value (`_deep_pixels`);
+- transparency is composited on black; palette and CMYK become RGB; greyscale whose zero is white is inverted;
+- animations (WebP, AVIF), TIFFs of several pages and camera RAW are refused. The contents tell the format, never the suffix.
 
 JPEG is decoded at 1/2, 1/4 or 1/8 where a smaller picture is asked for, so that memory follows the result and
 not the file (a progressive JPEG still needs its coefficients, about 3 bytes per pixel). Other formats are
@@ -16,28 +18,31 @@ limited to 150 megapixels.
 from __future__ import annotations
 
 import io
-import os
-import shutil
 import stat
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt8
-from PIL import Image
 
-from epipole.errors import FileFormatError
-from epipole.io._photograph_pixels import (
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io._deep_pixels import GreyRange as GreyRange
+from epipole.io._image_formats import (
     AVIF_SUFFIXES,
+    FORMAT_OF_SUFFIX,
     HEIF_SUFFIXES,
+    OTHER_SUFFIXES,
     RAW_SUFFIXES,
+    format_of,
+)
+from epipole.io._photograph_pixels import common_range as common_range
+from epipole.io._photograph_pixels import (
     decode,
     exif_of,
-    format_of,
     open_with_pillow,
     pillow_pixels,
     readable_suffixes,
@@ -45,38 +50,23 @@ from epipole.io._photograph_pixels import (
     stored_size,
     turn,
 )
-from epipole.io.atomic import atomic_write
+from epipole.io._spherical import refuse_panorama
 from epipole.io.exif import (
-    EXIF_ERRORS,
     FocalSource,
     GpsPosition,
     camera_of,
     capture_time_of,
     focal_of,
+    gimbal_up_of,
     gps_of,
-    new_exif,
     orientation_of,
-    upright_exif,
 )
 from epipole.io.files import file_bytes, open_file
 from epipole.io.passed_over import files_below, passed_over_in_words
+from epipole.io.photograph_writing import copy_or_rotate as copy_or_rotate
+from epipole.io.photograph_writing import link_or_copy as link_or_copy
+from epipole.io.photograph_writing import write_jpeg_with_exif as write_jpeg_with_exif
 from epipole.io.picture_names import name_problem, printable
-
-_FORMAT_OF_SUFFIX = {
-    ".jpg": "JPEG",
-    ".jpeg": "JPEG",
-    ".png": "PNG",
-    ".tif": "TIFF",
-    ".tiff": "TIFF",
-    ".webp": "WEBP",
-    ".bmp": "BMP",
-    ".ppm": "PPM",
-    ".pgm": "PPM",
-    ".avif": "AVIF",
-    ".heic": "HEIF",
-    ".heif": "HEIF",
-    ".hif": "HEIF",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +127,11 @@ class PhotographHeader:
     """Local time on the camera's clock."""
     is_deep_grey_png: bool = False
     """A PNG of one channel of 16 bits, as depth is stored."""
+    up_in_camera: tuple[float, float, float] | None = None
+    """Direction of up in camera coordinates, as a gimbal measured it; None where the XMP block has none."""
 
 
+@checked
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
     """List the photographs of a folder and its sub-folders.
 
@@ -158,7 +151,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
             folder, "is a file, not a folder of photographs" if folder.exists() else "no such folder"
         )
     readable_here = readable_suffixes()
-    known = readable_here | HEIF_SUFFIXES | AVIF_SUFFIXES | RAW_SUFFIXES
+    known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES
     ignored, results = {Path(p).resolve() for p in ignore}, list[Path]()
     every = sorted(files_below(folder, ignored, results))
     found = [n for n in every if _suffix(n) in known]
@@ -177,6 +170,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
     )
 
 
+@checked
 def read_header(path: Path | str) -> PhotographHeader:
     """Read size, camera, focal length, place and time of a picture from its header alone.
 
@@ -188,6 +182,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     with open_file(path) as stream:
         file_format = format_of(path, stream.read(64))
         image = open_with_pillow(path, stream, file_format)
+        refuse_panorama(path, image)
         exif = exif_of(image)
         orientation = orientation_of(exif)
         width, height = stored_size(image)
@@ -206,38 +201,48 @@ def read_header(path: Path | str) -> PhotographHeader:
         gps_of(exif),
         capture_time_of(exif),
         is_deep_grey_png,
+        gimbal_up_of(image.info.get("xmp")) if orientation == 1 else None,
     )
 
 
-def read_grey(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w"]:
+@checked
+def read_grey(
+    path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
+) -> UInt8[np.ndarray, "h w"]:
     """Read a picture upright as 8-bit greyscale (luma 0.299 R + 0.587 G + 0.114 B).
 
     Args:
         path: the picture.
         max_size_px: longest side of the result; a larger picture is shrunk by area averaging. Its pixel x
             lies at (x + 0.5) * width / result width - 0.5 in the full picture. None: full size.
+        limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), True, max_size_px)
+    return decode(Path(path), True, max_size_px, limits)
 
 
-def read_rgb(path: Path | str, max_size_px: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
+@checked
+def read_rgb(
+    path: Path | str, max_size_px: int | None = None, *, limits: GreyRange | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
     """Read a picture upright as 8-bit RGB.
 
     Args:
         path: the picture.
         max_size_px: longest side of the result, as in `read_grey`.
+        limits: as in `read_grey`.
 
     Raises:
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
-    return decode(Path(path), False, max_size_px)
+    return decode(Path(path), False, max_size_px, limits)
 
 
+@checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
     for candidate in mask_names(name):
@@ -248,11 +253,19 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     return None
 
 
+@checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of a picture can be called, in the order of preference."""
+    """What the mask of a picture can be called, in the order of preference.
+
+    Raises:
+        ConfigError: the name is none.
+    """
+    if not PurePosixPath(name).name:
+        raise ConfigError(f"name must be that of an image, got {name!a:.60}")
     return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
 
 
+@checked
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
@@ -270,74 +283,26 @@ def read_mask(
         FileFormatError: the mask is damaged or not of the picture's size.
     """
     path = mask_of(mask_folder, name)
-    if path is None:
-        return None
+    return None if path is None else read_mask_file(path, name, size=size)
+
+
+@checked
+def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
+    """Read a mask whose file is known; as `read_mask`.
+
+    Raises:
+        FileFormatError: the mask is missing, damaged or not of the picture's size.
+    """
     data = file_bytes(path)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
-    pixels, orientation = pillow_pixels(path, image, stretch=False)
+    pixels, orientation = pillow_pixels(path, image, data)
     keep = np.ascontiguousarray((pixels != 0).any(axis=2) if pixels.ndim == 3 else pixels != 0)
     keep = turn(keep.view(np.uint8), orientation).view(bool)
     if size is not None and keep.shape != (size[1], size[0]):
         h, w = keep.shape
         raise FileFormatError(path, f"the mask is {w} x {h} but its picture {name} is {size[0]} x {size[1]}")
     return keep
-
-
-def copy_or_rotate(source: Path | str, target: Path | str) -> None:
-    """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
-
-    An upright file is hard-linked (copied across file systems). One that is turned, or of another format than
-    the suffix of `target`, is encoded again (JPEG at quality 97, others without loss) with camera, focal
-    length, place and time kept.
-
-    Raises:
-        FileFormatError: the source cannot be read, or the suffix of `target` cannot be written.
-    """
-    source, target = Path(source), Path(target)
-    with open_file(source) as stream:
-        file_format = format_of(source, stream.read(64))
-        exif = exif_of(open_with_pillow(source, stream, file_format))
-    target_format = _FORMAT_OF_SUFFIX.get(target.suffix.lower())
-    if target_format is None:
-        raise FileFormatError(target, "pictures are not written in this format; use .jpg, .png or .tif")
-    if orientation_of(exif) == 1 and file_format == target_format:
-        link_or_copy(source, target)
-        return
-    pixels = read_grey(source) if target.suffix.lower() == ".pgm" else read_rgb(source)
-    lossy: dict[str, Any] = {"quality": 97, "subsampling": 0}
-    options = {
-        **dict.fromkeys(("JPEG", "AVIF", "HEIF"), lossy),
-        "WEBP": {"lossless": True},
-    }.get(target_format, {})
-    if target_format not in ("BMP", "PPM"):
-        options |= _kept_exif(exif)
-    with atomic_write(target) as part:
-        Image.fromarray(pixels).save(part, target_format, **options)
-
-
-def write_jpeg_with_exif(
-    path: Path | str,
-    rgb: UInt8[np.ndarray, "h w 3"],
-    *,
-    focal_35mm: float | None = None,
-    make: str = "epipole",
-    model: str = "synthetic",
-    gps: GpsPosition | tuple[float, float, float | None] | None = None,
-    quality: int = 95,
-) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm)."""
-    exif = new_exif(make, model, focal_35mm, gps).tobytes()
-    with atomic_write(path) as part:
-        Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
-
-
-def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:
-    """What of a block can be written; none of it where values are of types that its tags cannot have."""
-    try:
-        return {"exif": upright_exif(exif).tobytes()}
-    except (*EXIF_ERRORS, AttributeError):
-        return {}
 
 
 def _suffix(name: str) -> str:
@@ -362,6 +327,7 @@ def _advice(unreadable: Sequence[str]) -> str:
             RAW_SUFFIXES,
             "develop them to JPEG or TIFF first (with darktable or RawTherapee, for example)",
         ),
+        ("GIF, JPEG 2000, JPEG XL, PSD, EXR or TGA", OTHER_SUFFIXES, "convert them to PNG or JPEG"),
     )
     sentences = []
     for kind, suffixes, remedy in kinds:
@@ -370,18 +336,3 @@ def _advice(unreadable: Sequence[str]) -> str:
             files = "file is" if len(found) == 1 else "files are"
             sentences.append(f"{len(found)} {kind} {files} left out ({found[0]} first): {remedy}.")
     return " ".join(sentences)
-
-
-def link_or_copy(source: Path, target: Path) -> None:
-    """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
-
-    Raises:
-        WorkspaceError: it cannot be written.
-    """
-    if target.exists() and source.samefile(target):
-        return
-    with atomic_write(target) as part:
-        try:
-            os.link(source.resolve(), part)
-        except OSError:
-            shutil.copy2(source, part)

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
@@ -93,6 +94,7 @@ class ImageSequence:
         return f"ImageSequence({self.kind.value}, {len(self)} frames over {seconds:.1f} s)"
 
 
+@checked
 def read_sequence(folder: str | Path, fps: float | None = None) -> ImageSequence:
     """What a folder of frames holds; the layout is seen from its files.
 

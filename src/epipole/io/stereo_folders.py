@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.photographs import list_photographs
 
@@ -19,6 +20,7 @@ _AGREES = 2  # names that are the same in both folders: one may be chance
 Pair = tuple[Path, Path]
 
 
+@checked
 def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
     """(name, (left picture, right picture)): by names; by names but for the side's word; else by order.
 
@@ -47,6 +49,7 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
     return [(a, (left / a, right / b)) for a, b in zip(*names)]
 
 
+@checked
 def pair_within(folder: Path) -> list[Pair]:
     """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
 
@@ -59,6 +62,7 @@ def pair_within(folder: Path) -> list[Pair]:
     return [pair for _, pair in _joined(sides[0], sides[1], folder, folder)]
 
 
+@checked
 def side_of(name: str, side: Literal["left", "right"]) -> str | None:
     """A name without the word of this side (left, cam0, infra1 ...), by which it is known on both; None without the word."""
     word = _LEFT if side == "left" else _RIGHT

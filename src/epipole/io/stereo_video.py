@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.files import require_file
-from epipole.io.video import opened_video
+from epipole.io.video import count_frames, opened_video
 
 
+@checked
 def extract_pairs(
     left: Path,
     right: Path,
@@ -41,8 +42,9 @@ def extract_pairs(
     for video in (left, right):
         require_file(video)
     is_side_by_side = left.resolve() == right.resolve()
-    captures = [opened_video(video) for video in ([left] if is_side_by_side else [left, right])]
-    count = min(int(c.get(cv2.CAP_PROP_FRAME_COUNT)) for c in captures)
+    videos = [left] if is_side_by_side else [left, right]
+    count = min(count_frames(video)[0] for video in videos)
+    captures = [opened_video(video) for video in videos]
     wanted = set(
         np.unique(np.linspace(0, max(count - 1, 0), min(max_frames, max(count, 1))).astype(int)).tolist()
     )

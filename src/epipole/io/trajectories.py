@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,6 +28,7 @@ _TUM, _TUM_WITH_COVARIANCE, _KITTI, _EUROC = 8, 29, 12, 8
 _NS = 1e-9
 
 
+@checked
 def trajectory_format(path: str | Path) -> TrajectoryFormat:
     """The form of a trajectory's file, seen from its first line; KITTI's is the one without times.
 
@@ -37,6 +39,7 @@ def trajectory_format(path: str | Path) -> TrajectoryFormat:
     return _format_of(path, _rows(path)[0])
 
 
+@checked
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
@@ -79,6 +82,7 @@ def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) ->
     return Trajectory(times, Rigid3(nearest, np.ascontiguousarray(translation)), covariance)
 
 
+@checked
 def read_pose_matrix(path: str | Path) -> Rigid3:
     """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
 
@@ -105,6 +109,7 @@ class PositionLog:
     positions: Float64[np.ndarray, "n 3"]
 
 
+@checked
 def read_positions(path: str | Path) -> PositionLog:
     """Read a log of places: `seconds x y z` a line, by spaces or commas, and whatever else follows (TUM's files are such).
 
@@ -149,21 +154,25 @@ def write_trajectory(
     with atomic_write(path) as aside, aside.open("w", encoding="utf-8") as file:
         if format == "kitti":
             matrices = np.concatenate([places.rotation, places.translation[:, :, None]], axis=2)
-            np.savetxt(file, matrices.reshape(-1, 12), "%.9g")
+            file.writelines(f"{exact_text(row)}\n" for row in matrices.reshape(-1, 12))
             return
         wxyz = Rotation3(places.rotation).as_quat_wxyz()
         if format == "euroc":
             file.write("#timestamp [ns],x [m],y [m],z [m],qw [],qx [],qy [],qz []\n")
             for t, p, q in zip(trajectory.timestamp_s, places.translation, wxyz):
-                numbers = ",".join(f"{value:.9g}" for value in (*p, *q))
-                file.write(f"{round(t / _NS)},{numbers}\n")
+                file.write(f"{round(t / _NS)},{exact_text([*p, *q], ',')}\n")
             return
         file.write("# timestamp tx ty tz qx qy qz qw" + (_COVARIANCE_WORDS if with_covariance else "") + "\n")
         for n, (t, p, q) in enumerate(zip(trajectory.timestamp_s, places.translation, wxyz)):
             values = [*p, *q[[1, 2, 3, 0]]]
             if with_covariance and trajectory.covariance is not None:
                 values += [*trajectory.covariance[n][_UPPER]]
-            file.write(f"{t:.9f} {' '.join(f'{value:.9g}' for value in values)}\n")
+            file.write(f"{t:.9f} {exact_text(values)}\n")
+
+
+def exact_text(values: Iterable[float], separator: str = " ") -> str:
+    """Numbers with as many digits as it takes to read the same numbers again: in UTM, nine would be a grid of centimetres."""
+    return separator.join(repr(float(value)) for value in values)
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.colmap import read_colmap_model
@@ -37,6 +38,7 @@ class TruthCameras:
         return f"TruthCameras({len(self)} cameras)"
 
 
+@checked
 def read_truth(path: str | Path) -> TruthCameras:
     """Read ground-truth cameras; the format is detected.
 

@@ -15,10 +15,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int64, UInt8
 
-from epipole.errors import ConfigError, FileFormatError
+from epipole._checks import check_count
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.image.encoding import encoded_image
+from epipole.io._spherical import refuse_spherical_video
 from epipole.io.atomic import atomic_folder
 from epipole.io.files import open_file, read_json, require_file
 from epipole.io.json_files import json_text
@@ -39,6 +42,9 @@ VIDEO_SUFFIXES = frozenset(
         ".3gp",
         ".insv",
         ".360",
+        ".ts",
+        ".ogv",
+        ".flv",
     }
 )
 SPHERICAL_SUFFIXES = frozenset({".insv", ".360"})
@@ -51,6 +57,8 @@ _SHARPNESS_SIZE_PX = 640
 _JPEG_QUALITY = 95
 _HEAD = 256
 _MOST_FRAME_PX = 1 << 26
+_LISTS_FRAMES = re.compile(rb"....(?:ftyp|moov|mdat|wide|free|skip)|RIFF....AVI ", re.DOTALL)
+"""How containers begin that list their frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +79,13 @@ class VideoFrames:
         return f"VideoFrames({len(self)} over {span_s:.1f} s)"
 
 
+@checked
 def is_video(path: Path | str) -> bool:
     """Whether a path is a file with a video's suffix."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file()
 
 
+@checked
 def frame_size(path: Path | str) -> tuple[int, int] | None:
     """Width and height of a video's frames; None where the file does not tell.
 
@@ -87,6 +97,7 @@ def frame_size(path: Path | str) -> tuple[int, int] | None:
     return size if min(size) > 0 else None
 
 
+@checked
 def extract_frames(
     video: Path | str,
     folder: Path | str,
@@ -137,16 +148,32 @@ def extract_frames(
     return frames
 
 
+@checked
 def slot_bounds(num_frames: int, num_slots: int) -> Int64[np.ndarray, "n 2"]:
-    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each."""
+    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each.
+
+    Raises:
+        ConfigError: there is no slot, or a number is negative or too large.
+    """
+    check_count(num_frames, "num_frames", 1 << 53)
+    check_count(num_slots, "num_slots")
+    if num_slots < 1:
+        raise ConfigError("num_slots must be positive")
     edges = np.linspace(0.0, num_frames, num_slots + 1)
     middle = np.floor(0.5 * (edges[:-1] + edges[1:])).astype(np.int64)
     half = min(_MAX_WINDOW, max(1, num_frames // (2 * num_slots))) // 2
     return np.stack([np.maximum(middle - half, 0), np.minimum(middle + half, num_frames - 1)], axis=1)
 
 
-def sharpness(bgr: np.ndarray) -> float:
-    """Variance of the Laplacian of a frame, at 640 pixels."""
+@checked
+def sharpness(bgr: UInt8[np.ndarray, "h w *channels"]) -> float:
+    """Variance of the Laplacian of a frame, in color or grey, at 640 pixels.
+
+    Raises:
+        ShapeError: it has no pixel, or other channels than three.
+    """
+    if not bgr.size or bgr.ndim > 3 or bgr.shape[2:] not in ((), (3,)):
+        raise ShapeError(f"bgr must be (h, w, 3) or (h, w), got {bgr.shape}")
     grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY) if bgr.ndim == 3 else bgr
     scale = _SHARPNESS_SIZE_PX / max(grey.shape)
     if scale < 1.0:
@@ -161,7 +188,7 @@ def _extract(
     every_s: float | None,
     progress: Callable[[int, int], None] | None,
 ) -> VideoFrames:
-    num_frames, fps = _length(video)
+    num_frames, fps = count_frames(video)
     num_slots = max_frames
     if every_s is not None:
         if fps is None:
@@ -182,20 +209,22 @@ def _extract(
     return VideoFrames(tuple(names), np.array(indices, np.int64), np.array(times, np.float64))
 
 
+@checked
 def opened_video(video: Path) -> cv2.VideoCapture:
     """A video whose frames can be read one after the other.
 
     Raises:
-        FileFormatError: it is no file, or not a video that can be read.
+        FileFormatError: it is no file, not a video that can be read, or a spherical one.
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
-    if video.suffix.lower() in SPHERICAL_SUFFIXES:
-        raise FileFormatError(
-            video,
-            f"is the raw recording of a 360 degree camera ({video.suffix}), whose frames hold several fisheye images each: "
-            "export a flat video of one perspective (an .mp4) with the program of the camera's maker, and give that",
-        )
+        if video.suffix.lower() in SPHERICAL_SUFFIXES:
+            raise FileFormatError(
+                video,
+                f"is the raw recording of a 360 degree camera ({video.suffix}), whose frames hold several fisheye images each: "
+                "export a flat video of one perspective (an .mp4) with the program of the camera's maker, and give that",
+            )
+        refuse_spherical_video(video, stream)
     # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
         raise FileFormatError(video, f"is not a video: it is {'text' if head else 'empty'}")
@@ -213,15 +242,40 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     return capture
 
 
-def _length(video: Path) -> tuple[int, float | None]:
-    """Frames that the video announces (counted where it does not) and frames per second (None if unknown)."""
+@checked
+def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]:
+    """Frames that a video announces (0 if it does not), and whether its container counts them.
+
+    MP4, QuickTime and AVI list their frames. Of others (Matroska, WebM, transport streams), FFmpeg multiplies duration and frame rate,
+    which is wrong by any factor where the frame rate varies.
+    """
+    announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    with open_file(video) as stream:
+        is_counted = _LISTS_FRAMES.match(stream.read(_HEAD)) is not None
+    return (int(announced) if 0 < announced < 1e9 else 0), is_counted
+
+
+@checked
+def count_frames(video: Path) -> tuple[int, float | None]:
+    """Frames of a video and frames per second (None if unknown); read to its end where its container does not count them.
+
+    Raises:
+        FileFormatError: no frame can be decoded, or the video ends before half of its duration.
+    """
     capture = opened_video(video)
     try:
-        announced, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
-        num_frames = int(announced) if 0 < announced < 1e9 else 0
-        if num_frames == 0:
+        num_frames, is_counted = announced_frames(video, capture)
+        fps = capture.get(cv2.CAP_PROP_FPS)
+        if num_frames == 0 or not is_counted:
+            duration_s = num_frames / fps if fps > 0.0 else 0.0
+            num_frames, last_s = 0, 0.0
             while capture.grab():
                 num_frames += 1
+                last_s = max(last_s, capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
+            if 0.0 < last_s < 0.5 * duration_s:
+                problem = f"it ends after {last_s:.1f} of {duration_s:.1f} s"
+                raise FileFormatError(video, f"the video is damaged: {problem}")
+            fps = (num_frames - 1) / last_s if last_s > 0.0 else fps
     finally:
         capture.release()
     if num_frames == 0:

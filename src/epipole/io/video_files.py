@@ -9,8 +9,12 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.errors import ConfigError, WorkspaceError
+from epipole.io.atomic import refuse_other_kinds
 
+MOST_FPS = 1000
 VIDEO_SUFFIX, CODEC = ".mp4", "vp09"
 _COMPARED_SIDE = 8
 """Frames are compared with what was written at this many cells each way: compression changes details."""
@@ -29,15 +33,17 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
         fps: pictures a second.
 
     Raises:
-        ConfigError: the pictures differ in size, or there is none.
+        ConfigError: the pictures differ in size, there is none, or the rate is not from 0 to 1000.
         WorkspaceError: the file cannot be written, or does not read back as it was written (the disk is full).
     """
-    path = Path(path)
+    path, fps = _target(path, fps)
+    if not isinstance(pictures, Iterable):
+        raise ConfigError(f"pictures must be images, got {pictures!r:.60}")
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
     writer, size, count = None, (0, 0), 0
     first = last = np.zeros((1, 1, 3), np.uint8)
     try:
-        for picture in pictures:
+        for picture in map(_frame, pictures):  # one after the other: all may not fit into the memory
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
                 writer, first = _opened(aside, fps, size), picture
@@ -58,6 +64,20 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
         if writer is not None:
             writer.release()
         aside.unlink(missing_ok=True)
+
+
+@checked
+def _target(path: str | Path, fps: float) -> tuple[Path, float]:
+    if not 0 < fps <= MOST_FPS:
+        raise ConfigError(f"fps must be above 0 and at most {MOST_FPS}, got {fps:g}")
+    refuse_other_kinds(Path(path))
+    return Path(path), fps
+
+
+@checked
+def _frame(picture: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
+    check_pixels(picture.shape[1], picture.shape[0])
+    return picture
 
 
 def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:

@@ -33,7 +33,8 @@ class PositionPriors(Declared):
     """Prior positions of images (GPS), in the model's world coordinates; NaN rows for none."""
 
     positions_in_world: Float64[np.ndarray, "n 3"]
-    sigma: float
+    sigma: Float64[np.ndarray, "n 3"]
+    """Standard deviation of each coordinate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from the right, x exp(delta). The cost is half the sum of r^T Omega r (Grisetti,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, checked
+from epipole._declared import check_fields, check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
@@ -38,6 +38,8 @@ class PoseGraph:
     """Batch (m,), measured."""
     information: Float64[np.ndarray, "m d d"]
     """Inverse covariances in the tangent (translation, rotation[, log scale])."""
+    fixed: Int64[np.ndarray, " f"] = field(default_factory=lambda: np.empty(0, np.int64))
+    """Poses that stay as they are. In a connected component without one it is the first pose."""
 
     def __post_init__(self) -> None:
         """Check that everything fits.
@@ -58,6 +60,8 @@ class PoseGraph:
             min(self.first.min(), self.second.min()) >= 0 and max(self.first.max(), self.second.max()) < n
         ):
             raise ShapeError(f"an edge names a place that is not there (there are {n})")
+        if len(self.fixed) and not 0 <= self.fixed.min() <= self.fixed.max() < n:
+            raise ShapeError(f"fixed names a pose that does not exist (there are {n})")
 
     def _check_numbers(self) -> None:
         """Check that all numbers can be calculated with: what is not finite would spread over the whole graph."""
@@ -102,7 +106,7 @@ class PoseGraphConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_iterations < 1 or not self.relative_tolerance >= 0:
             raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
         if not 1e-9 < self.confidence < 1:  # below, no residual would lie within
@@ -141,7 +145,7 @@ def optimize_pose_graph(
     config: PoseGraphConfig | None = None,
     progress: Callable[[int, float], bool] | None = None,
 ) -> PoseGraphResult:
-    """Levenberg-Marquardt with a sparse factorisation; the first pose of each connected component is held.
+    """Levenberg-Marquardt with a sparse factorisation; the fixed poses stay, or the first one of a connected component.
 
     Args:
         graph: places and edges.
@@ -163,7 +167,7 @@ def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
     """Initial poses from the edges alone: chordal relaxation of the rotations, then linear translations.
 
     Rotations minimise sum |R_i Z - R_j|^2 as free matrices, then go to the nearest rotations (Martinec and Pajdla, CVPR 2007;
-    Carlone et al., ICRA 2015). Each connected component keeps its first pose.
+    Carlone et al., ICRA 2015). The fixed poses stay, or the first one of a connected component.
 
     Raises:
         ShapeError: the graph is one of similarities.
@@ -175,7 +179,7 @@ def initialize_pose_graph(graph: PoseGraph) -> PoseGraph:
     else:
         start, measured = graph.world_from_body, graph.first_from_second
     n, m = len(graph), len(graph.first)
-    fixed = _anchors(n, graph.first, graph.second)
+    fixed = _anchors(graph)
     free = np.setdiff1d(np.arange(n), fixed)
     rows = np.arange(3 * m).reshape(m, 3)
     # (R_i Z - R_j)^T = Z^T R_i^T - R_j^T: three right-hand sides share one matrix.
@@ -217,8 +221,7 @@ def optimize_weighted(
         raise DegenerateGeometryError(
             f"the information matrices of {len(wrong)} of {len(weights)} edges are not positive definite: {few}"
         ) from error
-    n, d = len(graph), graph.dimension
-    equations = _NormalEquations(n, d, graph.first, graph.second)
+    equations = _NormalEquations(graph)
     places, damping, converged, iteration = graph.world_from_body, 0.0, False, 0
     between, residual = _residuals(graph, places)
     squared = _squared(graph, residual)
@@ -288,10 +291,10 @@ def _moved(places: Motion, step: np.ndarray) -> Motion:
 class _NormalEquations:
     """The normal equations of a graph: laid out once, filled and factored at every step."""
 
-    def __init__(self, n: int, d: int, first: np.ndarray, second: np.ndarray) -> None:
+    def __init__(self, graph: PoseGraph) -> None:
+        n, d, first, second = len(graph), graph.dimension, graph.first, graph.second
         self.n, self.d, self.first, self.second = n, d, first, second
-        fixed = _anchors(n, first, second)
-        self.free = np.setdiff1d(np.arange(n), fixed)
+        self.free = np.setdiff1d(np.arange(n), _anchors(graph))
         column = np.full(n, -1)
         column[self.free] = np.arange(len(self.free))
         i, j = column[first], column[second]
@@ -350,11 +353,14 @@ def _summed(row: np.ndarray, values: np.ndarray, num_rows: int) -> np.ndarray:
     return (which @ flat).reshape(num_rows, *values.shape[1:])
 
 
-def _anchors(n: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """The first place of every connected part: nothing else says where it is."""
-    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(n, n))
-    _, part = sparse.csgraph.connected_components(graph, directed=False)
-    return np.unique(part, return_index=True)[1]
+def _anchors(graph: PoseGraph) -> np.ndarray:
+    """The fixed poses, and the first one of every connected component that has none: its pose is otherwise unknown."""
+    n, m = len(graph), len(graph.first)
+    edges = sparse.coo_matrix((np.ones(m), (graph.first, graph.second)), shape=(n, n))
+    _, component = sparse.csgraph.connected_components(edges, directed=False)
+    components, first = np.unique(component, return_index=True)
+    without = ~np.isin(components, component[graph.fixed])
+    return np.union1d(graph.fixed, first[without])
 
 
 def _block_rows(rows: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared.tables import TEXT, Expected
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened
@@ -15,6 +16,8 @@ from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.units import is_done, load, store
 
 _KEY = "contents 1"
+
+_TABLE = {name: Expected(TEXT, "n") for name in ("paths", "states", "digests")}
 
 
 def content_digests(
@@ -61,7 +64,7 @@ def _remembered(memory: Path) -> dict[str, tuple[str, str]]:
     if not is_done(memory, _KEY):
         return {}
     try:
-        held = load(memory, "paths", "states", "digests")
+        held = load(memory, _TABLE)
     except WorkspaceError:
         return {}
     return {

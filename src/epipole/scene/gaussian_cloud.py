@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from epipole._declared import Declared, check_fields, checked
 from epipole.errors import ShapeError
@@ -21,6 +21,7 @@ class GaussianCloud(Declared):
     """Kerbl, Kopanas, Leimkuehler and Drettakis, 3D Gaussian Splatting for Real-Time Radiance Field Rendering, 2023."""
 
     means_in_world: Float32[np.ndarray, "n 3"]
+    """Relative to `origin_in_world`."""
     log_scales: Float32[np.ndarray, "n 3"]
     """Logarithms of the deviations along the Gaussian's own axes."""
     quats_wxyz: Float32[np.ndarray, "n 4"]
@@ -29,6 +30,8 @@ class GaussianCloud(Declared):
     """Opacity is 1 / (1 + exp(-logit))."""
     sh: Float32[np.ndarray, "n k 3"]
     """Coefficients of red, green and blue, in the order of 3DGS; k is 1, 4, 9 or 16."""
+    origin_in_world: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.zeros(3))
+    """Added to the means; not zero where these are far from the world's origin (in UTM, for one), for which single precision is too coarse."""
 
     def __post_init__(self) -> None:
         """Check the shapes.
@@ -51,6 +54,17 @@ class GaussianCloud(Declared):
         """0 to 3."""
         return NUM_SH.index(self.sh.shape[1])
 
+    @property
+    def centers_in_world(self) -> Float64[np.ndarray, "n 3"]:
+        """The means in the world, in double precision."""
+        return self.means_in_world.astype(np.float64) + self.origin_in_world
+
+    @checked
+    def relative_to(self, origin_in_world: Float64[np.ndarray, " 3"]) -> GaussianCloud:
+        """The same Gaussians with their means relative to another origin."""
+        means = (self.centers_in_world - origin_in_world).astype(np.float32)
+        return replace(self, means_in_world=means, origin_in_world=origin_in_world)
+
     @checked
     def rows(self, chosen: Int64[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> GaussianCloud:
         """Some of them."""
@@ -60,4 +74,5 @@ class GaussianCloud(Declared):
             self.quats_wxyz[chosen],
             self.opacity_logits[chosen],
             self.sh[chosen],
+            self.origin_in_world,
         )

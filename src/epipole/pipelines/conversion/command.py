@@ -28,7 +28,7 @@ def convert(
     console = open_console()
     pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
     console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
-    print_warnings(console, done.warnings)
+    print_warnings(console, [*done.warnings, *done.losses])
     if done.missing:
         note = f"{len(done.missing)} pictures were not found ({done.missing[0]} first): put them into {done.out}/images"
         print_warnings(console, [note])

@@ -10,13 +10,23 @@ from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
-from epipole.io.gaussian_files import SUFFIXES, gaussians_file, read_gaussians, write_gaussians
+from epipole.io.gaussian_files import (
+    META,
+    SPLAT,
+    SUFFIXES,
+    WITHOUT_ORIGIN,
+    gaussians_file,
+    is_unpacked_sog,
+    read_gaussians,
+    write_gaussians,
+)
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
 from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, open_run, refuse_existing, replacing_file
 from epipole.scene import Reconstruction
+from epipole.scene.gaussian_cloud import GaussianCloud
 
 KIND = "convert"
 _WITH_PICTURES = ("transforms", "bundler")
@@ -35,6 +45,8 @@ class Conversion:
     """Images of the model whose pictures were not found."""
     warnings: tuple[str, ...] = ()
     """What the reconstruction that is the source has lost: images and models that are not in what was written."""
+    losses: tuple[str, ...] = ()
+    """What the format cannot hold, in words."""
 
 
 def format_told_by(source: Path, target: Path) -> str | None:
@@ -43,7 +55,8 @@ def format_told_by(source: Path, target: Path) -> str | None:
     if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
         return "splat"
     if name.endswith(".ply"):
-        return "splat" if source.is_file() or (source / "splat.ply").is_file() else "ply"
+        is_splat = source.is_file() or (source / SPLAT).is_file() or is_unpacked_sog(source / META)
+        return "splat" if is_splat else "ply"
     return None
 
 
@@ -104,7 +117,21 @@ def _convert_gaussians(source: Path, target: Path) -> Conversion:
     cloud = read_gaussians(file)
     with replacing_file(target, KIND, (source,)) as aside:
         write_gaussians(aside, cloud)
-    return Conversion(target, 0, ())
+    return Conversion(target, 0, (), losses=_losses(target, cloud))
+
+
+def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
+    """What the format of a file cannot hold, in words."""
+    out = []
+    suffix = target.suffix.lower()
+    if suffix in WITHOUT_ORIGIN and cloud.origin_in_world.any():
+        origin = " ".join(map(repr, cloud.origin_in_world.tolist()))
+        out.append(f"{suffix} cannot hold the origin {origin}: coordinates are relative to it")
+    if suffix == ".splat" and cloud.sh_degree:
+        out.append(
+            f"{suffix} cannot hold harmonics of degree {cloud.sh_degree}: colours are the same from all sides"
+        )
+    return tuple(out)
 
 
 def _convert_to_ply(source: Path, target: Path) -> Conversion:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import NoModelError
+from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.image import undistorted_camera
 from epipole.io.convert import read_model
@@ -32,7 +33,7 @@ def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
     """The registered cameras of a model, without distortion, by their names.
 
     Raises:
-        FileFormatError: there is no model that can be read.
+        FileFormatError: there is no model that can be read, or a camera of it has too many pixels.
         NoModelError: it has no camera with a pose.
     """
     model: Reconstruction = (
@@ -42,7 +43,14 @@ def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
     rows = sorted(np.flatnonzero(model.is_registered()).tolist(), key=lambda k: model.images.name[k])
     for row, name in zip(rows, flat_names([model.images.name[row] for row in rows])):
         camera = undistorted_camera(model.cameras[int(model.camera_of_image[row])])
-        out.append(Shot(name, sized(camera, job.width), cams_from_world[row]))
+        camera = sized(camera, job.width)
+        try:
+            check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
+        except ConfigError as error:
+            raise FileFormatError(
+                source, f"the camera of {name!a} is too large: {error}; pass --width"
+            ) from error
+        out.append(Shot(name, camera, cams_from_world[row]))
     if not out:
         raise NoModelError(f"{source} holds no camera with a pose")
     return out

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.errors import ConfigError
 
 USUAL_TIME = "5m"
@@ -48,7 +48,7 @@ class FieldOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if self.time is not None and self.steps is not None:
             raise ConfigError("time and steps are two ways to say how long: give one")
         if self.steps is not None and not 1 <= self.steps < 10**9:
@@ -110,7 +110,7 @@ class RenderJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if not 1 <= self.frames <= 1_000_000:
             raise ConfigError(f"frames must be from 1 to a million, got {self.frames}")
         for name in ("width", "height"):
@@ -150,7 +150,7 @@ class MeshJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
         if self.most_views < 1:

@@ -54,7 +54,7 @@ def first_gaussians(
         FileFormatError: what it should begin with cannot be read.
     """
     if config.start_from is not None:
-        cloud = gaussians_in(config.start_from, most)
+        cloud = gaussians_in(config.start_from, most).relative_to(pictures.origin_in_world)
         return Start(replace(cloud, sh=np.ascontiguousarray(cloud.sh[:, : NUM_SH[config.sh_degree]])), [])
     points, rgb = pictures.points_in_world, pictures.rgb
     good = np.isfinite(points).all(axis=1)

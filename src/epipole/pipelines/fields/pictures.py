@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +18,13 @@ from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.contents_in_words import results_of
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.names import path_inside
-from epipole.io.photographs import mask_of, read_mask, read_rgb
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file, read_rgb
 from epipole.io.rgba_pictures import read_rgba
-from epipole.io.transforms_json import read_transforms
+from epipole.io.transforms_json import read_transforms_scene
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.runs import Progress, ProgressCallback, ignore_progress
 from epipole.scene import Reconstruction
+from epipole.scene.local_origin import local_origin
 
 SPLITS = ("transforms_train.json", "transforms_test.json")
 """NeRF-synthetic's; a file of validation views is not used."""
@@ -38,6 +41,31 @@ class FieldPictures:
     has_alpha: bool
     problems: list[str]
     """Pictures that are left out, and why."""
+    origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """(3,) what the coordinates are relative to."""
+
+    def about_origin(self) -> FieldPictures:
+        """The same about an origin near the cameras, where these are far from that of the world: Gaussians are of single precision."""
+        views = [*self.train, *self.test]
+        origin = local_origin(np.stack([view.cam_from_world.inverse().translation for view in views]))
+        if not origin.any():
+            return self
+        return replace(
+            self,
+            train=[_relative_to(view, origin) for view in self.train],
+            test=[_relative_to(view, origin) for view in self.test],
+            points_in_world=self.points_in_world - origin,
+            origin_in_world=self.origin_in_world + origin,
+        )
+
+
+def _relative_to(view: TrainingView, origin_in_world: np.ndarray) -> TrainingView:
+    points = view.points_in_world
+    return replace(
+        view,
+        cam_from_world=view.cam_from_world @ Rigid3(np.eye(3), origin_in_world),
+        points_in_world=None if points is None else points - origin_in_world,
+    )
 
 
 def is_model(source: Path) -> bool:
@@ -75,20 +103,16 @@ def gather_field_pictures(
     """
     problems: list[str] = []
     if (source / SPLITS[0]).is_file():
-        parts = [
-            (source / name, read_transforms(source / name, image_folder=""))
-            for name in SPLITS
-            if (source / name).is_file()
-        ]
-        model = parts[0][1]
-        train = _views(model, source, options, problems, progress)
-        test = _views(parts[1][1], source, options, problems, progress) if len(parts) > 1 else []
+        parts = [_transforms_source(source / name, problems) for name in SPLITS if (source / name).is_file()]
+        model = parts[0].model
+        if any(part.splits for part in parts):
+            problems.append(f"lists of splits are not used, because {' and '.join(SPLITS)} are the splits")
+        train = _views(parts[0], options, problems, progress)
+        test = _views(parts[1], options, problems, progress) if len(parts) > 1 else []
     else:
-        model, folder = _model_of(source, options.max_side_px)
-        views = _views(model, photographs or folder, options, problems, progress)
-        held = _held_out([view.name for view in views], options)
-        test = [view for view in views if view.name in held]
-        train = [view for view in views if view.name not in held]
+        found = _source_of(source, options.max_side_px, photographs, problems)
+        model = found.model
+        train, test = _split(_views(found, options, problems, progress), found.splits, options, problems)
     if len(train) < 2:
         raise NoModelError(
             f"{len(train)} of the pictures can be trained on, two are needed"
@@ -99,64 +123,113 @@ def gather_field_pictures(
     return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
 
 
-def _held_out(names: list[str], options: FieldOptions) -> set[str]:
-    """Names of pictures that are not trained on.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Source:
+    """A model, and what is known of its images."""
+
+    model: Reconstruction
+    folder: Path
+    """Where the names of the images start from."""
+    masks: Mapping[str, Path] = field(default_factory=dict)
+    """Of images, by their names."""
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Names of the images of the splits train, val and test."""
+
+
+def _split(
+    views: list[TrainingView],
+    splits: Mapping[str, tuple[str, ...]],
+    options: FieldOptions,
+    problems: list[str],
+) -> tuple[list[TrainingView], list[TrainingView]]:
+    """Views to train on and views that are held out: as asked for, else as the file says, else every n-th.
 
     Raises:
-        ConfigError: one that is asked for is not there.
+        ConfigError: a view that is asked for is not there.
     """
-    if options.test is None:
-        return set(names[:: options.test_every]) if options.test_every else set()
-    wanted = {name.strip() for name in options.test.split(",") if name.strip()}
-    missing = sorted(wanted - set(names))
-    if missing:
-        raise ConfigError(f"test names pictures that have no camera: {', '.join(missing[:4])}")
-    return wanted
+    names = [view.name for view in views]
+    if options.test is not None:
+        held = {name.strip() for name in options.test.split(",") if name.strip()}
+        if missing := sorted(held - set(names)):
+            raise ConfigError(f"test names pictures that have no camera: {', '.join(missing[:4])}")
+        if splits:
+            problems.append("the splits of the file are not used, because test names the held-out images")
+    elif splits:
+        return _split_of_file(views, splits, problems)
+    else:
+        held = set(names[:: options.test_every]) if options.test_every else set()
+    return [view for view in views if view.name not in held], [view for view in views if view.name in held]
 
 
-def _model_of(source: Path, max_side_px: int) -> tuple[Reconstruction, Path]:
-    """A model, and the folder that its pictures' names start from."""
+def _split_of_file(
+    views: list[TrainingView], splits: Mapping[str, tuple[str, ...]], problems: list[str]
+) -> tuple[list[TrainingView], list[TrainingView]]:
+    """Without a list of test images those for validation are held out; without one to train on, all others are."""
+    held = set(splits.get("test", splits.get("val", ())))
+    others = {view.name for view in views} - held - set(splits.get("val", ()))
+    wanted = set(splits.get("train", others))
+    if both := sorted(wanted & held):
+        problems.append(
+            f"{len(both)} images are both trained on and held out ({both[0]}), so their scores are too high"
+        )
+    if unused := sorted({view.name for view in views} - wanted - held):
+        problems.append(f"{len(unused)} images are in no split that is used ({unused[0]})")
+    return [view for view in views if view.name in wanted], [view for view in views if view.name in held]
+
+
+def _transforms_source(file: Path, problems: list[str]) -> _Source:
+    scene = read_transforms_scene(file, image_folder="")
+    problems.extend(f"{file.name}: {warning}" for warning in scene.warnings)
+    masks = {name: path_inside(file.parent, mask) for name, mask in scene.masks.items()}
+    return _Source(scene.reconstruction, file.parent, masks, scene.splits)
+
+
+def _source_of(source: Path, max_side_px: int, photographs: Path | None, problems: list[str]) -> _Source:
+    """A model of any format.
+
+    Raises:
+        FileFormatError: there is none, or it is damaged.
+    """
+    file = source if source.suffix == ".json" else source / "transforms.json"
     if (source / LLFF).is_file():
         scene = read_llff(source, max_side_px)
-        return scene.reconstruction, scene.image_folder
-    file = source if source.suffix == ".json" else source / "transforms.json"
-    if file.is_file():
-        return read_transforms(file, image_folder=""), file.parent
-    folder = find_model(source)
-    at = folder.resolve()
-    places = (source, folder, at.parent, at.parent.parent)
-    workspace = next((place for place in places if (place / "images").is_dir()), source)
-    return read_colmap_model(folder), workspace / "images"
+        found = _Source(scene.reconstruction, scene.image_folder)
+    elif file.is_file():
+        found = _transforms_source(file, problems)
+    else:
+        folder = find_model(source)
+        at = folder.resolve()
+        places = (source, folder, at.parent, at.parent.parent)
+        workspace = next((place for place in places if (place / "images").is_dir()), source)
+        found = _Source(read_colmap_model(folder), workspace / "images")
+    return found if photographs is None else replace(found, folder=photographs)
 
 
 def _views(
-    model: Reconstruction,
-    folder: Path,
-    options: FieldOptions,
-    problems: list[str],
-    progress: ProgressCallback,
+    source: _Source, options: FieldOptions, problems: list[str], progress: ProgressCallback
 ) -> list[TrainingView]:
     """By their names; a picture that cannot be read is left out.
 
     Raises:
         ConfigError: there are masks, and of none of the pictures.
     """
+    model = source.model
     out, cams_from_world = [], model.cams_from_world()
+    if options.masks is not None and source.masks:
+        problems.append("the masks that the file names are not used, because masks is given")
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
     progress(Progress("load", 0, len(rows)))
+    limits = _grey_range(source.folder, [model.images.name[row] for row in rows.tolist()])
     for n, row in enumerate(sorted(rows.tolist(), key=lambda k: model.images.name[k]), 1):
         name = model.images.name[row]
         try:
             camera = model.cameras[int(model.camera_of_image[row])]
-            mask = (
-                None
-                if options.masks is None
-                else read_mask(options.masks, name, size=(camera.width, camera.height))
-            )
+            mask = _mask(source, options, name, (camera.width, camera.height))
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
-            path = path_inside(folder, name)
-            view = _view(name, path, camera, cams_from_world[row], mask, seen, options.max_side_px)
+            path = path_inside(source.folder, name)
+            picture = _read(path, camera, limits)
+            view = _view(name, picture, camera, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -169,9 +242,26 @@ def _views(
     return out
 
 
+def _mask(source: _Source, options: FieldOptions, name: str, size: tuple[int, int]) -> np.ndarray | None:
+    """Of one image: from the folder of masks if there is one, else the mask that the file names."""
+    if options.masks is not None:
+        return read_mask(options.masks, name, size=size)
+    path = source.masks.get(name)
+    return None if path is None else read_mask_file(path, name, size=size)
+
+
+def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
+    """Of all pictures together, where they are deep greyscale: a field has one brightness for all views."""
+    paths = []
+    for name in names:
+        with suppress(EpipoleError):
+            paths.append(path_inside(folder, name))
+    return common_range(paths)
+
+
 def _view(
     name: str,
-    path: Path,
+    picture: np.ndarray,
     camera: Camera,
     cam_from_world: Rigid3,
     mask: np.ndarray | None,
@@ -179,7 +269,6 @@ def _view(
     max_side_px: int,
 ) -> TrainingView:
     """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
-    picture = _read(path, camera)
     pinhole = undistorted_camera(camera)
     picture = _undistorted(picture, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
@@ -191,14 +280,14 @@ def _view(
     return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
 
 
-def _read(path: Path, camera: Camera) -> np.ndarray:
+def _read(path: Path, camera: Camera, limits: GreyRange | None) -> np.ndarray:
     """RGB, or RGBA where something is transparent.
 
     Raises:
         FileFormatError: it cannot be read, or is not of its camera's size.
     """
     rgba = read_rgba(path)
-    picture = read_rgb(path) if rgba is None else rgba
+    picture = read_rgb(path, limits=limits) if rgba is None else rgba
     if picture.shape[:2] != (camera.height, camera.width):
         h, w = picture.shape[:2]
         raise FileFormatError(path, f"is {w} x {h}, its camera {camera.width} x {camera.height}")

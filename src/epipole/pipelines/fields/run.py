@@ -27,6 +27,7 @@ from epipole.pipelines.fields.scene import (
 from epipole.pipelines.fields.training import Called, background_of, called, finished, pictures_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.scene.local_origin import ORIGIN
 
 BORNE, STEP_S = 3600.0, 0.02
 """Gaussians that a second bears, which grow with the root of the time; and about how long a step takes."""
@@ -85,7 +86,7 @@ def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldPictures]:
     source, wanted, config = given.source, given.pictures, given.config
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
-            pictures = pictures_of(source, run, wanted)
+            pictures = pictures_of(source, run, wanted).about_origin()
         run.warnings += pictures.problems
         most = _fitting(config, pictures, wanted)
         config = replace(config, max_gaussians=most)
@@ -99,12 +100,14 @@ def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldPictures]:
             gigabytes = 1e-9 * _memory(pictures, most, config.sh_degree)
             note = f"up to {most:,} Gaussians on {len(pictures.train)} pictures, about {gigabytes:.1f} GB"
             trained = train(trainer, pictures, wanted, run, note, checkpoint)
-        cloud = trainer.cloud
+        cloud = replace(trainer.cloud, origin_in_world=pictures.origin_in_world)
         with run.stage("write"), run.folder.publish("model") as aside:
             write_gaussian_ply(aside / SPLAT, cloud)
-            write_cameras(aside / CAMERAS, trainer.placed_views)
+            write_cameras(aside / CAMERAS, trainer.placed_views, pictures.origin_in_world)
         told: dict[str, Any] = {"num_gaussians": len(cloud), ANTIALIASED: config.antialiased}
-        told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train)
+        told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train, pictures.origin_in_world)
+        if pictures.origin_in_world.any():
+            told[ORIGIN] = pictures.origin_in_world.tolist()
         summary = finished(
             trainer, pictures, compared(trainer, pictures.test, wanted, run), trained, run, **told
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import gaussians_of
 from epipole.geometry import Rigid3
 from epipole.io.files import read_json
-from epipole.io.gaussian_files import gaussians_file, read_gaussians
+from epipole.io.gaussian_files import META, gaussians_file, is_unpacked_sog, read_gaussians
+from epipole.io.gaussian_files import SPLAT as SPLAT
 from epipole.io.transforms_json import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
@@ -24,7 +26,7 @@ from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
 from epipole.scene import Points
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-SPLAT, SUMMARY, CAMERAS = "splat.ply", "summary.json", "cameras.json"
+SUMMARY, CAMERAS = "summary.json", "cameras.json"
 FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
 """Names in the summary."""
 MOST_SHOWN = 800_000
@@ -35,13 +37,15 @@ UNIT, UNIT_OF_FILE = "units of the cameras", "units of the file"
 
 
 def is_mine(path: Path) -> bool:
-    """Whether a folder holds trained Gaussians or a grid, or a file is one of Gaussians."""
+    """Whether a folder holds trained Gaussians, a grid or an unpacked SOG, or a file is one of Gaussians."""
     if path.suffix.lower() in (".spz", ".sog", ".splat") and path.is_file():
         return True
     if path.suffix.lower() == ".ply" and path.is_file():
         with path.open("rb") as stream:
             head = stream.read(8192)
         return b" f_dc_0" in head or b" packed_position" in head
+    if is_unpacked_sog(path) or is_unpacked_sog(path / META):
+        return True
     return (path / SPLAT).is_file() or kind_in(path) is not None
 
 
@@ -54,6 +58,8 @@ def scene(path: Path) -> SpaceScene:
         FileFormatError: a file is damaged.
     """
     cloud, view = seen_gaussians(path)
+    origin = cloud.origin_in_world
+    view = replace(view, position=view.position - origin, look_at=view.look_at - origin)
     folder = path if path.is_dir() else path.parent
     is_result = path.is_dir() or path.name == SPLAT or kind_in(path) is not None
     shots: list[Shot] = []
@@ -65,7 +71,7 @@ def scene(path: Path) -> SpaceScene:
         title=path.resolve().name,
         words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
         unit=UNIT if shots else UNIT_OF_FILE,
-        cameras=_cameras(shots) if shots else None,
+        cameras=_cameras(shots, origin) if shots else None,
         gaussians=cloud,
         view=view,
         background=told_background(folder / SUMMARY) or 0.0,
@@ -82,7 +88,7 @@ def seen_gaussians(path: Path) -> tuple[GaussianCloud, FirstView]:
     if not len(cloud):
         raise FileFormatError(file, "holds no Gaussian")
     known = told_first_view(file.with_name(SUMMARY))
-    return cloud, FirstView(*(known or looked_at(cloud.means_in_world.astype(np.float64))))
+    return cloud, FirstView(*(known or looked_at(cloud.centers_in_world)))
 
 
 def colours_in_words(degree: int) -> str:
@@ -94,9 +100,9 @@ def colours_in_words(degree: int) -> str:
     return f"colours change with the direction by harmonics of degree {DEGREE_KEPT}, of {degree} that were trained"
 
 
-def _cameras(shots: Sequence[Shot]) -> CameraLayer:
-    """Not shown at first: they stand before what they see."""
-    places = [shot.cam_from_world for shot in shots]
+def _cameras(shots: Sequence[Shot], origin_in_world: np.ndarray) -> CameraLayer:
+    """Not shown at first: they stand before what they see. Relative to the origin of the Gaussians."""
+    places = [shot.cam_from_world @ Rigid3(np.eye(3), origin_in_world) for shot in shots]
     return CameraLayer(
         "Cameras",
         tuple(shot.name for shot in shots),
@@ -134,22 +140,41 @@ def looked_at(places: np.ndarray) -> list[np.ndarray]:
     return [middle + away, middle, np.array([0.0, -1.0, 0.0])]
 
 
-def first_view_of(places: np.ndarray, views: Sequence[TrainingView]) -> dict[str, list[float]]:
-    """The place of the first view, the middle of what it sees, and what is up, for a job's summary."""
+def first_view_of(
+    places: np.ndarray, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+) -> dict[str, list[float]]:
+    """The place of the first view, the middle of what it sees, and what is up, for a job's summary.
+
+    Args:
+        places: (n, 3) of what is seen.
+        views: cameras.
+        origin_in_world: what both are relative to; the view is told in the world.
+    """
+    origin = np.zeros(3) if origin_in_world is None else origin_in_world
     world_from_camera = views[0].cam_from_world.inverse()
     up = -np.mean([view.cam_from_world.rotation[1] for view in views], axis=0)
     middle = np.median(places.astype(np.float64), axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
-    return {"position": world_from_camera.translation.tolist(), "look_at": middle.tolist(), "up": up.tolist()}
+    position = world_from_camera.translation + origin
+    return {"position": position.tolist(), "look_at": (middle + origin).tolist(), "up": up.tolist()}
 
 
-def write_cameras(path: Path, views: Sequence[TrainingView]) -> None:
+def write_cameras(
+    path: Path, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+) -> None:
     """Cameras that a field was trained on, without distortion and in the size of the training, as a transforms.json.
+
+    Args:
+        path: the file.
+        views: the cameras.
+        origin_in_world: what they are relative to; the file states it where it is not zero.
 
     Raises:
         WorkspaceError: the file cannot be written.
     """
-    places = [view.cam_from_world for view in views]
+    origin = None if origin_in_world is None or not origin_in_world.any() else origin_in_world
+    shift = Rigid3(np.eye(3), np.zeros(3) if origin is None else -origin)
+    places = [view.cam_from_world @ shift for view in views]
     cams_from_world = Rigid3(
         np.stack([place.rotation for place in places]), np.stack([place.translation for place in places])
     )
@@ -157,7 +182,7 @@ def write_cameras(path: Path, views: Sequence[TrainingView]) -> None:
     none = Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
     names, rows = [view.name for view in views], list(range(len(views)))
     model = model_of_cameras(names, cameras, rows, cams_from_world, none)
-    write_transforms(model, path, image_folder="")
+    write_transforms(model, path, image_folder="", origin_in_world=origin)
 
 
 def told_background(summary: Path) -> float | None:

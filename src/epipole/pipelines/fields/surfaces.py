@@ -53,13 +53,13 @@ def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
         RenderOptions(antialiased=told_antialiased(file.with_name(SUMMARY))),
     )
     opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits))
-    places = cloud.means_in_world[opacity >= LEAST_OPACITY].astype(np.float64)
+    places = cloud.centers_in_world[opacity >= LEAST_OPACITY]
 
     def splatted(shot: Shot) -> Seen:
         drawn = draw(cloud, shot.camera, shot.cam_from_world, options)
         return Seen(drawn.depth, drawn.coverage, drawn.colour)
 
-    return splatted, places if len(places) else cloud.means_in_world.astype(np.float64)
+    return splatted, places if len(places) else cloud.centers_in_world
 
 
 def _marched(kind: Kind, field: Any, shot: Shot) -> Seen:

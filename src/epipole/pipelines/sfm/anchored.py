@@ -21,6 +21,7 @@ from epipole.mapping import (
 )
 from epipole.optim import BundleConfig, BundlePriors, Loss
 from epipole.pipelines.sfm.config import ReconstructConfig
+from epipole.pipelines.sfm.gps.alignment import gps_distances
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.pipeline import Solution
@@ -66,18 +67,17 @@ def with_scale(
     except DegenerateGeometryError as error:
         words = "the model stays up to scale" if gps is None else "the scale stays that of GPS"
         return replace(mapped, scale=_of_gps(gps)), [f"{words}: {error}"]
-    model, residuals = _moved(model, found, config), mapped.gps_residuals_m[0]
+    model, alignment = _moved(model, found, config), mapped.gps[0]
     progress(Progress("anchor", num_images, num_images))
-    if residuals is not None:
+    if alignment is not None:
         positions = gps_to_enu(images.lat_lon_alt)
-        residuals = None
-        if found.places is None:
-            residuals = np.linalg.norm(model.camera_centers_in_world() - positions, axis=1)
+        residuals_m = gps_distances(model.camera_centers_in_world(), positions)
+        alignment = replace(alignment, residuals_m=residuals_m) if found.places is None else None
     return (
         replace(
             mapped,
             models=(model, *mapped.models[1:]),
-            gps_residuals_m=(residuals, *mapped.gps_residuals_m[1:]),
+            gps=(alignment, *mapped.gps[1:]),
             scale=found.scale,
         ),
         found.scale.warnings(),
@@ -115,7 +115,7 @@ def _of_gps(gps: ScaleEstimate | None) -> MetricScale | None:
 
 def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
     """Of a model that GPS has made metric: a scale of about one, with its deviation."""
-    if mapped.gps_residuals_m[0] is None:
+    if mapped.gps[0] is None:
         return None
     centers, fixes = mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt)
     fixes = np.where(np.isfinite(fixes), fixes, np.where(np.isfinite(fixes[:, :1]), centers, np.nan))

@@ -15,6 +15,7 @@ from epipole.features import Features, detect_features
 from epipole.image.encoding import encoded_image
 from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Unit, digest, load
 
 FORMAT = 4
@@ -114,4 +115,4 @@ def load_features(path: Path) -> Features:
 
 @lru_cache(maxsize=64)
 def _remembered(path: Path, _mtime_ns: int) -> Features:
-    return Features(**load(path, "pixels", "scale_px", "angle_rad", "descriptors"))
+    return Features(**load(path, FEATURES, "pixels", "scale_px", "angle_rad", "descriptors"))

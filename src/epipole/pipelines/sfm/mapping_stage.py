@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from epipole.io.exif import gps_to_enu
 from epipole.mapping import MetricScale, ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.gps_evidence import gps_evidence
+from epipole.pipelines.sfm.gps.alignment import (
+    MIN_POSITIONS,
+    GpsAlignment,
+    align_to_gps,
+    evidence_of,
+    gps_distances,
+    is_wide_enough,
+)
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
-from epipole.pipelines.sfm.orientation import MIN_FIXES, align_to_gps, upright_from_world
+from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.up_direction import up_directions
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
 from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 GPS_OUTLIER_SIGMAS = 5.0
+UNKNOWN_ALTITUDE_SIGMA_M = 1e4
+VAGUE_UP_RAD = np.deg2rad(8.0)
+"""Standard deviation above which the direction of up is an assumption that is worth a warning."""
+NUM_NAMED = 3
 FEW_FEATURES = 30
 
 
@@ -29,8 +41,8 @@ class Mapped:
     models: tuple[Reconstruction, ...]
     """Largest first; each lists all images."""
     rejections: dict[int, Rejection]
-    gps_residuals_m: tuple[np.ndarray | None, ...]
-    """Of each model: distance of each image from its GPS fix; None where the model is not in metres."""
+    gps: tuple[GpsAlignment | None, ...]
+    """Of each model: how it fits the GPS positions of its images; None where it is not aligned with them."""
     agreements: tuple[float, ...]
     """Of each model: the share of its own matches that it sees as common points (`MatchConsistency.overall`)."""
     scale: MetricScale | None = None
@@ -55,24 +67,24 @@ def map_images(
     components = connect_matches(view_graph, starts)
     positions = gps_to_enu(images.lat_lon_alt) if config.use_gps else np.full((len(images), 3), np.nan)
     remaining = np.ones(len(images), bool)
-    found: list[tuple[Reconstruction, np.ndarray | None, float]] = []
+    found: list[tuple[Reconstruction, GpsAlignment | None, float]] = []
     rejections: dict[int, Rejection] = {}
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
         if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
-        residuals = _put_in_place(mapper, positions, config, _adjusting(progress))
+        gps = _put_in_place(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
         agreement = mapper.consistency.overall(builder)
-        found.append((builder.freeze(images.names, colors, images.timestamps_s), residuals, agreement))
+        found.append((builder.freeze(images.names, colors, images.timestamps_s), gps, agreement))
         remaining &= ~builder.registered
     progress(Progress("map", int((~remaining).sum()), len(images)))
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
-    models, residuals_m, agreements = zip(*found) if found else ((), (), ())
-    return Mapped(tuple(models), rejections, tuple(residuals_m), tuple(agreements))
+    models, alignments, agreements = zip(*found) if found else ((), (), ())
+    return Mapped(tuple(models), rejections, tuple(alignments), tuple(agreements))
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
@@ -98,49 +110,85 @@ def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
 def _put_in_place(
     mapper: IncrementalMapper,
     positions_enu: np.ndarray,
+    up_in_cams: np.ndarray,
     config: MapperConfig,
     adjusting: Callable[[int, int], None],
-) -> np.ndarray | None:
-    """Turn the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
+) -> GpsAlignment | None:
+    """Rotate the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
-    upright = upright_from_world(model.registered_places(), model.living_points())
-    reach = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
-    aligned = align_to_gps(model.center, upright, positions_enu, reach, config.seed)
+    ups = up_directions(model.registered_places(), up_in_cams[model.registered])
+    reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
+    aligned = align_to_gps(model.center, ups, positions_enu, config.gps_sigma_m, reach_m, config.seed)
     if aligned is None:
-        model.move(upright)
+        model.move(upright_from_world(model.registered_places(), model.living_points(), ups[0]))
         return None
     model.move(aligned.enu_from_world)
-    mapper.priors = PositionPriors(
-        np.where(model.registered[:, None], positions_enu, np.nan), config.gps_sigma_m
-    )
+    expected = np.where(model.registered[:, None], positions_enu, np.nan)
+    sigma = np.full(expected.shape, config.gps_sigma_m)
+    has_no_altitude = np.isfinite(expected[:, 0]) & ~np.isfinite(expected[:, 2])
+    expected[has_no_altitude, 2] = model.center[has_no_altitude, 2]
+    sigma[has_no_altitude, 2] = UNKNOWN_ALTITUDE_SIGMA_M
+    mapper.priors = PositionPriors(expected, sigma)
     adjusting(0, 3)
     mapper.adjust_globally(2, lambda done: adjusting(done, 3))
     adjusting(2, 3)
     mapper.finish()
     adjusting(3, 3)
-    return np.linalg.norm(model.center - positions_enu, axis=1)
+    return replace(aligned, residuals_m=gps_distances(model.center, positions_enu))
 
 
-def gps_note(images: ImageSet, mapped: Mapped, config: MapperConfig) -> str:
-    """Why GPS has not made the largest model metric although pictures have some, in words; empty otherwise."""
-    has_gps = np.isfinite(images.lat_lon_alt).all(axis=1)
-    if not (config.use_gps and mapped.models and has_gps.any()) or mapped.gps_residuals_m[0] is not None:
-        return ""
+def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[str]:
+    """What is to be said of GPS: why it has not made the largest model metric, or which positions it contradicts."""
+    has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
+    if not (config.use_gps and mapped.models and has_gps.any()):
+        return []
+    model, gps = mapped.models[0], mapped.gps[0]
+    registered = model.is_registered()
+    if gps is not None:
+        return _notes_on_positions(images, gps, config)
     unknown = "the scale is unknown" if mapped.scale is None else "GPS is not used"
-    fixes = gps_to_enu(images.lat_lon_alt[has_gps & mapped.models[0].is_registered()])
-    if len(fixes) < MIN_FIXES:
-        counts = f"of the model's pictures {len(fixes) or 'none'} carr{'ies' if len(fixes) == 1 else 'y'} GPS"
-        return f"{unknown}: {counts}, at least {MIN_FIXES} are needed for metres"
-    extent_m, reach_m = (
-        float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0))),
-        GPS_OUTLIER_SIGMAS * config.gps_sigma_m,
+    fixes = gps_to_enu(images.lat_lon_alt[has_gps & registered])
+    if len(fixes) < MIN_POSITIONS:
+        verb = "carries" if len(fixes) == 1 else "carry"
+        counts = f"{len(fixes) or 'none'} of the model's images {verb} GPS"
+        return [f"{unknown}: {counts}, at least {MIN_POSITIONS} are needed for metres"]
+    reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
+    if not is_wide_enough(fixes, reach_m):
+        extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
+        return [
+            f"{unknown}: the GPS positions lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
+        ]
+    found = evidence_of(
+        model.camera_centers_in_world(),
+        up_directions(model.cams_from_world()[registered], images.up_in_cams[registered]),
+        gps_to_enu(images.lat_lon_alt),
+        config.seed,
     )
-    if extent_m < reach_m:
-        return f"{unknown}: the GPS places lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
-    found = gps_evidence(
-        mapped.models[0].camera_centers_in_world(), gps_to_enu(images.lat_lon_alt), config.seed
-    )
-    return f"{unknown}: the GPS places do not fit the model: {found.in_words()}"
+    return [f"{unknown}: the GPS positions do not fit the model: {found.in_words()}"]
+
+
+def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfig) -> list[str]:
+    """Images that are far from their GPS position; and that up is assumed, where it is."""
+    out = []
+    limit_m = max(GPS_OUTLIER_SIGMAS * config.gps_sigma_m, GPS_OUTLIER_SIGMAS * gps.median_m)
+    far = np.flatnonzero(gps.residuals_m > limit_m)
+    if len(far):
+        far = far[np.argsort(-gps.residuals_m[far])]
+        named = ", ".join(
+            f"{images.names[i]} by {_distance_in_words(gps.residuals_m[i])}" for i in far[:NUM_NAMED]
+        )
+        more = f" and {len(far) - NUM_NAMED} more" if len(far) > NUM_NAMED else ""
+        out.append(f"GPS positions that contradict the model are not used: {named}{more}")
+    if gps.up_sigma_rad > VAGUE_UP_RAD:
+        out.append(
+            "the GPS positions lie nearly on a line and do not determine which way is up: "
+            "the model is upright as its cameras were held"
+        )
+    return out
+
+
+def _distance_in_words(distance_m: float) -> str:
+    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else f"{distance_m:.0f} m"
 
 
 def reasons_in_words(

@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.io.video import is_video
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.mapping_stage import gps_note
+from epipole.pipelines.sfm.mapping_stage import gps_notes
 from epipole.pipelines.sfm.pipeline import Solution
 
 KINDS_OF_FOLDER = frozenset(
@@ -44,9 +44,7 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its own matches: "
                 "parts of it are probably wrong (a wrong focal length, or things that look alike)"
             )
-    if note := gps_note(solution.images, mapped, config):
-        out.append(note)
-    return out
+    return [*out, *gps_notes(solution.images, mapped, config)]
 
 
 def absences_of(solution: Solution, reasons: Mapping[str, str]) -> list[str]:

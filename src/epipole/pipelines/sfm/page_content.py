@@ -13,6 +13,7 @@ from epipole._jit import compile_seconds
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.notes import focal_source, pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
 
@@ -96,16 +97,16 @@ def page_content(
                 "" if placed else reasons.get(name, ""),
             )
         )
-        thumbnails[name] = load(solution.features[i].path, "thumbnail")["thumbnail"].tobytes()
+        thumbnails[name] = load(solution.features[i].path, FEATURES, "thumbnail")["thumbnail"].tobytes()
         camera = model.cameras[int(model.camera_of_image[i])]
         own = models[shown].tracks.keypoint[models[shown].tracks.image == i]
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
         inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
     rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
-    residuals, scale = solution.mapped.gps_residuals_m[0], solution.mapped.scale
+    gps, scale = solution.mapped.gps[0], solution.mapped.scale
     scale_note = UP_TO_SCALE if scale is None else scale.in_words()
-    if residuals is not None:
-        scale_note += f"; median distance of the cameras from their GPS fixes {np.nanmedian(residuals):.2f} m"
+    if gps is not None:
+        scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
     return ReportContent(
         title=title_of(run.job.inputs[0]),
         reconstruction=model,

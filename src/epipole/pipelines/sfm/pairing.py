@@ -28,7 +28,7 @@ def choose_pairs(
         ConfigError: spatial pairs are asked for but the pictures carry no GPS.
     """
     n = len(descriptors)
-    has_gps = np.isfinite(lat_lon_alt).all(axis=1)
+    has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
     method = config.method
     if method == "auto":
         if is_video:

@@ -33,7 +33,9 @@ class ImageSet:
     focal_sources: tuple[str, ...]
     """Where each camera's focal length comes from, in words."""
     lat_lon_alt: Float64[np.ndarray, "n 3"]
-    """GPS of the EXIF, altitude 0 where not recorded; NaN for none."""
+    """GPS of the EXIF; NaN altitude where not recorded, NaN rows for none."""
+    up_in_cams: Float64[np.ndarray, "n 3"]
+    """Direction of up in each camera's coordinates, as its gimbal measured it; NaN rows for none."""
     timestamps_s: Float64[np.ndarray, " n"]
     fingerprints: tuple[str, ...]
     """Digest of each picture's file."""
@@ -63,6 +65,7 @@ class ImageSet:
             names=tuple(n for n, k in zip(self.names, keep) if k),
             camera_of_image=self.camera_of_image[keep],
             lat_lon_alt=self.lat_lon_alt[keep],
+            up_in_cams=self.up_in_cams[keep],
             timestamps_s=self.timestamps_s[keep],
             fingerprints=tuple(f for f, k in zip(self.fingerprints, keep) if k),
             mask_fingerprints=tuple(f for f, k in zip(self.mask_fingerprints, keep) if k),
@@ -100,8 +103,8 @@ def read_image_set(
         raise NoModelError(" ".join([what, *filter(None, [listed.advice, *unusable, *listed.passed_over])]))
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress)
-    unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
-    left_out = {**listed.unusable, **dict.fromkeys(unreadable, listed.advice), **left_out}
+    unreadable = {name: listed.advice for name in listed.unreadable if _is_wanted(name, config)}
+    left_out = {**listed.unusable, **unreadable, **left_out}
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
         notes.append(note)
     if listed.unusable:
@@ -111,7 +114,6 @@ def read_image_set(
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
-    times = timestamps_s or {}
     cameras, camera_of_image, sources = group_cameras(headers, config)
     lens_note = principal_point_note(cameras[0]) if config.has_known_camera else ""
     masks, mask_note = _masks_of(tuple(headers), config.masks)
@@ -123,11 +125,12 @@ def read_image_set(
         camera_of_image,
         sources,
         np.array([_gps_row(h) for h in headers.values()]),
-        np.array([times.get(n, np.nan) for n in headers]),
+        np.array([h.up_in_camera or (np.nan,) * 3 for h in headers.values()]),
+        np.array([(timestamps_s or {}).get(n, np.nan) for n in headers]),
         tuple(digests[folder / n] for n in headers),
         tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
-        bool(times),
+        bool(timestamps_s),
         tuple(filter(None, [*notes, lens_note, mask_note])),
     )
 
@@ -229,4 +232,5 @@ def _counted(number: int, noun: str) -> str:
 def _gps_row(header: PhotographHeader) -> tuple[float, float, float]:
     if header.gps is None:
         return (np.nan, np.nan, np.nan)
-    return (header.gps.lat_deg, header.gps.lon_deg, header.gps.alt_m or 0.0)
+    alt_m = np.nan if header.gps.alt_m is None else header.gps.alt_m
+    return (header.gps.lat_deg, header.gps.lon_deg, alt_m)

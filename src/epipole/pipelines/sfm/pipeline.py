@@ -27,6 +27,7 @@ from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
 from epipole.pipelines.sfm.match_stage import PairWork, load_view_graph, match_units, verification_units
 from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
@@ -121,13 +122,14 @@ def _match_and_map(
     with run.stage("match"):
         matches = _matches(todo, detected, run.root / UNITS / f"matches{suffix}")
         run.do(matches, "match")
+    num_features = [len(pixels) for pixels in detected.keypoints]
     with run.stage("verify"):
         folder = run.root / UNITS / f"geometry{suffix}"
-        view_graph = _verify(todo, matches, folder, run)
+        view_graph = _verify(todo, matches, folder, run, num_features)
         cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
         if found:  # focal lengths were guessed: repeat with those that the pairs agree on
             again = folder.with_name(f"{folder.name}-calibrated")
-            view_graph = _verify(replace(todo, cameras=cameras), matches, again, run)
+            view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
     with run.stage("map"):
         mapped = map_images(
             images,
@@ -151,10 +153,12 @@ def _matches(todo: PairWork, detected: _Detected, folder: Path) -> list[Unit]:
     return given_match_units(asked, folder)
 
 
-def _verify(todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run) -> ViewGraph:
+def _verify(
+    todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run, num_features: Sequence[int]
+) -> ViewGraph:
     units = verification_units(todo, folder, matches)
     run.do(units, "verify")
-    return load_view_graph(units)
+    return load_view_graph(units, num_features)
 
 
 def _wait_for(compiling: threading.Thread, run: Run) -> None:
@@ -228,7 +232,7 @@ def _detect(
     run.do(units, "features")
     failures = {}
     for i, unit in enumerate(units):
-        if why := str(load(unit.path, "failure")["failure"]):
+        if why := str(load(unit.path, FEATURES, "failure")["failure"]):
             failures[i] = why
     images = images.without(failures)
     if len(images) == 0:
@@ -241,7 +245,7 @@ def _detect(
 
 
 def _keypoints(features: Sequence[Unit]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    stored = [load(unit.path, "pixels", "colors") for unit in features]
+    stored = [load(unit.path, FEATURES, "pixels", "colors") for unit in features]
     return tuple(s["pixels"].astype(np.float64) for s in stored), tuple(s["colors"] for s in stored)
 
 
@@ -276,4 +280,4 @@ class _Descriptors(Sequence[np.ndarray]):
         return len(self._paths)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        return load(self._paths[index], "descriptors")["descriptors"]
+        return load(self._paths[index], FEATURES, "descriptors")["descriptors"]

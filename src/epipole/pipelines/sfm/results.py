@@ -17,6 +17,7 @@ from epipole.io.ply import write_scene_ply
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.match_stage import load_putative
 from epipole.pipelines.sfm.pipeline import DATABASE, UNITS, Solution
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
 
@@ -80,14 +81,20 @@ def database_contents(solution: Solution) -> DatabaseContents:
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     stacked = np.concatenate(keypoints).reshape(-1, 2)
     rows = np.arange(n, dtype=np.int32)
-    stored = [load(unit.path, "descriptors")["descriptors"] for unit in solution.features]
+    stored = [load(unit.path, FEATURES, "descriptors")["descriptors"] for unit in solution.features]
     return DatabaseContents(
         cameras,
         Rigs.of_single_cameras(len(cameras)),
         Frames(images.camera_of_image, unregistered(n), images.timestamps_s),
         Images(images.names, rows, images.camera_of_image, offsets, stacked),
         [descriptors if descriptors.shape[1] == 128 else None for descriptors in stored],
-        load_putative(solution.matches),
+        load_putative(solution.matches, [len(k) for k in keypoints]),
         solution.view_graph,
-        images.lat_lon_alt,
+        np.where(_lacks_altitude(images.lat_lon_alt), 0.0, images.lat_lon_alt),
     )
+
+
+def _lacks_altitude(lat_lon_alt: np.ndarray) -> np.ndarray:
+    """(n, 3) mask of unknown altitudes: COLMAP's table takes numbers only, and COLMAP itself writes 0."""
+    is_located = np.isfinite(lat_lon_alt[:, :2]).all(axis=1, keepdims=True)
+    return is_located & ~np.isfinite(lat_lon_alt)

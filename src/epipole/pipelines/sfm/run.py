@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
@@ -153,7 +151,7 @@ def _summary(
     timings_s: dict[str, float],
 ) -> dict[str, Any]:
     models, images = solution.mapped.models, solution.images
-    model, residuals, scale = models[0], solution.mapped.gps_residuals_m[0], solution.mapped.scale
+    model, gps, scale = models[0], solution.mapped.gps[0], solution.mapped.scale
     return {
         "num_images": len(images) + len(images.left_out),
         "num_registered": int(model.is_registered().sum()),
@@ -174,7 +172,7 @@ def _summary(
         "is_metric": scale is not None,
         "scale": UP_TO_SCALE if scale is None else scale.in_words(),
         "anchor": None if scale is None else scale.summary(),
-        "median_gps_residual_m": None if residuals is None else float(np.nanmedian(residuals)),
+        "median_gps_residual_m": None if gps is None else gps.median_m,
         "cameras": [repr(model.cameras[c]) for c in range(len(model.cameras))],
         "focal_sources": [focal_source(solution, c) for c in range(len(images.focal_sources))],
         "not_registered": reasons,

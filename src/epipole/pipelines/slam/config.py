@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
@@ -68,7 +68,7 @@ class SlamConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
             raise ConfigError(
                 "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
@@ -100,7 +100,7 @@ class CameraOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if not 0 <= self.readout_s < 1:
             raise ConfigError(f"readout_s must be from 0 to below 1, got {self.readout_s}")
 
@@ -185,7 +185,7 @@ class JobOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
         if self.start < 0 or self.stride < 1:

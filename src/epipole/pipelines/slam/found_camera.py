@@ -22,10 +22,10 @@ from epipole.image.encoding import encoded_image
 from epipole.io.bags import is_bag
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.camera_params import text_of_camera
-from epipole.io.photographs import read_grey
+from epipole.io.photographs import read_grey, read_header
 from epipole.io.reconstruction_losses import losses_of
 from epipole.io.sequences import read_sequence
-from epipole.io.video import is_video, opened_video
+from epipole.io.video import count_frames, is_video, opened_video
 from epipole.mapping import bundle_problem_of
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
@@ -125,12 +125,13 @@ def find_camera(
 def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
     """The pictures of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
     if is_video(source):
-        video = opened_video(source)
-        announced = video.get(cv2.CAP_PROP_FRAME_COUNT)
-        return _Pictures(int(announced) if 0 < announced < 1e9 else MOST_FRAMES, _of_video(video))
+        return _Pictures(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)
     if job.sensor not in ("auto", "mono") or sequence.camera or sequence.rig or sequence.depth:
         return None
+    read_header(
+        sequence.frames[0].picture
+    )  # an image of another kind, such as a panorama, is refused with the reason
     return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write, reporting
+from epipole.io.trajectories import exact_text
 from epipole.pipelines.slam.frames import TrackedFrame
 
 GROWING = "trajectory_causal.txt"
@@ -70,4 +71,4 @@ class GrowingPath:
         assert answer.world_from_body is not None
         place = answer.world_from_body @ self._camera_from_body
         values = [*place.translation, *Rotation3(place.rotation).as_quat_wxyz()[[1, 2, 3, 0]]]
-        return f"{answer.timestamp_s:.9f} {' '.join(f'{value:.9g}' for value in values)}\n".encode()
+        return f"{answer.timestamp_s:.9f} {exact_text(values)}\n".encode()

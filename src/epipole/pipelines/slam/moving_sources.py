@@ -15,7 +15,7 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
-from epipole.io.video import opened_video
+from epipole.io.video import announced_frames, opened_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.source import (
@@ -53,7 +53,7 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     """
     capture = opened_video(path)
     is_read, first = capture.read()
-    announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    count, is_counted = announced_frames(path, capture)
     rate = capture.get(cv2.CAP_PROP_FPS)
     capture.release()
     if not is_read:
@@ -63,9 +63,11 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
         raise ConfigError(
             "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
         )
-    count = int(announced) if 0 < announced < 1e9 else 0
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
-    made, counted = of_one_camera(lens), _Counted(count, "the video ends after {} of {} announced frames")
+    made, counted = (
+        of_one_camera(lens),
+        _Counted(count if is_counted else 0, "the video ends after {} of {} announced frames"),
+    )
 
     def frames() -> Generator[QueuedFrame, None, None]:
         video, seconds = opened_video(path), -1.0 / rate

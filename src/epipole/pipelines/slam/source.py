@@ -10,6 +10,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.rectification import Rectification, rectify
@@ -17,11 +18,13 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import mask_of, read_grey, read_mask
+from epipole.io.photographs import common_range, mask_of, read_grey, read_mask
 from epipole.io.sequences import FrameFiles, ImageSequence
 from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.scene import StereoRig
+
+ReadPicture = Callable[[Path], UInt8[np.ndarray, "h w"]]
 
 FAR_MM = 65535
 """What depth cameras write where they see nothing, besides zero."""
@@ -161,11 +164,14 @@ def open_sequence(
     else:
         assert sequence.depth is not None
         made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
-        read = partial(_read_with_depth, sequence.depth.unit)
+        read = partial(_read_with_depth, unit=sequence.depth.unit)
 
     def frames() -> Generator[QueuedFrame, None, None]:
+        # All frames are mapped alike: tracking compares their grey.
+        limits = common_range([files.picture for files in sequence.frames])
+        read_picture = partial(read_grey, limits=limits)
         for number, files in enumerate(sequence.frames):
-            plain = partial(read, made, files)
+            plain = partial(read, read_picture, made, files)
             masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
             yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
 
@@ -200,20 +206,22 @@ def _kind_of(sequence: ImageSequence, sensor: str) -> str:
     return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
 
 
-def _read_one(made: Preparation, files: FrameFiles) -> Frame:
-    return made.frame(files.timestamp_s, read_grey(files.picture))
+def _read_one(read_picture: ReadPicture, made: Preparation, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, read_picture(files.picture))
 
 
-def _read_pair(made: Preparation, files: FrameFiles) -> Frame:
+def _read_pair(read_picture: ReadPicture, made: Preparation, files: FrameFiles) -> Frame:
     assert files.right is not None
-    return made.frame(files.timestamp_s, read_grey(files.picture), read_grey(files.right))
+    return made.frame(files.timestamp_s, read_picture(files.picture), read_picture(files.right))
 
 
-def _read_with_depth(unit: float, made: Preparation, files: FrameFiles) -> Frame:
+def _read_with_depth(
+    read_picture: ReadPicture, made: Preparation, files: FrameFiles, *, unit: float
+) -> Frame:
     assert files.depth is not None
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
-    return made.frame(files.timestamp_s, read_grey(files.picture), depth)
+    return made.frame(files.timestamp_s, read_picture(files.picture), depth)
 
 
 def _rectified(

@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from jaxtyping import UInt8
 
 from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
-from epipole.io.atomic import atomic_write
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.names import path_inside
-from epipole.io.photographs import read_rgb
+from epipole.io.photograph_writing import write_photograph
+from epipole.io.photographs import common_range, read_rgb
 from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, ProgressCallback, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
@@ -59,6 +57,7 @@ def undistort(
     pictures = [path_inside(workspace / "images", name) for name in names]
     is_further = folder.parent.name == "sparse" and folder.name != "0"
     usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
+    limits = common_range(pictures)
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
     with open_run(job, usual if target is None else as_path(target)) as run:
         run.warnings += [] if model is not None else losses_in(given)
@@ -67,8 +66,8 @@ def undistort(
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
             for n, (image, name, picture) in enumerate(zip(registered, names, pictures), 1):
                 c = int(found.camera_of_image[image])
-                rgb = undistort_image(read_rgb(picture), found.cameras[c], pinholes[c])
-                write_picture(run.root / "images" / name, rgb)
+                rgb = undistort_image(read_rgb(picture, limits=limits), found.cameras[c], pinholes[c])
+                write_photograph(run.root / "images" / name, rgb)
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
@@ -93,24 +92,6 @@ def _workspace_of(folder: Path, given: Path) -> Path:
     at = folder.resolve()
     places = (given, folder, at.parent, at.parent.parent)
     return next((place for place in places if (place / "images").is_dir()), given)
-
-
-def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write a picture in the format that its suffix names.
-
-    Raises:
-        FileFormatError: it names none that can be written.
-    """
-    try:
-        is_encoded, content = cv2.imencode(path.suffix, rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 96])
-    except cv2.error:  # an unknown suffix, HEIC's for one
-        is_encoded = False
-    if not is_encoded:
-        raise FileFormatError(
-            path, "pictures are not written in this format; convert yours to JPEG or PNG first"
-        )
-    with atomic_write(path) as aside:
-        aside.write_bytes(content.tobytes())
 
 
 def without_distortion(model: Reconstruction, pinholes: list[Camera]) -> Reconstruction:

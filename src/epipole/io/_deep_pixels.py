@@ -1,0 +1,158 @@
+"""Images of more than 8 bits a channel, mapped to 8 bits.
+
+Which values stand for black and white is in no file. Sensors of 10, 12 and 14 bits are stored in 16, most often in the lower bits:
+
+- colour, and grey in recordings: the largest value tells the sensor's bits (8, 10, 12, 14 or 16), and the upper 8 of these are kept. All
+  channels, and all images of such a sensor, are thus mapped alike;
+- grey in files: the 0.1 and 99.9 percentiles become 0 and 255, of the image alone or of a set of images (`common_range`).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL.ImageFile import ImageFile
+
+SENSOR_BITS = (8, 10, 12, 14, 16)
+"""Bits of a sensor whose values are stored in 16 bits."""
+FEWEST_LEVELS = 64
+"""Of 256: grey that spans fewer after a shift is stretched instead, as that of thermal cameras."""
+
+_MOST_SAMPLES = 1_000_000
+_PERCENTILES = (0.1, 99.9)
+_SWAPPED = {"16B": "16L", "16L": "16B", "16N": "16B" if sys.byteorder == "little" else "16L"}
+"""Raw modes that give the lower instead of the upper byte."""
+_PPM_16 = "ppm", ("RGB", 65535)
+_GREY_ALPHA = "LA;16B"
+"""Has no such twin: read as RGBA, its four bytes are those of grey and alpha, the upper ones first."""
+
+
+class GreyRange(NamedTuple):
+    """Values that become 0 and 255."""
+
+    low: float
+    high: float
+
+
+class GreyScale(NamedTuple):
+    """How the grey of a recording becomes 8 bits."""
+
+    bits: int
+    """Of the sensor."""
+    limits: GreyRange | None
+    """None where the upper 8 of the sensor's bits are kept."""
+
+    def apply(self, deep: np.ndarray) -> UInt8[np.ndarray, "h w *channels"]:
+        """Grey of 8 bits; an image with larger values than the sensor's keeps its own upper 8 bits."""
+        if self.limits is not None:
+            return stretched(deep, self.limits)
+        return upper_bits(deep, max(self.bits, sensor_bits(int(deep.max(initial=0)))))
+
+    @property
+    def range(self) -> GreyRange:
+        """Values that become 0 and 255."""
+        return GreyRange(0.0, float((1 << self.bits) - 1)) if self.limits is None else self.limits
+
+
+def scale_of(images: Sequence[np.ndarray]) -> GreyScale:
+    """Of a recording, from some of its images."""
+    bits = sensor_bits(max((int(deep.max(initial=0)) for deep in images), default=0))
+    sample = np.concatenate([sample_of(deep) for deep in images]) if images else np.empty(0)
+    low, high = np.percentile(sample, _PERCENTILES).tolist() if len(sample) else (0.0, 0.0)
+    is_narrow = bits > 8 and 0.0 < high - low < FEWEST_LEVELS << (bits - 8)
+    return GreyScale(bits, GreyRange(low, high) if is_narrow else None)
+
+
+def sample_of(deep: np.ndarray) -> np.ndarray:
+    """Finite values of every k-th pixel, so that there are no more than a million."""
+    values = deep.ravel()[:: max(1, deep.size // _MOST_SAMPLES)].astype(np.float32)
+    return values[np.isfinite(values)]
+
+
+def range_of(sample: np.ndarray, dtype: np.dtype) -> GreyRange:
+    """From the 0.1 and 99.9 percentiles; where they are one value, the full range of the type (1 of floating point)."""
+    low, high = np.percentile(sample, _PERCENTILES) if len(sample) else (0.0, 0.0)
+    if high <= low:
+        return GreyRange(0.0, float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0)
+    return GreyRange(float(low), float(high))
+
+
+def stretched(deep: np.ndarray, limits: GreyRange | None = None) -> UInt8[np.ndarray, "h w *channels"]:
+    """Grey whose range becomes 0 to 255, its own if none is given."""
+    low, high = range_of(sample_of(deep), deep.dtype) if limits is None else limits
+    scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
+    return np.clip(np.rint(np.nan_to_num(scaled, nan=0.0)), 0, 255).astype(np.uint8)
+
+
+def sensor_bits(largest: int) -> int:
+    """Of the sensor whose largest value this is."""
+    return next(bits for bits in SENSOR_BITS if largest < 1 << bits or bits == SENSOR_BITS[-1])
+
+
+def upper_bits(deep: np.ndarray, bits: int) -> UInt8[np.ndarray, "*shape"]:
+    """The upper 8 of so many bits; larger values become 255."""
+    return np.minimum(deep >> (bits - 8), 255).astype(np.uint8)
+
+
+def colour_16(
+    reader: Callable[..., ImageFile], stream: Any, upper: UInt8[np.ndarray, "h w c"]
+) -> UInt8[np.ndarray, "h w c"]:
+    """The 8 bits that count of an image with 16 bits a channel.
+
+    Pillow gives the upper byte of each channel. Where the sensor had fewer bits, the image is decoded once more for the lower bytes.
+
+    Args:
+        reader: Pillow's reader of the format.
+        stream: the file.
+        upper: the upper bytes; three channels of colour, and alpha.
+    """
+    stream.seek(0)
+    image = reader(stream)
+    if image.format == "PPM":
+        values = _ppm_values(image, stream)
+    elif upper[..., :3].max(initial=0) >= 64:  # 14 bits and more
+        return upper
+    else:
+        values = upper.astype(np.uint16) << 8 | _lower(image)
+    out = upper_bits(values, sensor_bits(int(values[..., :3].max(initial=0))))
+    if upper.shape[2] == 4 and upper[..., 3].max(initial=0) >= 64:
+        out[..., 3] = upper[..., 3]
+    return out
+
+
+def has_16_bits(image: ImageFile) -> bool:
+    """Whether the channels of a colour image that is not loaded yet have 16 bits, of which Pillow gives 8."""
+    if image.format == "PPM":
+        return image.mode == "RGB" and [(tile.codec_name, tile.args) for tile in image.tile] == [_PPM_16]
+    modes = [_raw_mode(tile.args) for tile in image.tile]
+    return bool(modes) and all(mode[-3:] in _SWAPPED for mode in modes) and image.mode in ("RGB", "RGBA")
+
+
+def _raw_mode(args: Any) -> str:
+    mode = args[0] if isinstance(args, tuple) and args else args
+    return mode if isinstance(mode, str) else ""
+
+
+def _lower(image: ImageFile) -> UInt8[np.ndarray, "h w c"]:
+    """The lower bytes, by raw modes whose byte order is the wrong one."""
+    is_grey = any(_raw_mode(tile.args) == _GREY_ALPHA for tile in image.tile)
+    image.tile = [tile._replace(args=_swapped(tile.args)) for tile in image.tile]
+    lower = np.asarray(image)
+    return lower[..., [1, 1, 1, 3]] if is_grey else lower
+
+
+def _swapped(args: Any) -> Any:
+    mode = _raw_mode(args)
+    swapped = "RGBA" if mode == _GREY_ALPHA else mode[:-3] + _SWAPPED[mode[-3:]]
+    return (swapped, *args[1:]) if isinstance(args, tuple) else swapped
+
+
+def _ppm_values(image: ImageFile, stream: Any) -> np.ndarray:
+    stream.seek(image.tile[0].offset)
+    shape = image.height, image.width, 3
+    return np.frombuffer(stream.read(2 * math.prod(shape)), ">u2").reshape(shape)

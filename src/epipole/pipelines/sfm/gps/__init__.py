@@ -1,0 +1,1 @@
+"""GPS positions of images: whether they belong to a model, and the similarity that maps the model onto them."""
