@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from rich.console import Console
 
 from epipole import _jit, screen
 from epipole.runs import Progress
@@ -53,6 +54,79 @@ def test_stages_that_overlap_end_once_and_one_that_stops_early_ends_too(capsys, 
     ]
 
 
+def test_a_stage_that_runs_again_prints_all_its_lines_again(capsys, monkeypatch):
+    once = [("a", k, 60) for k in range(61)]
+    lines = lines_of([*once, ("b", 1, 1), *once], capsys, 0.25, monkeypatch)
+    half = [
+        "Doing [x]: begins, 60 to do",
+        "Doing [x]: 40 of 60, 66 %, about 5 s left",
+        "Doing [x]: 60 of 60 after 15.0 s",
+    ]
+    assert lines == [*half, "b: 1 of 1 are done", *half]
+    # in a row; stopped in its middle; done before, by another run; reported twice
+    reports = [("a", 0, 2), ("a", 2, 2), ("a", 0, 3), ("a", 2, 3), ("a", 0, 3), ("a", 3, 3), ("b", 3, 3)]
+    assert lines_of([*reports, ("a", 3, 3), ("a", 3, 3)], capsys, 1.0, monkeypatch) == [
+        "Doing [x]: begins, 2 to do",
+        "Doing [x]: 2 of 2 after 1.0 s",
+        "Doing [x]: begins, 3 to do",
+        "Doing [x]: 2 of 3 after 2.0 s",
+        "Doing [x]: begins, 3 to do",
+        "Doing [x]: 3 of 3 after 1.0 s",
+        "b: 3 of 3 are done",
+        "Doing [x]: 3 of 3 are done",
+    ]
+
+
+def test_the_time_left_is_not_that_of_work_that_was_done_before(capsys, monkeypatch):
+    lines = lines_of([("a", k, 100) for k in range(80, 95)], capsys, 1.0, monkeypatch)
+    assert lines == [
+        "Doing [x]: 80 of 100 are done",
+        "Doing [x]: 90 of 100, 90 %, about 10 s left",
+        "Doing [x]: 94 of 100 after 15.0 s",
+    ]
+
+
+def test_a_camera_that_has_no_end_is_still_told_of(capsys, monkeypatch):
+    lines = lines_of([("a", k, k) for k in range(1, 24)], capsys, 1.0, monkeypatch)
+    assert lines == ["Doing [x]: 1 of 1 are done", "Doing [x]: 11 so far", "Doing [x]: 21 so far"]
+
+
+def test_notes_are_printed_whenever_they_come(capsys, monkeypatch):
+    reports = [("a", 0, 9, "one"), ("a", 0, 9, "two [y]"), ("a", 9, 9, "three")]
+    assert lines_of(reports, capsys, 1.0, monkeypatch) == [
+        "Doing [x]: begins, 9 to do; one",
+        "Doing [x]: two [y]",
+        "Doing [x]: three",
+        "Doing [x]: 9 of 9 after 2.0 s",
+    ]
+
+
+def test_silent_work_prints_a_line_again_and_again(capsys, monkeypatch):
+    monkeypatch.setattr(screen, "LINE_EVERY_S", 0.05)
+
+    def wait_for(words):
+        said, until = "", time.monotonic() + 5
+        while words not in said and time.monotonic() < until:
+            time.sleep(0.02)
+            said += capsys.readouterr().err
+        assert words in said
+
+    with screen.progress_on_screen({"a": "Doing [x]"}) as show:
+        wait_for("Working, ")
+        show(Progress("a", 3, 7))
+        wait_for("Doing [x]: 3 of 7, 42 %, 0 s so far")
+        wait_for("Doing [x]: 3 of 7, 42 %, 0 s so far")
+        show(Progress("a", 7, 7))
+        wait_for("Working on what comes after `Doing [x]`")
+    capsys.readouterr()
+    with screen.loudness("quiet"), screen.progress_on_screen():
+        time.sleep(0.2)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(screen, "SHORT_S", 0.01)
+    with screen.working():
+        wait_for("Working, 0 s so far")
+
+
 def test_that_kernels_compile_is_said_once_something_works(capsys, monkeypatch):
     monkeypatch.setattr(_jit, "is_compiled", lambda: False)
     reports = [("a", 0, 1), ("a", 1, 1)]
@@ -85,11 +159,21 @@ def test_lines_are_written_at_once_and_bars_only_on_a_terminal():
 
 @pytest.mark.parametrize("loudness", ["quiet", "normal"])
 def test_short_waits(capsys, loudness, monkeypatch):
-    with screen.loudness(loudness), screen.waiting_for_kernels():
+    with screen.loudness(loudness), screen.working():
         pass
     assert capsys.readouterr().err == ""  # over at once
     monkeypatch.setattr(screen, "SHORT_S", 0.05)
-    with screen.loudness(loudness), screen.waiting_for_kernels():
+    with screen.loudness(loudness), screen.working():
         time.sleep(0.2)
     said = capsys.readouterr().err
     assert said == "" if loudness == "quiet" else said.startswith("Working") and "Done after 0.2 s" in said
+
+
+def test_warnings_that_are_not_printed_are_counted(capsys):
+    console = Console(width=200)
+    screen.print_warnings(console, [f"[w] {k}" for k in range(14)], rest_in="OUT/summary.json")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 11 and lines[0] == "note: [w] 0" and lines[-1] == "note: 4 more, in OUT/summary.json"
+    screen.print_warnings(console, map(str, range(11)), rest_in="OUT/summary.json")
+    screen.print_warnings(console, map(str, range(14)))
+    assert len(capsys.readouterr().out.splitlines()) == 25

@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
+import valid_fields
+import valid_files
 from epipole import (
     cameras,
     features,
+    fields,
     geometry,
     image,
     inertial,
+    io,
     mapping,
     metrics,
     optim,
@@ -52,6 +56,8 @@ ROOMS = (
     metrics,
     synthetic,
     mapping,
+    fields,
+    io,
 )
 
 
@@ -80,6 +86,7 @@ def _all_calls() -> Iterator[Row]:
     for rows in (
         *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
         *(_features, _pictures, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
+        *(valid_fields.calls, valid_files.calls),
     ):
         yield from rows()
 

@@ -3,10 +3,13 @@
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import numpy as np
+
+from epipole.errors import EpipoleError
 
 HUGE = 2**62
 """An index that no array has, and a size that no memory holds."""
@@ -41,11 +44,25 @@ def wrong_values(valid: Any, random: Random) -> list[Any]:
         return others + _numbers()
     if isinstance(valid, str):
         return [*others, "", "nonsense", "\0", "a" * 1000]
+    if isinstance(valid, tuple) and hasattr(valid, "_fields"):
+        return others + [_replaced(valid, random) for _ in range(12)]
+    if isinstance(valid, Path):
+        return [*others, str(valid), "", "\0", "a" * 1000, valid / "none", valid.parent, Path("/dev/null")]
     if isinstance(valid, (list, tuple)):
         return others + _sequences(valid, random)
     if is_dataclass(valid) and not isinstance(valid, type):
         return others + [_Part(valid, random) for _ in range(12)]
     return others
+
+
+def _replaced(valid: Any, random: Random) -> Any:
+    """A named tuple, which checks nothing, with another field."""
+    name = random.choice(valid._fields)
+    value = random.choice(wrong_values(getattr(valid, name), random))
+    try:
+        return valid._replace(**{name: made(value)})
+    except EpipoleError:  # a data class refuses it by itself
+        return valid._replace(**{name: None})
 
 
 def _numbers() -> list[Any]:

@@ -16,7 +16,8 @@ HEAD = """# Command reference
 
 Written from the command line itself: `epipole COMMAND --help` says the same. Paths are given in order, options anywhere;
 an option that is left out has the default of the table. Every command takes `-q`, `--quiet` (errors alone, and the answer of
-commands that give one) and `-v`, `--verbose` (each unit of work, and where an error comes from).
+commands that give one) and `-v`, `--verbose` (each unit of work, and where an error comes from). Commands that write take
+`--overwrite`, which replaces existing files that epipole did not write; without it they are refused ([promises](promises.md)).
 
 | exit code | |
 |---|---|

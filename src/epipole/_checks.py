@@ -8,8 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared.values import refuse_address
 from epipole.errors import ConfigError, ShapeError
 
+MOST_PIXELS = 1 << 28
+"""Of an image that is made, which takes some 16 bytes for each."""
+MOST_RENDERED_PIXELS = 1 << 27
+"""Of one that is rendered, which takes twice as many."""
 _NO_PATH = (errno.ELOOP, errno.ENAMETOOLONG, errno.EINVAL)
 
 
@@ -172,14 +177,14 @@ def check_count(count: int, name: str, most: int = 1 << 24) -> None:
         raise ConfigError(f"{name} must be at most {most}, got {count}")
 
 
-def check_pixels(width: int, height: int, most: int = 1 << 30) -> None:
-    """Check the size of a picture that is to be made.
+def check_pixels(width: int, height: int, most: int = MOST_PIXELS) -> None:
+    """Check the size of an image that is to be made: a file's camera says any.
 
     Raises:
         ConfigError: it has no pixel, or too many.
     """
     if min(width, height) < 1 or width * height > most:
-        raise ConfigError(f"a picture must have between 1 and {most} pixels, not {width} x {height}")
+        raise ConfigError(f"an image must have between 1 and {most} pixels, not {width} x {height}")
 
 
 def check_squarable(value: float, name: str) -> None:
@@ -190,6 +195,16 @@ def check_squarable(value: float, name: str) -> None:
     """
     if 1e150 < abs(value) < np.inf:
         raise ConfigError(f"{name} is too large to be calculated with: {value:g}")
+
+
+def check_share(share: float, name: str) -> None:
+    """Check a fraction.
+
+    Raises:
+        ConfigError: it is not from 0 to 1.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise ConfigError(f"{name} must be from 0 to 1, got {share:g}")
 
 
 def check_seed(seed: int) -> None:
@@ -218,7 +233,7 @@ def as_path(given: str | Path) -> Path:
     """The path given, a leading ~ read as the home folder; an empty string, which would mean the current one, is refused.
 
     Raises:
-        ConfigError: it is empty, or cannot be a path.
+        ConfigError: it is empty, cannot be a path, or is an address on a network.
     """
     if not isinstance(given, str | PathLike) or not isinstance(os.fspath(given), str):
         raise ConfigError(f"a path must be text or a Path, got {given!r:.60}")
@@ -226,6 +241,7 @@ def as_path(given: str | Path) -> Path:
         raise ConfigError("a path holds a null character")
     if str(given) == "":
         raise ConfigError("a path is empty")
+    refuse_address(given, "the path")
     path = Path(os.path.expanduser(given))  # noqa: PTH111 - Path.expanduser fails for users that it does not know
     try:
         path.stat()

@@ -7,13 +7,12 @@ line's help does not wait for them.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
-from epipole._declared import check_fields
+from epipole._declared import check_options, did_you_mean
 from epipole.errors import ConfigError
 
 Options = TypeVar("Options")
@@ -21,10 +20,21 @@ _LARGEST = 1e100
 _DICTIONARIES = ("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11", "ARUCO_ORIGINAL")
 
 
-def options_of(kind: type[Options], given: Options | None, named: Mapping[str, Any] | None = None) -> Options:
+def options_of(
+    kind: type[Options],
+    given: Options | None,
+    named: Mapping[str, Any] | None = None,
+    others: Sequence[str] = (),
+) -> Options:
     """The options given, or the defaults for None; single ones that are named override them.
 
     A name is that of a field, or of a field of the configs inside it where only one has it.
+
+    Args:
+        kind: class of the options.
+        given: the options.
+        named: single ones.
+        others: further names that the job knows, one of which may be meant by a name that is unknown.
 
     Raises:
         ConfigError: something else was given, such as a dict, or a name is unknown or has a value that cannot be.
@@ -42,7 +52,7 @@ def options_of(kind: type[Options], given: Options | None, named: Mapping[str, A
             present = getattr(options, name)
             changes[name] = options_of(type(present), value) if is_dataclass(present) else value
         else:
-            parts.setdefault(_holder_of(name, options), {})[name] = value
+            parts.setdefault(_holder_of(name, options, others), {})[name] = value
     for holder, own in parts.items():  # together: one may need another
         changes[holder] = _changed(changes.get(holder, getattr(options, holder)), own)
     return _changed(options, changes)
@@ -56,7 +66,7 @@ def _changed(options: Options, changes: Mapping[str, Any]) -> Options:
         raise ConfigError(f"an option has a value of the wrong type, {given}: {error}") from error
 
 
-def _holder_of(name: str, options: object) -> str:
+def _holder_of(name: str, options: object, others: Sequence[str]) -> str:
     """The field whose config has a field of this name."""
     parts = {field: getattr(options, field) for field in _names(options)}
     parts = {field: part for field, part in parts.items() if is_dataclass(part)}
@@ -67,9 +77,10 @@ def _holder_of(name: str, options: object) -> str:
         of = " and of ".join(holding)
         example = f"{holding[-1]}={type(parts[holding[-1]]).__name__}({name}=...)"
         raise ConfigError(f"{name} is an option of {of}: say which, as in {example}")
-    known = [*_names(options), *(each for part in parts.values() for each in _names(part))]
-    near = get_close_matches(name, dict.fromkeys(known), 3, 0.6)
-    hint = f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(_names(options))}"
+    inner = [each for part in parts.values() for each in _names(part)]
+    hint = did_you_mean(name, _names(options), [*inner, *others])
+    if others and not hint.endswith("?"):
+        hint += f"; the job takes {', '.join(others)}, too"
     raise ConfigError(f"{type(options).__name__} has no option {name}{hint}")
 
 
@@ -96,7 +107,7 @@ class FeatureConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.max_features < 1 or self.max_size_px < 16:
             raise ConfigError("max_features must be at least 1 and max_size_px at least 16")
         if not 0 <= self.contrast_threshold < math.inf:
@@ -132,7 +143,7 @@ class MatchConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not 0 < self.max_ratio <= 1:
             raise ConfigError(f"max_ratio must be in (0, 1], got {self.max_ratio}")
         if self.preemptive_features < 0 or not 0 < self.band_px < math.inf:
@@ -160,7 +171,7 @@ class FlowConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if self.window_px < 5 or self.window_px % 2 == 0 or not 1 <= self.levels <= 8:
             raise ConfigError("window_px must be odd and at least 5, levels from 1 to 8")
         if not 0 < self.max_return_px < 1e3 or not 0 <= self.min_eigenvalue < 1e3:
@@ -193,7 +204,7 @@ class RansacConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         if not self.max_error_px > 0:
             raise ConfigError(f"max_error_px must be positive, got {self.max_error_px}")
         if _LARGEST < self.max_error_px < math.inf:
@@ -247,7 +258,7 @@ class BoardConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         least = 1 if self.kind == "apriltag" else 3
         if min(self.columns, self.rows) < least:
             raise ConfigError(
@@ -314,7 +325,7 @@ class AnchorOptions:
         Raises:
             ConfigError: a value makes no sense, or lacks another.
         """
-        check_fields(self)
+        check_options(self, infinite=("max_error_px", "max_distance"))
         for name in ("positions_sigma_m", "lengths_sigma_m", "clicks_sigma_px", "tag_size_m", "square_m"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:

@@ -20,6 +20,10 @@ class ConfigError(EpipoleError, ValueError):
     """An option has a value that cannot be used."""
 
 
+class ArgumentError(EpipoleError, TypeError):
+    """A function has no argument of this name; also a `TypeError`, which Python raises for it."""
+
+
 class DegenerateGeometryError(EpipoleError, ValueError):
     """The geometry is degenerate (no baseline, collinear points, fewer points than unknowns)."""
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from time import perf_counter
+from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Literal
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -22,6 +22,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.progress import Progress as Bars
+from rich.segment import Segment
+
+from epipole._terminal import one_line, terminal_text
 
 if TYPE_CHECKING:
     from epipole.runs import Progress, ProgressCallback
@@ -30,11 +33,41 @@ ANSWER_IS_NO = 3
 """Exit code of a check that ran and did not pass; errors have 1, options that cannot be used 2."""
 COMPILE_NOTE = "Compiling kernels, once on this machine (half a minute to a minute; later runs start at once)"
 LINE_EVERY_S = 10.0
+"""Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
 SHORT_S = 1.0
 """Work that is over sooner needs no announcement."""
-"""Where there is no terminal to draw bars on, a stage prints a line at most this often between begin and end."""
+MOST_PRINTED = 10
+"""Warnings on the screen, where a file holds them all."""
 Loudness = Literal["quiet", "normal", "verbose"]
 _LOUDNESS: ContextVar[Loudness] = ContextVar("loudness", default="normal")
+
+
+class _Readable:
+    """Something printed, whose text has nothing that a terminal acts on; styles and moves of the cursor are Rich's."""
+
+    def __init__(self, inner: ConsoleRenderable) -> None:
+        self.inner = inner
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        for text, style, control in console.render(self.inner, options):
+            yield Segment(text if control else terminal_text(text), style, control)
+
+
+class _ReadableTexts(RenderHook):
+    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+        return [_Readable(each) for each in renderables]
+
+
+def open_console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """Where all commands print: names are never taken for markup or for commands to the terminal."""
+    console = Console(stderr=stderr, quiet=quiet, markup=False)
+    console.push_render_hook(_ReadableTexts())
+    return console
+
+
+class _Formatter(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return terminal_text(super().format(record))
 
 
 @contextmanager
@@ -42,7 +75,7 @@ def loudness(asked: Loudness) -> Iterator[None]:
     """How much is printed in the block; verbose also shows what the package writes to Python's `logging`."""
     token, package = _LOUDNESS.set(asked), logging.getLogger("epipole")
     handler, level = logging.StreamHandler(), package.level
-    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(_Formatter("%(levelname)s %(name)s: %(message)s"))
     if asked == "verbose":
         package.addHandler(handler)
         package.setLevel(logging.DEBUG)
@@ -66,7 +99,7 @@ def progress_on_screen(
     """
     from epipole import _jit
 
-    console, begin = Console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
+    console, begin = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
     with _bars(console, words or {}) if _draws_on(console) else _lines(console, words or {}) as show:
         will_compile = compiles_much and not _jit.is_compiled()
 
@@ -94,79 +127,173 @@ def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallba
     )
     with Bars(*columns, console=console) as bars:
         tasks: dict[str, TaskID] = {}
+        rounds = _Rounds()
 
         def show(report: Progress) -> None:
+            label = words.get(report.stage, report.stage)
             if report.note:
-                console.print(f"{words.get(report.stage, report.stage)}: {report.note}", markup=False)
-            if report.stage not in tasks:
-                tasks[report.stage] = bars.add_task(words.get(report.stage, report.stage), total=report.total)
+                console.print(one_line(f"{label}: {report.note}"), markup=False)
+            if rounds.begins(report):
+                tasks[report.stage] = bars.add_task(label, total=report.total)
             bars.update(tasks[report.stage], completed=report.done, total=report.total)
 
         yield show
+
+
+class _Rounds:
+    """Which reports begin a stage: its first, and the first of each time that it runs again."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, Progress] = {}
+        self._latest_stage = ""
+
+    def begins(self, report: Progress) -> bool:
+        """Whether this report, the next one, begins its stage, or begins it again."""
+        last, was_other = self._last.get(report.stage), self._latest_stage != report.stage
+        self._last[report.stage], self._latest_stage = report, report.stage
+        if last is None:
+            return True
+        if last.done >= last.total:  # over, unless the total grows, as that of a camera's frames
+            return was_other or report.done < min(last.done, report.total)
+        return report.done < last.done and (report.done == 0 or report.total != last.total)
 
 
 @dataclass(slots=True)
 class _Stage:
     begin_s: float
     printed_s: float
+    first_done: int
+    """Work that was done before."""
     last: Progress
     is_over: bool = False
 
 
-@contextmanager
-def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallback]:
-    """One line where a stage begins, one where it ends, and one every ten seconds, or, if verbose, for each report."""
-    stages: dict[str, _Stage] = {}
-    pause_s = 0.0 if _LOUDNESS.get() == "verbose" else LINE_EVERY_S
+class _Lines:
+    """What is printed where there is no terminal: lines for each stage, and one where nothing is reported for long."""
 
-    def say(stage: _Stage, text: str) -> None:
-        console.print(
-            f"{words.get(stage.last.stage, stage.last.stage)}: {text}",
-            soft_wrap=True,
-            markup=False,
-            highlight=False,
-        )
+    def __init__(self, console: Console, words: Mapping[str, str]) -> None:
+        self._console, self._words = console, words
+        self._pause_s = 0.0 if _LOUDNESS.get() == "verbose" else LINE_EVERY_S
+        self._stages: dict[str, _Stage] = {}
+        self._rounds = _Rounds()
+        self._lock = threading.Lock()
+        self._latest: _Stage | None = None
+        self._begin_s = perf_counter()
+        self.printed_at = monotonic()
+        """By the system's clock."""
 
-    def end(stage: _Stage) -> None:
-        stage.is_over = True
-        seconds = perf_counter() - stage.begin_s
-        say(stage, f"{stage.last.done} of {stage.last.total} after {seconds:.1f} s")
+    def show(self, report: Progress) -> None:
+        """Print what is to be said of a report."""
+        with self._lock:
+            self._show(report)
 
-    def show(report: Progress) -> None:
+    def _show(self, report: Progress) -> None:
         now = perf_counter()
-        stage = stages.get(report.stage)
-        if stage is None:
-            stage = stages[report.stage] = _Stage(now, now, report)
+        if self._rounds.begins(report):
+            before = self._stages.get(report.stage)
+            if before is not None and not before.is_over:
+                self._end(before)
+            stage = self._stages[report.stage] = _Stage(now, now, report.done, report)
             stage.is_over = report.done >= report.total
-            done = (
+            begun = (
                 f"{report.done} of {report.total} are done"
                 if report.done
                 else f"begins, {report.total} to do"
             )
-            say(stage, f"{done}; {report.note}" if report.note else done)
-        stage.last = report
-        if stage.is_over:
-            return
-        if report.done >= report.total:
-            end(stage)
-        elif report.done and now - stage.printed_s >= pause_s:
+            self._say(stage, f"{begun}; {report.note}" if report.note else begun)
+        else:
+            stage = self._stages[report.stage]
+            if report.note:
+                self._say(stage, report.note)
+        has_grown, is_due = report.done > stage.last.done, now - stage.printed_s >= self._pause_s
+        stage.last, self._latest = report, stage
+        if report.done >= report.total and not stage.is_over:
+            self._end(stage)
+        elif is_due and (has_grown or not stage.is_over) and report.done:
             stage.printed_s = now
-            left_s = (now - stage.begin_s) / report.done * (report.total - report.done)
-            share = 100 * report.done // report.total
-            say(stage, f"{report.done} of {report.total}, {share} %, about {left_s:.0f} s left")
+            self._say(stage, self._how_far(stage, now))
 
-    try:
-        yield show
-    finally:
-        for stage in stages.values():
-            if not stage.is_over:
-                end(stage)
+    def _how_far(self, stage: _Stage, now: float) -> str:
+        done, total = stage.last.done, stage.last.total
+        if done >= total:
+            return f"{done} so far"
+        words = f"{done} of {total}, {100 * done // total} %"
+        if done <= stage.first_done:
+            return words
+        left_s = (now - stage.begin_s) / (done - stage.first_done) * (total - done)
+        return f"{words}, about {left_s:.0f} s left"
+
+    def _end(self, stage: _Stage) -> None:
+        stage.is_over, stage.printed_s = True, perf_counter()
+        seconds = stage.printed_s - stage.begin_s
+        self._say(stage, f"{stage.last.done} of {stage.last.total} after {seconds:.1f} s")
+
+    def _label(self, stage: _Stage) -> str:
+        return self._words.get(stage.last.stage, stage.last.stage)
+
+    def _say(self, stage: _Stage, text: str) -> None:
+        self._print(f"{self._label(stage)}: {text}")
+
+    def _print(self, text: str) -> None:
+        self.printed_at = monotonic()
+        self._console.print(one_line(text), soft_wrap=True, markup=False, highlight=False)
+
+    def beat(self) -> None:
+        """Print how far the latest stage is although it has not reported it."""
+        with self._lock:
+            stage, now = self._latest, perf_counter()
+            if stage is None or stage.is_over:
+                after = "" if stage is None else f" on what comes after `{self._label(stage)}`"
+                since_s = now - (self._begin_s if stage is None else stage.printed_s)
+                self._print(f"Working{after}, {since_s:.0f} s so far")
+                return
+            stage.printed_s = now
+            self._say(stage, f"{self._how_far(stage, now)}, {now - stage.begin_s:.0f} s so far")
+
+    def close(self) -> None:
+        """Say where stages have ended that did not come to their end."""
+        with self._lock:
+            for stage in self._stages.values():
+                if not stage.is_over:
+                    self._end(stage)
 
 
 @contextmanager
-def waiting_for_kernels() -> Iterator[None]:
+def _lines(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallback]:
+    """A line where a stage begins, each time, one where it ends, and one every ten seconds, or, if verbose, for each report."""
+    lines = _Lines(console, words)
+    with _beating(lines.beat, lambda: lines.printed_at):
+        try:
+            yield lines.show
+        finally:
+            lines.close()
+
+
+@contextmanager
+def _beating(beat: Callable[[], None], printed_at: Callable[[], float]) -> Iterator[None]:
+    """Call `beat` from another thread whenever nothing was printed for `LINE_EVERY_S`, so that no work is silent."""
+    is_over = threading.Event()
+
+    def watch() -> None:
+        begun_s = monotonic()
+        while not is_over.wait(max(0.0, max(begun_s, printed_at()) + LINE_EVERY_S - monotonic())):
+            if monotonic() - max(begun_s, printed_at()) >= LINE_EVERY_S:
+                beat()
+                begun_s = monotonic()
+
+    watcher = threading.Thread(target=watch, name="epipole-heartbeat", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        watcher.join()
+
+
+@contextmanager
+def working() -> Iterator[None]:
     """A spinner while a short command works, which says so if kernels have to be compiled first."""
-    console = Console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
+    console = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet")
     from epipole import _jit
 
     begin, since = _jit.compile_seconds(), perf_counter()
@@ -176,12 +303,17 @@ def waiting_for_kernels() -> Iterator[None]:
             yield
     else:
         announcement = threading.Timer(SHORT_S, console.print, (words,), {"soft_wrap": True})
+
+        def beat() -> None:
+            console.print(f"Working, {perf_counter() - since:.0f} s so far", soft_wrap=True, highlight=False)
+
         announcement.start()
-        try:
-            yield
-        finally:
-            announcement.cancel()
-            announcement.join()
+        with _beating(beat, lambda: 0.0):
+            try:
+                yield
+            finally:
+                announcement.cancel()
+                announcement.join()
         if perf_counter() - since > SHORT_S:
             console.print(f"Done after {perf_counter() - since:.1f} s", soft_wrap=True)
     _say_compiling(console, _jit.compile_seconds() - begin)
@@ -194,7 +326,20 @@ def _say_compiling(console: Console, seconds: float) -> None:
         )
 
 
-def print_warnings(console: Console, warnings: Iterable[str], word: str = "note") -> None:
-    """Print one yellow line per warning."""
-    for warning in warnings:
-        console.print(f"{word}: {warning}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+def print_warnings(console: Console, warnings: Iterable[str], word: str = "note", rest_in: str = "") -> None:
+    """Print one yellow line per warning.
+
+    Args:
+        console: where to.
+        warnings: the warnings.
+        word: before each.
+        rest_in: the file that holds all of them, where only the first ten are printed and the others counted; empty: all
+            are printed.
+    """
+    listed = list(warnings)
+    shown = listed[:MOST_PRINTED] if rest_in and len(listed) > MOST_PRINTED + 1 else listed
+    more = len(listed) - len(shown)
+    for warning in [*shown, *([f"{more} more, in {rest_in}"] if more else [])]:
+        console.print(
+            one_line(f"{word}: {warning}"), style="yellow", highlight=False, markup=False, soft_wrap=True
+        )

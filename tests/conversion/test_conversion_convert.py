@@ -129,13 +129,13 @@ def test_misuse_is_refused(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bin"]
 
 
-def test_only_a_ply_file_is_replaced_by_one(tmp_path: Path) -> None:
+def test_only_a_file_of_an_earlier_conversion_is_replaced(tmp_path: Path) -> None:
     """A picture of the model, or the model itself, as a mistyped target."""
     model = mappable_model()
     out = output_folder(tmp_path / "out", model)
     for name in (f"images/{model.images.name[0]}", "sparse/0/points3D.bin"):
         before = (out / name).read_bytes()
-        with pytest.raises(WorkspaceError, match="is no PLY, SPZ or SOG file"):
+        with pytest.raises(WorkspaceError, match="was not written by epipole convert"):
             convert(out, out / name, "ply")
         assert (out / name).read_bytes() == before
     for _ in range(2):

@@ -9,9 +9,10 @@ from plyfile_of import mesh_in
 
 from epipole import mesh, nerf, splat
 from epipole.cameras import Camera
+from epipole.cli.main import main
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
 from epipole.fields import _tsdf_kernels
-from epipole.fields.tsdf import BAND, DistanceVolume
+from epipole.fields.tsdf import BAND, DistanceVolume, Mesh
 from epipole.io.mesh_ply import write_mesh_ply
 from epipole.synthetic import look_at
 from kernel_references import reference_of
@@ -138,3 +139,56 @@ def test_what_gives_no_mesh(source, tmp_path):
         with pytest.raises(ConfigError, match=r"ends in \.ply"):
             mesh(tmp_path / "out", tmp_path / wrong)
     assert not (tmp_path / "a.ply").exists() and CAMERA.width == 64
+
+
+def patch(n, at):
+    """A grid of n x n quads at a height: 2 n^2 triangles."""
+    row, column = np.mgrid[: n + 1, : n + 1]
+    vertices = np.stack([row, column, np.full(row.shape, at)], axis=2).reshape(-1, 3).astype(float)
+    a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    return vertices, np.concatenate(
+        [np.stack([a, a + 1, a + n + 2], 1), np.stack([a, a + n + 2, a + n + 1], 1)]
+    )
+
+
+def test_small_components_are_removed():
+    parts = [patch(n, 10.0 * k) for k, n in enumerate((10, 1, 3, 1, 10))]
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    whole = Mesh(
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate([faces + offset for (_, faces), offset in zip(parts, offsets)]),
+        np.arange(offsets[-1] * 3, dtype=np.uint8).reshape(-1, 3),
+    )
+    for least, left, removed in (
+        (0.0, (0, 1, 2, 3, 4), 0),
+        (0.02, (0, 2, 4), 2),
+        (0.1, (0, 4), 3),
+        (1.0, (0, 4), 3),
+    ):
+        found = whole.without_small_components(least)
+        assert (found.num_components, found.num_removed) == (5, removed)
+        assert sorted(set(found.vertices_in_world[:, 2] / 10)) == list(left)
+        assert len(found) == sum(len(parts[k][1]) for k in left)
+        before, after = (m.vertices_in_world[m.faces].reshape(-1, 9) for m in (whole, found))
+        assert {row.tobytes() for row in after} <= {row.tobytes() for row in before}
+        colours = {v.tobytes(): c.tobytes() for v, c in zip(whole.vertices_in_world, whole.rgb)}
+        assert all(colours[v.tobytes()] == c.tobytes() for v, c in zip(found.vertices_in_world, found.rgb))
+    nothing = Mesh(np.zeros((3, 3)), np.zeros((0, 3), np.int64), np.zeros((3, 3), np.uint8))
+    assert len(nothing.without_small_components(0.01).vertices_in_world) == 0
+
+
+def test_a_box_is_meshed_alone_and_removed_components_are_said(source, tmp_path, capsys):
+    splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
+    job = ["--voxels", "32", "--box", "-1", "-1", "-1", "0.25", "1", "1"]
+    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--least-component", "0"])
+    assert "removed" not in capsys.readouterr().out
+    every = mesh_in(tmp_path / "a.ply")[0]
+    assert every[:, 0].max() <= 0.25 + 1e-6 and (every >= -1).all() and every[:, 0].min() < -0.3
+    main(["mesh", str(tmp_path / "out"), str(tmp_path / "a.ply"), *job, "--least-component", "0.5"])
+    assert "components, which have fewer triangles than 50 % of the largest" in capsys.readouterr().out
+    assert 0 < len(mesh_in(tmp_path / "a.ply")[0]) < len(every)
+    with pytest.raises(DegenerateGeometryError, match="no surface"):
+        mesh(tmp_path / "out", tmp_path / "b.ply", box=(50.0, 50.0, 50.0, 51.0, 51.0, 51.0), voxels=16)
+    for wrong in ({"box": (0.0, 0.0, 0.0, 1.0, 0.0, 1.0)}, {"least_component": -0.1}, {"box": (0.0, 1.0)}):
+        with pytest.raises(ConfigError, match=r"box|least_component"):
+            mesh(tmp_path / "out", tmp_path / "b.ply", **wrong)

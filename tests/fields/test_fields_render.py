@@ -1,6 +1,7 @@
 """`epipole.render`: circles and given cameras, to pictures and a video."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,11 +15,13 @@ from epipole.fields.normals import normals_of
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
 from epipole.image import color_map
+from epipole.io import write_colmap_model
 from epipole.io.gaussian_files import write_gaussians
 from epipole.io.gaussian_ply import read_gaussian_ply
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
+from epipole.synthetic.problems import bundle_problem
 
 
 @pytest.fixture
@@ -133,3 +136,24 @@ def test_what_does_not_fit(splats, tmp_path):
     with pytest.raises(WorkspaceError):
         render(splats, tmp_path / "full", frames=2, width=32)
     assert (tmp_path / "full" / "mine.txt").read_text() == "mine"
+
+
+def test_images_of_like_names_are_all_rendered(splats, tmp_path):
+    """None replaces another: the count that is given is that of the files."""
+    model, names = bundle_problem(4, 30, 3).truth, ("b/c.png", "b_c.png", "a.png", "a.jpg")
+    write_colmap_model(replace(model, images=replace(model.images, name=names)), tmp_path / "model")
+    done = render(splats, tmp_path / "out", cameras=tmp_path / "model", width=32)
+    assert done.num_frames == 4 and len(list((tmp_path / "out").glob("*.png"))) == 4
+
+
+def test_held_out_images_of_like_names_are_all_rendered(tmp_path):
+    (tmp_path / "scene").mkdir()
+    frames = frames_of(views()[:6], tmp_path / "scene")
+    for frame, name in zip(frames[:3], ("x/y.png", "x_y.png", "x/y.jpg")):
+        (tmp_path / "scene" / "x").mkdir(exist_ok=True)
+        picture = cv2.imread(str(tmp_path / "scene" / frame["file_path"]))
+        cv2.imwrite(str(tmp_path / "scene" / name), picture)
+        frame["file_path"] = name
+    (tmp_path / "scene" / "transforms.json").write_text(json.dumps(lens() | {"frames": frames}))
+    done = splat(tmp_path / "scene", tmp_path / "out", steps=2, test="x/y.png,x_y.png,x/y.jpg", sh_degree=0)
+    assert done.summary["num_test"] == 3 and len(list((tmp_path / "out" / "test").iterdir())) == 3

@@ -106,10 +106,10 @@ def test_names_are_text(tmp_path: Path) -> None:
     assert "<img src" not in text and text.count("&lt;img src=x onerror=alert(1)&gt;.ply") == 3
 
 
-def test_the_most_visible_are_kept(result: Path, tmp_path: Path) -> None:
+def test_gaussians_are_merged(result: Path, tmp_path: Path) -> None:
     done = share(result, tmp_path / "page.html", share_max=30)
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert done.shown.endswith("; here the most visible 30 of 80 Gaussians") and done.shown in text
+    assert done.shown.endswith("; here 80 Gaussians merged into 30") and done.shown in text
     assert len(base64.b64decode(Blocks(text).scripts["space-gaussians"])) == 30 * 32
 
 
@@ -142,9 +142,8 @@ def test_what_cannot_be_shared(result: Path, tmp_path: Path) -> None:
     with pytest.raises(WorkspaceError, match="not written by epipole"):
         share(result, tmp_path / "old.html")
     assert (tmp_path / "old.html").read_text() == "old"
-    (tmp_path / "empty.html").touch()
-    for _ in range(2):  # in the place of an empty one, and of one of ours
-        share(result, tmp_path / "empty.html")
+    for _ in range(2):  # the second time in the place of one of ours
+        share(result, tmp_path / "new.html")
 
 
 def test_the_command_writes_the_page_and_starts_no_server(result: Path, tmp_path: Path) -> None:
@@ -153,7 +152,7 @@ def test_the_command_writes_the_page_and_starts_no_server(result: Path, tmp_path
     done = subprocess.run(
         [*command, "--share-max", "50"], capture_output=True, text=True, timeout=120, check=True
     )
-    assert "page.html" in done.stdout and "50 of 80" in done.stdout and page.is_file()
+    assert "page.html" in done.stdout and "80 Gaussians merged into 50" in done.stdout and page.is_file()
     refused = subprocess.run([*command, "--share-max", "0"], capture_output=True, text=True, timeout=120)
     assert refused.returncode == 2 and "--share-max must be" in refused.stderr
 

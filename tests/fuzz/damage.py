@@ -15,6 +15,9 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+import numpy as np
+
+from epipole.runs.units import store
 from hostile_bytes import NUMBERS, WORDS
 
 _NUMBER = re.compile(rb"[-+]?\d[\d.]*(?:[eE][-+]?\d+)?")
@@ -93,13 +96,22 @@ def damaged(rng: Random, data: bytes, kind: str) -> bytes:
     if own is not None and rng.random() < 0.7:
         with suppress(*_UNREADABLE):
             return own(rng, data)
-    common = _COMMON + (_OF_TEXT if kind in ("text", "json", "yaml", "bz2") else _OF_BYTES)
+    common = _COMMON + (_OF_TEXT if kind in ("text", "json", "yaml", "bz2", "journal") else _OF_BYTES)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = rng.choice(common)(rng, data)
     return data
 
 
-_UNREADABLE = (ValueError, KeyError, IndexError, struct.error, zlib.error, OSError, zipfile.BadZipFile)
+_UNREADABLE = (
+    ValueError,
+    KeyError,
+    IndexError,
+    struct.error,
+    zlib.error,
+    OSError,
+    zipfile.BadZipFile,
+    RecursionError,
+)
 
 
 def _cut(rng: Random, data: bytes) -> bytes:
@@ -318,6 +330,95 @@ def _zip(rng: Random, data: bytes) -> bytes:
     return out.getvalue()
 
 
+_SPECIAL = (
+    0,
+    1,
+    -1,
+    2,
+    7,
+    255,
+    -(2**31),
+    2**31,
+    2**53,
+    2**62,
+    -(2**62),
+    0.5,
+    1e308,
+    -1e160,
+    1e-320,
+    np.nan,
+    np.inf,
+)
+_TYPES = ("f8", "f4", "f2", "i8", "i4", "u1", "?", "U3", ">f8", "c16")
+
+
+def _other_array(rng: Random, array: np.ndarray) -> np.ndarray:
+    """Other lengths, axes or numbers, mostly within the type."""
+    what = rng.randrange(12)
+    if array.dtype.kind == "U":
+        choices = [array[None], array.astype("S"), np.array("a" * 3000), np.array(""), np.repeat(array, 2)]
+        return rng.choice(choices)
+    if what == 0 and array.ndim:
+        return array[: rng.randint(0, len(array))]
+    if what == 1 and array.ndim:
+        return np.concatenate([array, array[: rng.randint(0, len(array))]])
+    if what == 2:
+        return rng.choice(
+            [array[None], array.ravel(), array.T, array[..., None], array[:0] if array.ndim else array]
+        )
+    if what == 3:
+        with np.errstate(all="ignore"):
+            return array.astype(rng.choice(_TYPES))
+    out = array.copy()
+    for _ in range(rng.randint(1, 4) if out.size else 0):
+        with suppress(OverflowError, ValueError), np.errstate(all="ignore"):
+            value = rng.choice([*_SPECIAL, *out.flat[[rng.randrange(out.size)]].tolist()])
+            out.flat[rng.randrange(out.size) if rng.random() < 0.7 else slice(None)] = value
+    return out
+
+
+def _sealed(rng: Random, data: bytes) -> bytes:
+    """Arrays of one of our archives changed, left out or swapped, and its digest made anew: as somebody would who knows how."""
+    with np.load(io.BytesIO(data)) as archive:
+        arrays = dict(archive)
+    key = str(arrays.pop("key"))
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        name = rng.choice(sorted(arrays) or [""])
+        what = rng.random()
+        if not name or what < 0.03:
+            arrays["other"] = np.zeros(3)
+        elif what < 0.06:
+            del arrays[name]
+        elif what < 0.1:
+            arrays[name] = arrays[rng.choice(sorted(arrays))]
+        elif name == "text" and arrays[name].dtype == np.uint8:  # JSON
+            with suppress(ValueError, RecursionError):
+                arrays[name] = np.frombuffer(_json(rng, arrays[name].tobytes()), np.uint8)
+        else:
+            arrays[name] = _other_array(rng, arrays[name])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.npz"
+        store(path, key, arrays)
+        return path.read_bytes()
+
+
+def _journal(rng: Random, data: bytes) -> bytes:
+    """Lines of JSON that each begin with the sum of all up to them, made anew."""
+    lines = [line.partition(b" ")[2] for line in data.splitlines()]
+    k, what = rng.randrange(len(lines)), rng.randrange(6)
+    if what == 0:
+        lines.insert(k, rng.choice(lines))
+    elif what == 1:
+        del lines[k]
+    else:
+        lines[k] = b" ".join(_json(rng, lines[k]).split())
+    out, total = b"", 0
+    for line in lines:
+        total = zlib.crc32(line, total)
+        out += b"%08x %b\n" % (total, line)
+    return out
+
+
 _SQL_VALUES = (
     *(
         "NULL",
@@ -389,4 +490,5 @@ def _sqlite(rng: Random, data: bytes) -> bytes:
 _OWN: dict[str, Callable[[Random, bytes], bytes]] = {
     **{"json": _json, "yaml": _yaml, "bz2": _bz2, "ply": _ply, "png": _png, "jpeg": _jpeg, "zip": _zip},
     "sqlite": _sqlite,
+    **{"sealed": _sealed, "journal": _journal},
 }

@@ -3,6 +3,7 @@
 import bz2
 import io
 import json
+import os
 import shutil
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,6 +16,8 @@ import numpy as np
 import yaml
 from bag_writing import Recorded
 from PIL import Image, features
+from sealed_formats import SEALED
+from spz_writing import write_packed_whole, write_streams
 from test_io_colmap_database import PAIRS, make_contents
 from test_io_hostile_calibrations import (
     CAMODOCAL,
@@ -33,6 +36,7 @@ from test_io_hostile_models import BAL, GRAPHS, STRECHA, TEXT_MESH, TEXT_PLY, gr
 from test_io_hostile_models import MIDDLEBURY as MIDDLEBURY_PAR
 from test_io_hostile_pictures import GPS, RGB
 
+from epipole._declared.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
 from epipole.fields.hash_field import asked
@@ -125,6 +129,8 @@ class Format:
     """Whether an error names the folder."""
     may_ask: bool = False
     """Whether it may ask for memory that it does not come to use."""
+    may_be_refused: bool = False
+    """Whether the example may be refused: a file of another program, of a kind that is not read."""
 
 
 def _put(name: str, data: bytes) -> Callable[[Path], None]:
@@ -188,7 +194,7 @@ def _timed_folder(folder: Path) -> None:
     (folder / "times.txt").write_text("0.0\n0.1\n0.25\n")
 
 
-def _recorded(kind: str) -> Callable[[Path], None]:
+def _recorded(kind: str, compression: str = "") -> Callable[[Path], None]:
     """A pair of cameras and an IMU, with what stands first in the file of each kind."""
 
     def write(folder: Path) -> None:
@@ -202,7 +208,7 @@ def _recorded(kind: str) -> Callable[[Path], None]:
             recorded.imu("/imu", 10**18 + n, (0, 0, 1), (0, 0, 9.8))
         shutil.rmtree(folder / "ride", ignore_errors=True)
         (folder / "ride.bag").unlink(missing_ok=True)
-        recorded.write(folder)
+        recorded.write(folder, compression=compression)
 
     return write
 
@@ -221,10 +227,10 @@ def _bag(name: str) -> Callable[[Path], None]:
     return read
 
 
-def _recording(kind: str, file: str, damage: str) -> Format:
+def _recording(kind: str, file: str, damage: str, compression: str = "") -> Format:
     readers = ("read_bag", "read_bag_imu", "read_bag_topics")
     path = file.split("/")[0]
-    return Format(_recorded(kind), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
+    return Format(_recorded(kind, compression), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
 
 
 def _trajectory(name: str) -> Callable[[Path], None]:
@@ -362,7 +368,7 @@ def _put_journal(folder: Path) -> None:
 
 def _journal(folder: Path) -> None:
     found = read_journal(folder / JOURNAL)
-    assert [entry.record.number for entry in found] == list(range(len(found)))
+    assert (np.diff([entry.record.number for entry in found]) > 0).all()
     assert all(entry.record.answer.covariance.shape == (6, 6) for entry in found)
 
 
@@ -375,9 +381,15 @@ def _frame_table(folder: Path) -> None:
     assert len(found.picture) == len(found.timestamp_s)
 
 
-def _cloud(folder: Path) -> None:
-    found = read_points_ply(folder / "cloud.ply")
-    assert found.rgb is None or found.rgb.shape == found.xyz.shape
+def _cloud_of(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_points_ply(folder / name)
+        assert found.rgb is None or found.rgb.shape == found.xyz.shape
+
+    return read
+
+
+_cloud = _cloud_of("cloud.ply")
 
 
 def _put_mesh(folder: Path) -> None:
@@ -598,13 +610,21 @@ def _summary(folder: Path) -> None:
     assert isinstance(read_summary(folder), dict)
 
 
+UNIT = {
+    "pixels": Expected("float64", "n 2"),
+    "names": Expected(TEXT, "_"),
+    "rows": Expected("int64", "_", below="n"),
+}
+
+
 def _unit(folder: Path) -> None:
     assert isinstance(stored_key(folder / "unit.npz"), str)
-    assert set(load(folder / "unit.npz", "pixels", "names")) == {"pixels", "names"}
+    found = load(folder / "unit.npz", UNIT)
+    assert np.isfinite(found["pixels"]).all() and found["rows"].max(initial=-1) < len(found["pixels"])
 
 
 def _write_unit(folder: Path) -> None:
-    arrays = {"pixels": np.ones((3, 2)), "names": np.array(["a", "bc"]), "counts": np.arange(3)}
+    arrays = {"pixels": np.ones((3, 2)), "names": np.array(["a", "bc"]), "rows": np.arange(3)}
     store(folder / "unit.npz", "key", arrays)
 
 
@@ -711,6 +731,11 @@ FORMATS: dict[str, Format] = {
     "bag-ros1": _recording("ros1", "ride.bag", "binary"),
     "bag-sqlite": _recording("sqlite", "ride/ride.db3", "sqlite"),
     "bag-mcap": _recording("mcap", "ride/ride.mcap", "binary"),
+    "bag-ros1-bz2": _recording("ros1", "ride.bag", "binary", "bz2"),
+    "bag-ros1-lz4": _recording("ros1", "ride.bag", "binary", "lz4"),
+    "bag-mcap-zstd": _recording("mcap", "ride/ride.mcap", "binary", "storage"),
+    "bag-messages-zstd": _recording("sqlite", "ride/ride.db3", "sqlite", "message"),
+    "bag-file-zstd": _recording("sqlite", "ride/ride.db3.zstd", "binary", "file"),
     "bag-metadata": _recording("mcap", "ride/metadata.yaml", "yaml"),
     "trajectory-tum": Format(
         _put("a.txt", b"# t\n0.5 1 2 3 0 0 0 1\n0.6 1 2 4 0 0 0.6 0.8\n"),
@@ -768,12 +793,12 @@ FORMATS: dict[str, Format] = {
         ),
         *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
-    "slam-map": Format(_put_slam_map, "map.npz", "binary", _slam_map, ("read_slam_map",)),
-    "slam-state": Format(_put_slam_state, STATE, "binary", _slam_state, ("read_state",)),
+    "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map",)),
+    "slam-state": Format(_put_slam_state, STATE, "sealed", _slam_state, ("read_state",)),
     "slam-arrays": Format(
         _put_slam_state, ARRAYS.format(0), "binary", _slam_state, ("read_state",), weight=0.5
     ),
-    "slam-journal": Format(_put_journal, JOURNAL, "text", _journal, ("read_journal",)),
+    "slam-journal": Format(_put_journal, JOURNAL, "journal", _journal, ("read_journal",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),
@@ -790,8 +815,8 @@ FORMATS: dict[str, Format] = {
     ),
     "mesh": Format(_put_mesh, "mesh.ply", "ply", _mesh, ("read_mesh_ply",)),
     "mesh-text": Format(_put("mesh.ply", TEXT_MESH), "mesh.ply", "text", _mesh, ("read_mesh_ply",)),
-    "grid": Format(_put_grid, "grid.npz", "binary", _grid, ("read_grid", "read_voxels")),
-    "hash": Format(_put_hash, "hash.npz", "binary", _hash, ("read_hash", "read_neural")),
+    "grid": Format(_put_grid, "grid.npz", "zip", _grid, ("read_grid", "read_voxels")),
+    "hash": Format(_put_hash, "hash.npz", "zip", _hash, ("read_hash", "read_neural")),
     "llff": Format(_put_llff, "poses_bounds.npy", "binary", _llff, ("read_llff",)),
     **{name: _splats(name) for name in ("a.compressed.ply", "a.spz", "a.sog", "a.splat")},
     "splat": Format(_put_gaussians, "splat.ply", "ply", _gaussians, ("read_gaussian_ply",)),
@@ -851,10 +876,75 @@ FORMATS: dict[str, Format] = {
         _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
         *("summary.json", "json", _summary, ("read_summary",)),
     ),
-    "unit": Format(_write_unit, "unit.npz", "zip", _unit, ("load", "stored_key"), may_ask=True),
+    "unit": Format(_write_unit, "unit.npz", "sealed", _unit, ("load", "stored_key"), may_ask=True),
     "mark": Format(_marked, "epipole.json", "json", _mark, ("read_mark",)),
     "pairs": Format(
         _put("pairs.txt", b"# pairs\na.jpg b.jpg\nb.jpg c.jpg\n"),
         *("pairs.txt", "text", _list_of_pairs, ("read_pairs",)),
     ),
+}
+FORMATS |= {
+    name: Format(write, file, "sealed", read, ("load_features", "load_putative", "load_view_graph"), weight)
+    for name, (write, file, read, weight) in SEALED.items()
+}
+
+
+def _any_gaussians(name: str) -> Callable[[Path], None]:
+    def read(folder: Path) -> None:
+        found = read_gaussians(folder / name)
+        assert len(found) and np.isfinite(found.sh).all() and found.quats_wxyz.any(axis=1).all()
+
+    return read
+
+
+FAULTS = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[3] / "shared" / "data")) / "faults"
+"""Small files of other programs, where they are."""
+
+
+def _foreign(name: str, kind: str, read: Callable[[str], Callable[[Path], None]]) -> dict[str, Format]:
+    """A file of another program as the example, where it is."""
+    source = FAULTS / name
+    if not source.is_file():
+        return {}
+    file = source.name
+
+    def write(folder: Path) -> None:
+        for beside in sorted(source.parent.iterdir()) if source.parent != FAULTS else [source]:
+            shutil.copyfile(beside, folder / beside.name)
+
+    return {f"foreign-{name}": Format(write, file, kind, read(file), (), may_be_refused=True)}
+
+
+FORMATS |= {
+    "spz-2": Format(
+        lambda folder: write_packed_whole(folder / "other.spz", 2, 6, 1),
+        *("other.spz", "binary", _any_gaussians("other.spz"), ("read_gaussians",)),
+    ),
+    "spz-4": Format(
+        lambda folder: write_streams(folder / "other.spz", 6, 2),
+        *("other.spz", "binary", _any_gaussians("other.spz"), ("read_gaussians",)),
+    ),
+    **{
+        name: form
+        for file in ("minimal-v2.spz", "minimal-v3.spz", "minimal-v4.spz", "minimal.splat")
+        for name, form in _foreign(file, "binary", _any_gaussians).items()
+    },
+    **_foreign("colours_float255.ply", "ply", _cloud_of),
+    **_foreign("colours_ushort.ply", "ply", _cloud_of),
+    **{
+        name: form
+        for file in ("euroc_wfirst.txt", "orbslam3_ns.txt", "truth_tum.txt", "tum_order_ns.csv")
+        for name, form in _foreign(file, "text", _trajectory).items()
+    },
+    **_foreign("ros_ost_camera_model_fisheye.yaml", "yaml", _calibration),
+    **_foreign(
+        "transforms_angle_y.json", "json", lambda name: lambda f: assert_model(read_transforms(f / name))
+    ),
+    **_foreign(
+        "transforms_equirectangular.json",
+        "json",
+        lambda name: lambda f: assert_model(read_transforms(f / name)),
+    ),
+    **_foreign("two_fixes.g2o", "text", lambda name: lambda f: read_g2o(f / name)),
+    **_foreign("model_fisheye180/cameras.txt", "text", lambda _: _model),
 }

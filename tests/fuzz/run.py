@@ -36,7 +36,11 @@ class Finding:
 
 
 def _worker(*options: str, report: int | None = None, stderr: object = None) -> subprocess.Popen:
-    folders = [HERE.parents[1] / "src", HERE.parent, HERE.parent / "io"]
+    folders = [
+        HERE.parents[1] / "src",
+        HERE.parent,
+        *(HERE.parent / room for room in ("io", "fields", "slam")),
+    ]
     quiet = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8", "MALLOC_ARENA_MAX": "2"}
     one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
     env = os.environ | quiet | one | {"PYTHONPATH": os.pathsep.join(map(str, folders))}

@@ -16,9 +16,7 @@ SOURCES = Path(__file__).parents[2] / "src" / "epipole"
 CASES = 2500
 WITHOUT_FILES = {"pair_folders", "pair_within", "list_photographs"}
 """They list folders, and read none of the files in them."""
-BY_WAY_OF_OTHERS = {"read_image_set", "read_picture", "read_json"} | {
-    *("load_features", "load_putative", "load_view_graph"),
-}
+BY_WAY_OF_OTHERS = {"read_image_set", "read_picture", "read_json"}
 """They hand their file to readers that are in the table."""
 VERBS = (
     "read_",

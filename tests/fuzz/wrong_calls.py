@@ -10,6 +10,7 @@ import argparse
 import faulthandler
 import json
 import os
+import re
 import resource
 import select
 import subprocess
@@ -48,6 +49,11 @@ class Case:
         return f"{self.call.name}({', '.join(f'{name}={describe(value)}' for name, value in self.wrong.items())})"
 
 
+def calls_of(only: str) -> tuple[Call, ...]:
+    """Those whose name matches a regular expression."""
+    return tuple(call for call in valid_calls() if re.search(only, call.name))
+
+
 def case(seed: int, number: int, calls: tuple[Call, ...] | None = None) -> Case:
     """The same for the same numbers."""
     random = Random(f"{seed} {number}")
@@ -78,12 +84,12 @@ def failure_of(one: Case) -> str | None:
     return None
 
 
-def run_cases(numbers: range, seed: int) -> list[str]:
+def run_cases(numbers: range, seed: int, only: str = "") -> list[str]:
     """Findings of all cases, in child processes; each names its case."""
-    findings, numbers_left = [], numbers
+    findings, numbers_left, calls = [], numbers, calls_of(only)
     while numbers_left:
         with tempfile.TemporaryFile() as trace:
-            last, found = _run_child(numbers_left, seed, trace)
+            last, found = _run_child(numbers_left, seed, trace, only)
             findings += found
             trace.seek(0)
             if last is None:
@@ -91,15 +97,15 @@ def run_cases(numbers: range, seed: int) -> list[str]:
             number, what = last
             text = trace.read().decode(errors="replace")
             where = [line.strip() for line in text.splitlines() if "epipole/" in line][:3]
-            findings.append(f"{number}: {case(seed, number)}: {what}; {' < '.join(where)}")
+            findings.append(f"{number}: {case(seed, number, calls)}: {what}; {' < '.join(where)}")
             numbers_left = range(number + 1, numbers.stop)
     return findings
 
 
-def _run_child(numbers: range, seed: int, trace: Any) -> tuple[tuple[int, str] | None, list[str]]:
+def _run_child(numbers: range, seed: int, trace: Any, only: str) -> tuple[tuple[int, str] | None, list[str]]:
     """(the case that ended the child before its time, and how; findings)."""
     command = [sys.executable, __file__, "--child", "--seed", str(seed)]
-    command += ["--first", str(numbers.start), "--cases", str(len(numbers))]
+    command += ["--first", str(numbers.start), "--cases", str(len(numbers)), "--only", only]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=trace, cwd=ROOT)
     assert child.stdout is not None
     at, findings, pending, limit_s = numbers.start, [], b"", _START_S
@@ -116,15 +122,16 @@ def _run_child(numbers: range, seed: int, trace: Any) -> tuple[tuple[int, str] |
         for line in lines:
             at, what = json.loads(line)
             if what:
-                findings.append(f"{at}: {case(seed, at)}: {what}")
+                findings.append(f"{at}: {case(seed, at, calls_of(only))}: {what}")
     status = child.wait()
     return ((at, f"crash, exit code {status}") if status else None), findings
 
 
-def _be_child(numbers: range, seed: int) -> None:
+def _be_child(numbers: range, seed: int, only: str) -> None:
     """Make the calls, and write a line before each and one for each finding."""
     faulthandler.enable()
-    for call in valid_calls():  # loads the kernels: what comes after is the wrong calls' own time and memory
+    calls = calls_of(only)
+    for call in calls:  # loads the kernels: what comes after is the wrong calls' own time and memory
         failure_of(Case(call, {}))
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, resource.RLIM_INFINITY))
@@ -133,7 +140,7 @@ def _be_child(numbers: range, seed: int) -> None:
     os.chdir(tempfile.mkdtemp())  # a wrong argument may be a name to write to
     for number in numbers:
         print(json.dumps([number, None]), file=out, flush=True)
-        what = failure_of(case(seed, number))
+        what = failure_of(case(seed, number, calls))
         if what:
             print(json.dumps([number, what]), file=out, flush=True)
 
@@ -144,13 +151,14 @@ def main() -> int:
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="calls whose name matches this regular expression")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     numbers = range(arguments.first, arguments.first + arguments.cases)
     if arguments.child:
-        _be_child(numbers, arguments.seed)
+        _be_child(numbers, arguments.seed, arguments.only)
         return 0
-    findings = run_cases(numbers, arguments.seed)
+    findings = run_cases(numbers, arguments.seed, arguments.only)
     sys.stdout.write("\n".join([*findings, f"{len(findings)} findings in {len(numbers)} calls", ""]))
     return 1 if findings else 0
 

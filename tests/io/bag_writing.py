@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -83,14 +83,18 @@ class Recorded:
         )
         self.rows.append((topic, "sensor_msgs/msg/Imu", ns, message))
 
-    def write(self, folder: Path, name: str = "ride") -> Path:
-        """The path that a user gives."""
+    def write(self, folder: Path, name: str = "ride", compression: str = "") -> Path:
+        """The path that a user gives; the compression is bz2 or lz4 of ROS 1, message, file or storage of ROS 2."""
         path = folder / (f"{name}.bag" if self.kind == "ros1" else name)
         if self.kind == "ros1":
             writer = Writer1(path)
         else:
             plugin = StoragePlugin.MCAP if self.kind == "mcap" else StoragePlugin.SQLITE3
             writer = Writer2(path, version=9, storage_plugin=plugin)
+        if compression and self.kind == "ros1":
+            writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+        elif compression:
+            writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
         serialize = self.store.serialize_ros1 if self.kind == "ros1" else self.store.serialize_cdr
         with writer:
             connections = {}

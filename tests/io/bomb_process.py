@@ -15,13 +15,17 @@ from typing import Any
 
 from epipole.errors import EpipoleError
 from epipole.io import calibration_files, depth_maps, photographs, stereo_folders, stereo_video, video
+from epipole.io.bags import bag_frames, read_bag
 from epipole.io.bal import read_bal
 from epipole.io.colmap import read_colmap_model
 from epipole.io.colmap_database import read_database
 from epipole.io.g2o import read_g2o
+from epipole.io.gaussian_files import read_gaussians
+from epipole.io.hash_files import read_hash
 from epipole.io.ply import read_points_ply
 from epipole.io.transforms_json import read_transforms
 from epipole.io.truth import read_truth
+from epipole.io.voxel_files import read_grid
 from epipole.pipelines.stereo.files import read_stereo
 
 SECONDS = 10
@@ -49,6 +53,10 @@ READERS: dict[str, Callable[..., Any]] = {
     "frame size": video.frame_size,
     "frames": lambda path: video.extract_frames(path, path.parent / "frames", max_frames=2),
     "pairs": lambda path: stereo_video.extract_pairs(path, path, path.parent / "frames", 2),
+    "grid": read_grid,
+    "hash": read_hash,
+    "gaussians": read_gaussians,
+    "bag": lambda path: [frame.grey() for frame in bag_frames(read_bag(path))],
     "folders": lambda path: stereo_folders.pair_folders(path, path.parent),
 }
 

@@ -1,12 +1,14 @@
 """Small files that stand for gigabytes, for hours or for the end of the process, each with the reader that meets it."""
 
 import bz2
+import gzip
 import io
 import json
 import os
 import socket
 import sqlite3
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from contextlib import closing
@@ -389,3 +391,137 @@ NO_FILES: dict[str, Callable[[Path], None]] = {
     "nothing": lambda path: None,
     "a link to itself": lambda path: path.symlink_to(path.name),
 }
+
+
+def arrays(**of: np.ndarray) -> Callable[[Path], None]:
+    """An archive of arrays, packed."""
+    return lambda path: np.savez_compressed(path, **of)
+
+
+def zeros(numbers: str, *shape: int) -> np.ndarray:
+    return np.zeros(shape, numbers)
+
+
+LAYERS = {
+    f"layer{n}": zeros("f2", *size) for n, size in enumerate([(4, 8), (8, 16), (32, 8), (8, 8), (8, 3)])
+}
+GRID = {"shape": np.array([8, 8, 8], "i4"), "cells": zeros("u1", 64), "place": np.ones(5)}
+HASH = GRID | LAYERS | {"place": np.ones(4), "levels": np.array([4], "i4")}
+
+
+def promising(path: Path) -> None:
+    """An array whose header says 2^40 rows."""
+    arrays(**GRID, values=zeros("f2", 4, 13))(path)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data.replace(b"(4, 13), }", b"(1099511627776, 13), }"))
+
+
+def spz(
+    count: int, frames: Callable[[int], bytes], degree: int = 3, told: int | None = None
+) -> Callable[[Path], None]:
+    """Version 4: the header, a table of streams, and these."""
+
+    def write(path: Path) -> None:
+        sizes = [size * count for size in (9, 1, 3, 3, 4, 45)[: 6 if degree else 5]]
+        streams = [frames(size) for size in sizes]
+        head = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, count, degree, 12, 0, len(sizes), 32)
+        table = b"".join(struct.pack("<QQ", len(one), told or size) for one, size in zip(streams, sizes))
+        path.write_bytes(head + table + b"".join(streams))
+
+    return write
+
+
+def zstd(size: int) -> bytes:
+    import zstandard
+
+    return zstandard.ZstdCompressor().compress(bytes(size))
+
+
+def boasting(size: int) -> bytes:
+    """A frame of a few bytes that says it holds 2^40."""
+    return b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 1 << 40) + b"\x01\0\0" + bytes(size & 0)
+
+
+def mcap(compression: str, packed: Callable[[bytes], bytes], size: int = 1 << 31) -> Callable[[Path], None]:
+    """A recording whose one chunk unpacks to zeros without end."""
+
+    def record(kind: int, data: bytes) -> bytes:
+        return bytes([kind]) + struct.pack("<Q", len(data)) + data
+
+    def text(of: str) -> bytes:
+        return struct.pack("<I", len(of)) + of.encode()
+
+    def write(path: Path) -> None:
+        chunk = packed(bytes(1 << 20)) * (size >> 20)
+        data = struct.pack("<QQQI", 0, 1, size, 0) + text(compression) + struct.pack("<Q", len(chunk)) + chunk
+        parts = (
+            record(1, text("ros2") + text("")),
+            record(6, data),
+            record(15, bytes(4)),
+            record(2, bytes(20)),
+        )
+        path.write_bytes(b"\x89MCAP0\r\n" + b"".join(parts) + b"\x89MCAP0\r\n")
+
+    return write
+
+
+def zstd_frame(data: bytes) -> bytes:
+    """Without its size."""
+    import zstandard
+
+    return zstandard.ZstdCompressor(write_content_size=False).compress(data)
+
+
+def ros1(compression: str, packed: Callable[[bytes], bytes], size: int = 1 << 31) -> Callable[[Path], None]:
+    """A recording cut off after one chunk, which unpacks to zeros without end."""
+
+    def fields(**of: bytes) -> bytes:
+        parts = [name.encode() + b"=" + value for name, value in of.items()]
+        whole = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+        return struct.pack("<I", len(whole)) + whole
+
+    def write(path: Path) -> None:
+        chunk = packed(bytes(1 << 20)) * (size >> 20)
+        head = fields(op=b"\x05", compression=compression.encode(), size=struct.pack("<I", size - 1))
+        path.write_bytes(b"#ROSBAG V2.0\n" + head + struct.pack("<I", len(chunk)) + chunk)
+
+    return write
+
+
+def lz4(data: bytes) -> bytes:
+    import lz4.frame
+
+    return lz4.frame.compress(data)
+
+
+PACKED = {
+    "a grid of 2048^3 empty cells": (
+        *("grid", "grid.npz"),
+        arrays(
+            **GRID | {"shape": np.array([2048] * 3, "i4"), "cells": zeros("u1", 1 << 30)},
+            values=zeros("f2", 0, 13),
+        ),
+    ),
+    "a grid of 2^26 rows": ("grid", "grid.npz", arrays(**GRID, values=zeros("f2", 1 << 26, 13))),
+    "a grid whose header lies": ("grid", "grid.npz", promising),
+    "tables of 2^26 rows": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f2", 1, 1 << 26, 4))),
+    "tables of doubles": ("hash", "hash.npz", arrays(**HASH, tables=zeros("f8", 1, 1 << 16, 4))),
+    "SPZ of 2^24 Gaussians": ("gaussians", "a.spz", spz(1 << 24, zstd)),
+    "SPZ of frames that boast": ("gaussians", "a.spz", spz(4, boasting)),
+    "SPZ that promises 2^40 bytes": ("gaussians", "a.spz", spz(4, boasting, told=1 << 40)),
+    "SPZ of gzip": (
+        *("gaussians", "a.spz"),
+        lambda path: path.write_bytes(
+            gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 1 << 24, 0, 12, 0, 0) + bytes(20 << 24))
+        ),
+    ),
+    "MCAP of zstd": ("bag", "ride.mcap", mcap("zstd", zstd_frame)),
+    "MCAP of zstd that says its size": ("bag", "ride.mcap", mcap("zstd", lambda data: zstd(len(data)))),
+    "MCAP of lz4": ("bag", "ride.mcap", mcap("lz4", lz4, 1 << 28)),
+    "ROS 1 of bz2": ("bag", "ride.bag", ros1("bz2", bz2.compress)),
+    "ROS 1 of lz4": ("bag", "ride.bag", ros1("lz4", lz4, 1 << 28)),
+}
+"""The reader, the file's name, and what writes it."""

@@ -118,6 +118,16 @@ def test_models(read: Read, tmp_path: Path, what: str) -> None:
     refuses(read("colmap", tmp_path / "model"))
 
 
+@pytest.mark.parametrize("what", list(bombs.PACKED))
+def test_packed_files(read: Read, tmp_path: Path, what: str) -> None:
+    """Sizes that a file says are held against its bytes before anything is unpacked."""
+    reader, name, write = bombs.PACKED[what]
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    write(tmp_path / name)
+    assert (tmp_path / name).stat().st_size < 3 << 20
+    refuses(read(reader, tmp_path / name))
+
+
 FILES = {
     "calibration": "a.yaml",
     "pfm": "a.pfm",

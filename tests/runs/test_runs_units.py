@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from epipole._declared.tables import Expected
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, load, run_units, store, stored_key
 
 CALLS: list[int] = []
+SQUARE = {"value": Expected("int64")}
 
 
 def square(payload: int) -> dict[str, np.ndarray]:
@@ -31,7 +33,7 @@ def test_work_is_done_once_and_again_when_the_key_changes(tmp_path, executor):
     CALLS.clear()
     reports = []
     assert run_units(units(tmp_path), stage="s", executor=executor, progress=reports.append) == 4
-    assert [int(load(u.path)["value"]) for u in units(tmp_path)] == [1, 4, 9, 16]
+    assert [int(load(u.path, SQUARE)["value"]) for u in units(tmp_path)] == [1, 4, 9, 16]
     assert reports[0].done == 0 and reports[-1].done == reports[-1].total == 4
     assert run_units(units(tmp_path), stage="s", executor=executor) == 0
     assert run_units(units(tmp_path, version=2), stage="s", executor=executor) == 4
@@ -46,9 +48,9 @@ def test_a_file_damaged_behind_its_key_is_an_error(tmp_path):
     unit.path.write_bytes(data)
     assert stored_key(unit.path) == unit.key
     with pytest.raises(WorkspaceError, match=r"1\.npz is damaged"):
-        load(unit.path)
+        load(unit.path, SQUARE)
     with pytest.raises(WorkspaceError, match="is damaged"):
-        load(tmp_path / "none.npz")
+        load(tmp_path / "none.npz", SQUARE)
 
 
 def test_a_file_damaged_behind_its_key_is_done_again(tmp_path):
@@ -64,7 +66,7 @@ def test_a_file_damaged_behind_its_key_is_done_again(tmp_path):
 def test_what_is_no_file_of_ours_is_not_opened(tmp_path):
     unit = units(tmp_path, numbers=(3,))[0]
     np.savez_compressed(unit.path, key=np.array(unit.key), value=np.zeros(10**7))  # unpacks to any size
-    assert run_units([unit], stage="s") == 1 and int(load(unit.path)["value"]) == 9
+    assert run_units([unit], stage="s") == 1 and int(load(unit.path, SQUARE)["value"]) == 9
     unit.path.unlink()
     os.mkfifo(unit.path)
     assert stored_key(unit.path) == ""  # and does not wait for a writer
@@ -73,11 +75,11 @@ def test_what_is_no_file_of_ours_is_not_opened(tmp_path):
 def test_processes_give_the_same_files(tmp_path):
     squares = [Unit(tmp_path / f"{n}.npz", digest(n), np_square, n) for n in (5, 6)]
     assert run_units(squares, stage="s", executor="processes") == 2
-    assert [int(load(u.path)["value"]) for u in squares] == [25, 36]
+    assert [int(load(u.path, SQUARE)["value"]) for u in squares] == [25, 36]
 
 
 def np_square(payload: int) -> dict[str, np.ndarray]:
-    return {"value": np.square(payload)}
+    return {"value": np.array(np.square(payload))}
 
 
 def test_a_damaged_file_is_done_again(tmp_path):
@@ -86,7 +88,7 @@ def test_a_damaged_file_is_done_again(tmp_path):
     (tmp_path / "2.npz").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "3.npz").write_bytes(b"")
     assert run_units(units(tmp_path), stage="s") == 2
-    assert int(load(tmp_path / "2.npz")["value"]) == 4
+    assert int(load(tmp_path / "2.npz", SQUARE)["value"]) == 4
 
 
 def test_an_error_keeps_what_was_done_and_leaves_no_scraps(tmp_path):
@@ -105,6 +107,7 @@ def test_a_place_that_cannot_be_written_says_so(tmp_path):
 def test_many_threads_read_at_once(tmp_path):
     """Also where something in Python runs while the collector looks for cycles, in the midst of a header."""
     store(tmp_path / "unit.npz", "key", {"pixels": np.ones((5, 2)), "angles": np.ones(5)})
+    table = {"pixels": Expected("float64", "n 2"), "angles": Expected("float64", "n")}
     before = gc.get_threshold(), sys.getswitchinterval()
 
     def busy(*_: object) -> None:
@@ -115,7 +118,7 @@ def test_many_threads_read_at_once(tmp_path):
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(8) as pool:
-            read = list(pool.map(lambda _: load(tmp_path / "unit.npz"), range(400)))
+            read = list(pool.map(lambda _: load(tmp_path / "unit.npz", table), range(400)))
     finally:
         gc.set_threshold(*before[0])
         sys.setswitchinterval(before[1])

@@ -13,7 +13,7 @@ from epipole.errors import ConfigError
 from epipole.geometry import align_points
 from epipole.pipelines.slam.anchors import anchor_map
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.map_files import MAP_FILE, VERSION
+from epipole.pipelines.slam.map_files import MAP_FILE, TABLE, VERSION
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.runs.units import load, store
 
@@ -178,7 +178,7 @@ def test_what_would_change_the_unit_of_a_map_is_refused(runs, tmp_path, map_name
 
 
 def test_files_of_before_do_not_say_where_their_metres_come_from(runs, tmp_path):
-    arrays = load(runs / "metric" / MAP_FILE)
+    arrays = load(runs / "metric" / MAP_FILE, TABLE)
     del arrays["scale"]
     store(tmp_path / "map.npz", VERSION, arrays)
     known = read_slam_map(tmp_path / "map.npz", MONO)

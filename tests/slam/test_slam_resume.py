@@ -95,6 +95,38 @@ def test_the_result_is_that_of_a_whole_run(kind, source, monkeypatch):
     assert not (out / "checkpoint").exists()
 
 
+@pytest.mark.parametrize(
+    "options",
+    [{"start": 3}, {"stride": 2}, {"start": 5, "stride": 3}, {"start": 2, "stride": 2, "max_frames": 11}],
+)
+def test_a_run_of_some_of_the_frames_is_gone_on_with(options, source):
+    place = source("stereo")
+    whole = run_slam(place / "ride", place / "whole", **options)
+    out, reports = place / "out", []
+    for count in (1, 4):
+        with pytest.raises(CrashError):
+            run_slam(place / "ride", out, resume=count > 1, progress=crash_at(count), **options)
+    found = run_slam(place / "ride", out, resume=True, progress=reports.append, **options)
+    assert written(out) == written(place / "whole")
+    wanted = range(30)[options.get("start", 0) :: options.get("stride", 1)][: options.get("max_frames")]
+    for result in (whole, found):
+        assert result.summary["num_frames"] == len(wanted) and result.summary["num_dropped"] == 0
+        table = read_frame_table(result.out / "frames.csv")
+        assert [name for name in table.picture if name] == [f"{number}.png" for number in wanted]
+    followed = [report for report in reports if report.stage == "track"]
+    assert followed[0].done == 5 and {report.total for report in followed} == {len(wanted)}
+
+
+def test_a_camera_that_starts_late_has_dropped_nothing(source):
+    place = source("stereo", pause_s=3600.0, is_live=True)
+    result = run_slam(place / "ride", place / "out", start=4, stride=2, max_frames=6)
+    assert result.summary["num_dropped"] == 0 and result.summary["num_frames"] == 6
+    with pytest.raises(CrashError):
+        run_slam(place / "ride", place / "other", start=4, stride=2, progress=crash_at(5))
+    found = run_slam(place / "ride", place / "other", start=4, stride=2, resume=True, max_frames=8)
+    assert found.summary["num_dropped"] == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
 def test_a_killed_process_is_gone_on_with(tmp_path):
     folder, out = write_pairs(tmp_path / "ride", 30), tmp_path / "out"

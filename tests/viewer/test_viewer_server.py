@@ -5,9 +5,11 @@ import http.client
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -23,6 +25,7 @@ from epipole.io import write_colmap_model
 from epipole.report.space_model import scene_of_model
 from epipole.viewer import ViewerHandle, ports, server, view_scene
 from epipole.viewer.allowed import is_allowed
+from epipole.viewer.page_server import PageServer, Served, fixed
 
 PROTOCOL = [f"viser-v{viser.__version__}"]
 
@@ -218,3 +221,26 @@ def test_the_command_says_in_one_sentence_what_is_wrong_with_a_port(tmp_path):
         os.kill(running.pid, signal.SIGINT)
         assert running.wait(30) == 130
         stop.cancel()
+
+
+def reset(port: int) -> None:
+    """Ask for the page, and close the connection before the answer, as a browser does whose tab is closed."""
+    with socket.create_connection(("127.0.0.1", port)) as asking:
+        asking.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        asking.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+
+def test_a_closed_tab_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
+    pages = {"": fixed("text/html", b"x" * 30_000_000), "faulty": Served("text/html", lambda _: 1 // 0)}
+    pages_server = PageServer(pages, "127.0.0.1", free_port())
+    try:
+        for _ in range(5):
+            reset(pages_server.port)
+        assert status_of_page(pages_server.port, "127.0.0.1") == 200
+        time.sleep(0.2)
+        assert capfd.readouterr().err == ""
+        with pytest.raises(http.client.HTTPException):  # other faults are still shown
+            status_of_page(pages_server.port, "127.0.0.1", "/faulty")
+        assert "ZeroDivisionError" in capfd.readouterr().err
+    finally:
+        pages_server.stop()

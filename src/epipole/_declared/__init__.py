@@ -7,34 +7,45 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from functools import wraps
-from inspect import Parameter, get_annotations, signature, unwrap
-from typing import Any, TypeVar, cast
+from inspect import CO_VARKEYWORDS, Parameter, get_annotations, signature, unwrap
+from typing import Any, NamedTuple, TypeVar, cast
 
 from epipole._declared.kinds import Convert, Sizes
 from epipole._declared.values import converter_of
+from epipole.errors import ArgumentError, ConfigError
 
+_LARGEST_COUNT, _SMALLEST_NUMBER, _LARGEST_NUMBER = 2**31 - 1, 1e-30, 1e30
+"""Of options: counts go into arrays of 32 bits, and numbers are squared in single precision or multiplied."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 _plans: dict[type, tuple[tuple[str, Convert], ...]] = {}
 """Of each data class the fields that are checked."""
 
 
 def checked(function: Function) -> Function:
-    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is."""
+    """Check and convert the arguments of a function as its annotations say; what is annotated `Any` stays as it is.
+
+    An argument of a name that the function does not have is refused, with the names that are like it.
+    """
     own = unwrap(function)
-    plan: list[tuple[str, Convert | None]] = []
+    plan: list[_Parameter] = []
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         if not plan:  # annotations are looked at on first use: imports stay quick
             plan.extend(_parameters(own))
+        if kwargs:
+            _refuse_unknown_names(own, kwargs, [each.name for each in plan])
         sizes: Sizes = {}
         given = list(args)
-        for place, (name, convert) in enumerate(plan):
+        for place, (name, convert, kind) in enumerate(plan):
             if convert is None:
                 continue
-            if place < len(given):
+            if kind is Parameter.VAR_POSITIONAL:
+                given[place:] = [convert(one, f"{name}[{k}]", sizes) for k, one in enumerate(given[place:])]
+            elif kind is not Parameter.KEYWORD_ONLY and place < len(given):
                 given[place] = convert(given[place], name, sizes)
             elif name in kwargs:
                 kwargs[name] = convert(kwargs[name], name, sizes)
@@ -56,13 +67,66 @@ def check_fields(data: Any) -> None:
             object.__setattr__(data, name, kept)
 
 
-def _parameters(function: Callable[..., Any]) -> list[tuple[str, Convert | None]]:
-    """The converter of every parameter; None where there is nothing to check."""
-    out: list[tuple[str, Convert | None]] = []
+def _refuse_unknown_names(function: Callable[..., Any], given: Iterable[str], known: Sequence[str]) -> None:
+    takes_any = function.__code__.co_flags & CO_VARKEYWORDS
+    for name in () if takes_any else given:
+        if name not in known:
+            raise ArgumentError(f"{function.__name__} has no argument {name}{did_you_mean(name, known)}")
+
+
+def did_you_mean(name: str, known: Sequence[str], more: Sequence[str] = ()) -> str:
+    """What follows "there is no NAME": names that are like it, among more than those that are listed where none is."""
+    near = get_close_matches(name, list(dict.fromkeys([*known, *more])), 3, 0.6)
+    return f"; did you mean {' or '.join(near)}?" if near else f"; it has {', '.join(known)}"
+
+
+class _Parameter(NamedTuple):
+    """Of a function."""
+
+    name: str
+    convert: Convert | None
+    """None where there is nothing to check."""
+    kind: Any
+
+
+def check_options(data: Any, *, negative: tuple[str, ...] = (), infinite: tuple[str, ...] = ()) -> None:
+    """Check the fields of a config, and that its numbers can be calculated with; for `__post_init__`.
+
+    Args:
+        data: the instance.
+        negative: fields that may be negative.
+        infinite: fields that may be infinite.
+
+    Raises:
+        ConfigError: a number is negative, infinite, too large or so small that it vanishes, or a field is of another kind.
+        ShapeError: an array is of another kind or shape than declared.
+    """
+    check_fields(data)
+    for name in data.__dataclass_fields__:
+        value = getattr(data, name)
+        if isinstance(value, bool) or type(value) not in (int, float):
+            continue
+        if value < 0 and name not in negative:
+            raise ConfigError(f"{name} must not be negative, got {value:g}")
+        size = abs(value)
+        if type(value) is int:
+            if size > _LARGEST_COUNT and "seed" not in name:
+                raise ConfigError(f"{name} must be at most {_LARGEST_COUNT}, got {value}")
+        elif size == float("inf"):
+            if name not in infinite:
+                raise ConfigError(f"{name} must be finite, got {value}")
+        elif size > _LARGEST_NUMBER or 0 < size < _SMALLEST_NUMBER:
+            bounds = f"0, or from {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g}"
+            raise ConfigError(f"{name} must be {bounds} to be calculated with, got {value:g}")
+
+
+def _parameters(function: Callable[..., Any]) -> list[_Parameter]:
+    """What checks every parameter."""
+    out: list[_Parameter] = []
     for parameter in signature(function).parameters.values():
-        is_many = parameter.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-        annotation = Any if is_many else _evaluated(parameter.annotation, function.__globals__)
-        out.append((parameter.name, converter_of(annotation)))
+        is_named = parameter.kind is Parameter.VAR_KEYWORD
+        annotation = Any if is_named else _evaluated(parameter.annotation, function.__globals__)
+        out.append(_Parameter(parameter.name, converter_of(annotation), parameter.kind))
     return out
 
 

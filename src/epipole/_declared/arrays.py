@@ -52,21 +52,29 @@ def array_converter(annotation: Any) -> Convert:
     kinds = {np.dtype(name) for name in annotation.dtypes if name in ("bool", *_NUMBERS)}
     only = kinds.pop() if len(kinds) == 1 else None
     axes = annotation.dim_str.split()
-    variadic = next((k for k, axis in enumerate(axes) if axis.startswith(("*", "..."))), None)
 
     def convert(value: Any, name: str, sizes: Sizes) -> np.ndarray:
         array = as_array(value, name, only or _kept_type(value))
-        shape = array.shape
-        named = axes
-        if variadic is not None and len(shape) >= len(axes) - 1:
-            named = [*axes[:variadic], *["_"] * (len(shape) - len(axes) + 1), *axes[variadic + 1 :]]
-        if len(shape) != len(named):
-            raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}{_hint(axes, shape)}")
-        for axis, length in zip(named, shape):
-            _check_axis(axis, length, name, axes, shape, sizes)
+        check_axes(array, name, axes, sizes)
         return array
 
     return convert
+
+
+def check_axes(array: np.ndarray, name: str, axes: list[str], sizes: Sizes) -> None:
+    """Check the shape of an array, and keep the lengths of its named axes.
+
+    Raises:
+        ShapeError: it has other axes, or one has another length than an array before has given its name.
+    """
+    shape, named = array.shape, axes
+    variadic = next((k for k, axis in enumerate(axes) if axis.startswith(("*", "..."))), None)
+    if variadic is not None and len(shape) >= len(axes) - 1:
+        named = [*axes[:variadic], *["_"] * (len(shape) - len(axes) + 1), *axes[variadic + 1 :]]
+    if len(shape) != len(named):
+        raise ShapeError(f"{name} must be ({', '.join(axes)}), got {shape}{_hint(axes, shape)}")
+    for axis, length in zip(named, shape):
+        _check_axis(axis, length, name, axes, shape, sizes)
 
 
 def _hint(axes: list[str], shape: tuple[int, ...]) -> str:

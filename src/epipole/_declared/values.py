@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import operator
 import os
+import re
+import sys
 import types
-from collections.abc import Callable, Iterable, Sequence, Sized
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from enum import Enum
+from inspect import get_annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -15,6 +18,9 @@ from epipole._declared.kinds import Convert, Sizes
 from epipole.errors import ConfigError, EpipoleError
 
 _LARGEST = 2**63 - 1
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+")  # of two letters at least: C:/ is a drive
+_LONGEST_PATH, _LONGEST_NAME = 4095, 255
+"""Bytes that Linux takes, and others hardly more."""
 
 
 def converter_of(annotation: Any) -> Convert | None:
@@ -31,13 +37,19 @@ def converter_of(annotation: Any) -> Convert | None:
 
         return array_converter(annotation)
     if origin in (Union, types.UnionType):
-        return _one_of([converter_of(part) for part in parts])
+        others = (
+            [part for part in parts if part not in (str, Path)] if {str, Path} <= {*parts} else list(parts)
+        )
+        paths = [_text_or_path] if len(others) < len(parts) else []
+        return _one_of([*paths, *(converter_of(part) for part in others)])
     if origin is Literal:
         return _choice(parts)
     if origin is tuple:
         return _tuple(parts)
     if isinstance(origin, type) and issubclass(origin, Callable):  # type: ignore[arg-type]
         return _function
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return _mapping(parts)
     if isinstance(origin, type) and issubclass(origin, Iterable):
         return _items(origin, parts[0])
     kind = origin if origin is not None else annotation
@@ -100,7 +112,47 @@ def _float(value: Any, name: str, _sizes: Sizes) -> float:
 def _path(value: Any, name: str, _sizes: Sizes) -> Path:
     if not isinstance(value, (str, os.PathLike)):
         raise _wrong(name, "a path", value)
-    return value if isinstance(value, Path) else Path(value)
+    path: Path = _text_or_path(value if isinstance(value, Path) else Path(value), name, {})
+    refuse_address(value, name)
+    return path
+
+
+def _text_or_path(value: Any, name: str, _sizes: Sizes) -> Any:
+    """What people give as a path; it stays what it is."""
+    if not isinstance(value, str | Path):
+        raise _wrong(name, "a path", value)
+    try:
+        data = os.fsencode(value)
+    except UnicodeEncodeError as error:
+        raise ConfigError(f"{name} must be a path, and holds what is no character") from error
+    if not data:
+        raise ConfigError(f"{name} must be a path, and is empty")
+    if b"\0" in data:
+        raise ConfigError(f"{name} must be a path, and holds a null character")
+    if len(data) > _LONGEST_PATH or max(map(len, data.split(b"/"))) > _LONGEST_NAME:
+        raise ConfigError(f"{name} must be a path: {str(value)[:60]}... is too long")
+    return value
+
+
+def refuse_address(given: str | os.PathLike[str], name: str) -> None:
+    """Refuse `https://...` and the like, which a path that is joined or printed shortens to `https:/...`.
+
+    Raises:
+        ConfigError: it is an address.
+    """
+    text = os.fspath(given)
+    found = _ADDRESS.match(text) if isinstance(text, str) else None
+    if found is None or Path(text).exists():
+        return
+    scheme, rest = found[1].lower(), text[found.end() :]
+    if scheme == "file":
+        raise ConfigError(f"{name} is {text}: leave the scheme out, as in /{rest.removeprefix('localhost/')}")
+    is_stream = scheme in ("rtsp", "rtmp", "udp", "tcp")
+    advice = "record the stream to a video file" if is_stream else "download it"
+    raise ConfigError(
+        f"{name} is {found[1]}://{rest}, an address on a network, and only files on this machine are read: {advice} and give "
+        "the path"
+    )
 
 
 def _function(value: Any, name: str, _sizes: Sizes) -> Any:
@@ -111,6 +163,8 @@ def _function(value: Any, name: str, _sizes: Sizes) -> Any:
 
 def _instance(kind: type) -> Convert:
     article = "an" if kind.__name__[0] in "AEIOU" else "a"
+    if issubclass(kind, tuple) and hasattr(kind, "_fields"):
+        return _named_tuple(kind, article)
 
     def convert(value: Any, name: str, _sizes: Sizes) -> Any:
         if not isinstance(value, kind):
@@ -119,6 +173,29 @@ def _instance(kind: type) -> Convert:
                 return kind.stack(value)
             raise _wrong(name, f"{article} {kind.__name__}", value)
         return value
+
+    return convert
+
+
+def _named_tuple(kind: Any, article: str) -> Convert:
+    """A named tuple, which checks nothing itself: of its fields the kinds."""
+    plan: dict[str, Convert | None] = {}
+
+    def convert(value: Any, name: str, _sizes: Sizes) -> Any:
+        if not isinstance(value, kind):
+            raise _wrong(name, f"{article} {kind.__name__}", value)
+        if not plan:
+            names = vars(sys.modules[kind.__module__])
+            for field, annotation in get_annotations(kind).items():
+                told = getattr(annotation, "__forward_arg__", annotation)  # as `NamedTuple` keeps text
+                plan[field] = converter_of(eval(told, names) if isinstance(told, str) else told)
+        changed = {}
+        for field, one in plan.items():
+            given = getattr(value, field)
+            kept = given if one is None else one(given, f"{name}.{field}", {})
+            if kept is not given:
+                changed[field] = kept
+        return value._replace(**changed) if changed else value
 
     return convert
 
@@ -165,7 +242,10 @@ def _one_of(converters: list[Convert | None]) -> Convert | None:
             try:
                 return part(value, name, sizes)
             except EpipoleError as error:
-                first = first or error
+                is_path = part is _path and isinstance(
+                    value, os.PathLike
+                )  # it says more than that it is no text
+                first = error if is_path else first or error
         raise first or _wrong(name, "None", value)
 
     return convert
@@ -198,7 +278,27 @@ def _items(kind: type, part: Any) -> Convert:
         if one is None:
             return value if isinstance(value, kind) and issubclass(kind, Sequence) else rows
         # Axes of one length over all items share a name: that of the first counts for all.
-        return [one(row, f"{name}[{k}]", sizes) for k, row in enumerate(rows)]
+        out = [one(row, f"{name}[{k}]", sizes) for k, row in enumerate(rows)]
+        return kind(out) if kind in (set, frozenset) else out
+
+    return convert
+
+
+def _mapping(parts: tuple[Any, ...]) -> Convert:
+    """Keys and values, each by its annotation."""
+    of_key, of_value = (converter_of(part) for part in parts)
+
+    def convert(value: Any, name: str, _sizes: Sizes) -> Any:
+        if not isinstance(value, Mapping):
+            raise _wrong(name, "a mapping", value)
+        out = {
+            key if of_key is None else of_key(key, f"a key of {name}", {}): (
+                one if of_value is None else of_value(one, f"{name}[{key!r:.40}]", {})
+            )
+            for key, one in value.items()
+        }
+        is_same = len(out) == len(value) and all(a is b and out[a] is value[b] for a, b in zip(out, value))
+        return value if is_same else out
 
     return convert
 

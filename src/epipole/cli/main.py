@@ -18,6 +18,7 @@ from typing import Any, NoReturn, get_args, get_origin
 
 import tyro
 
+from epipole._terminal import one_line, say
 from epipole.errors import ConfigError, EpipoleError
 
 COMMANDS = (
@@ -42,15 +43,19 @@ COMMANDS = (
 """Module and function of every command."""
 ANSWERING = ("stereo-doctor", "lesson", "view", "evaluate", "version")
 """Commands that are run for what they print, which --quiet leaves."""
+WRITING_NOTHING = ("stereo-doctor", "evaluate", "version")
+"""Commands that have nothing to overwrite."""
 EVERYWHERE = {
     **{"-q": "quiet", "--quiet": "quiet"},
     **{"-v": "verbose", "--verbose": "verbose"},
     **{"-V": "version", "--version": "version"},
+    "--overwrite": "overwrite",
 }
 """Options of all commands, before the command's name or after it."""
 EVERYWHERE_HELP = (
     "Every command takes -q, --quiet (print errors alone, and the answer of commands that give one) and"
     " -v, --verbose (print each unit of work with its time, and where an error comes from)."
+    " --overwrite replaces your files."
 )
 WRONG_USAGE = 2
 
@@ -61,7 +66,7 @@ def version() -> None:
     """Print the version."""
     from epipole._version import __version__
 
-    print(f"epipole {__version__}")
+    say(f"epipole {__version__}")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -79,12 +84,14 @@ def main(arguments: list[str] | None = None) -> None:
         words = [*words[1:2], "--help"]
     if words[:2] == ["stereo", "doctor"]:
         words = ["stereo-doctor", *words[2:]]
+    if "overwrite" in asked and words[:1] and words[0] in WRITING_NOTHING:
+        _refuse(f"`epipole {words[0]}` writes nothing: leave out --overwrite", WRONG_USAGE)
     # Modules and kernels are many small objects that stay alive: searching them for cycles again and again
     # took an eighth of a short run.
     gc.set_threshold(200_000, 20, 100)
     if "verbose" not in asked:  # FFmpeg's own lines about damaged video; ours names the file
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    with _loudness(asked, words), _warnings_in_one_line():
+    with _loudness(asked, words), _warnings_in_one_line(), _overwriting(asked):
         _run(words)
 
 
@@ -96,7 +103,7 @@ def _run(words: list[str]) -> None:
     except EpipoleError as error:
         logger.debug("where it was raised", exc_info=True)
         code = WRONG_USAGE if isinstance(error, ConfigError) else 1
-        _refuse(_as_options(error, words, while_parsing=False), code)
+        _refuse(one_line(_as_options(error, words, while_parsing=False)), code)
     except BrokenPipeError:  # whoever reads the output has closed it (`| head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
@@ -107,7 +114,7 @@ def _run(words: list[str]) -> None:
         _refuse(f"{error.strerror}: {error.filename or 'see where EPIPOLE_CACHE_DIR points'}", 1)
     except KeyboardInterrupt:
         note = "epipole: stopped. What was finished is kept; the same command goes on from there or begins again."
-        print("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", file=sys.stderr)
+        say("" if words[:1] in (["lesson"], ["view"]) else f"\n{note}", to_stderr=True)
         sys.exit(130)
 
 
@@ -132,7 +139,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
         def show(message: Warning | str, category: type[Warning], *rest: Any, **named: Any) -> None:
             if category is RuntimeWarning and str(message).startswith("epipole: "):
-                print(message, file=sys.stderr)
+                say(one_line(str(message)), to_stderr=True)
             else:
                 plain(message, category, *rest, **named)
 
@@ -141,7 +148,7 @@ def _warnings_in_one_line() -> Iterator[None]:
 
 
 def _refuse(message: str, code: int) -> NoReturn:
-    print(f"epipole: {message}", file=sys.stderr)
+    say(f"epipole: {message}", to_stderr=True)
     sys.exit(code)
 
 
@@ -161,6 +168,17 @@ def _loudness(asked: set[str], words: list[str]) -> Iterator[None]:
             from epipole._version import __version__
 
             logger.debug("epipole %s, Python %s, arguments %s", __version__, sys.version.split()[0], words)
+        yield
+
+
+@contextlib.contextmanager
+def _overwriting(asked: set[str]) -> Iterator[None]:
+    if "overwrite" not in asked:
+        yield
+        return
+    from epipole.runs.guard import overwriting
+
+    with overwriting():
         yield
 
 
@@ -232,27 +250,27 @@ def _as_options(error: EpipoleError, words: list[str], *, while_parsing: bool) -
 
 
 def _registry() -> tyro.constructors.ConstructorRegistry:
-    """Tyro's parsing of types, except that an option of two values always takes exactly two words.
+    """Tyro's parsing of types, except that an option of several values always takes exactly as many words.
 
     Tyro reads `tuple[int, int] | None` as two words or the word None, and gives it all words up to the next
     option, paths included.
     """
     registry = tyro.constructors.ConstructorRegistry()
-    registry.primitive_rule(_two_values_or_none)
+    registry.primitive_rule(_values_or_none)
     return registry
 
 
-def _two_values_or_none(
+def _values_or_none(
     info: tyro.constructors.PrimitiveTypeInfo,
 ) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
     members = [member for member in get_args(info.type) if member is not NoneType]
     if NoneType not in get_args(info.type) or len(members) != 1 or get_origin(members[0]) is not tuple:
         return None
     kinds = get_args(members[0])
-    if len(kinds) != 2 or not all(kind in (int, float, str) for kind in kinds):
+    if not all(kind in (int, float, str) for kind in kinds):
         return None
     return tyro.constructors.PrimitiveConstructorSpec(
-        nargs=2,
+        nargs=len(kinds),
         metavar=" ".join(kind.__name__.upper() for kind in kinds),
         instance_from_str=lambda words: tuple(kind(word) for kind, word in zip(kinds, words)),
         is_instance=lambda value: value is None or isinstance(value, tuple),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.errors import ConfigError
 
 
@@ -60,7 +60,11 @@ class DisparityConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(
+            self,
+            negative=("min_disparity_px", "max_disparity_px"),
+            infinite=("edge_fade", "max_left_right_px", "max_sigma_px", "min_margin"),
+        )
         if self.max_disparity_px is not None and self.max_disparity_px < self.min_disparity_px:
             raise ConfigError(
                 f"max_disparity_px ({self.max_disparity_px}) must be at least min_disparity_px ({self.min_disparity_px})"

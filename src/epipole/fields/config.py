@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.errors import ConfigError
 
 
@@ -45,7 +45,7 @@ class SplatConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_gaussians is not None and not 1 <= self.max_gaussians <= 100_000_000:
             raise ConfigError(f"max_gaussians must be from 1 to 100 million, got {self.max_gaussians}")
         if self.memory_gb is not None and not 0 < self.memory_gb < 1e6:
@@ -75,6 +75,6 @@ class NerfConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")

@@ -10,7 +10,10 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from epipole import _parallel
+from epipole._checks import check_count, check_index, check_share
 from epipole._declared import checked
+from epipole._declared.tables import Expected, Table
+from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _photometric_kernels as kernels
 from epipole.fields.rasterizer import Rendering
 from epipole.fields.rows_adam import RowsAdam
@@ -18,6 +21,8 @@ from epipole.fields.rows_adam import RowsAdam
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 TOGETHER = 16_384
 """Pixels in one piece of work."""
+MOST_CONDITION = 1e6
+"""Of the mean of maps that are restored: those of a training stay near the identity."""
 RATES = 1e-2, 1e-3
 """A step at the begin and at the end."""
 
@@ -29,14 +34,29 @@ class Exposures:
         maps: (views, 3, 4) A and b.
     """
 
+    @checked
     def __init__(self, num_views: int) -> None:
+        """One for each view, which changes nothing.
+
+        Raises:
+            ConfigError: there is no view, or too many.
+        """
+        if num_views < 1:
+            raise ConfigError(f"num_views must be positive, got {num_views}")
+        check_count(num_views, "num_views")
         self.maps = np.tile(IDENTITY, (num_views, 1, 1))
         self._adam = RowsAdam(num_views, 12, RATES)
 
+    @checked
     def applied(
         self, view: int, drawn: Rendering, background: Float32[np.ndarray, " 3"]
     ) -> Float32[np.ndarray, "h w 3"]:
-        """A drawing in the colours of a view, before a background, which has no part in them."""
+        """A drawing in the colours of a view, before a background, which has no part in them.
+
+        Raises:
+            ConfigError: there is no such view.
+        """
+        check_index(view, "view", len(self.maps))
         out = np.empty_like(drawn.colour)
         colour, coverage = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1)
         _parallel.map_chunks(
@@ -48,6 +68,7 @@ class Exposures:
         )
         return out
 
+    @checked
     def learn(
         self,
         view: int,
@@ -64,7 +85,15 @@ class Exposures:
             background: (3,) colour behind it.
             by_applied: derivative of the loss by `applied`.
             progress: share of the training that is done.
+
+        Raises:
+            ConfigError: there is no such view, or the share is not from 0 to 1.
+            ShapeError: the derivative is not of the drawing's size.
         """
+        check_index(view, "view", len(self.maps))
+        check_share(progress, "progress")
+        if by_applied.shape != drawn.colour.shape:
+            raise ShapeError(f"by_applied must be {drawn.colour.shape}, got {by_applied.shape}")
         by_colour, by_coverage = np.empty_like(drawn.colour), np.empty_like(drawn.coverage)
         known = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1), self.maps[view], background
         by, out = by_applied.reshape(-1, 3), (by_colour.reshape(-1, 3), by_coverage.reshape(-1))
@@ -87,12 +116,25 @@ class Exposures:
         self.maps[:, :, :3] = turn
         return mean.astype(np.float32)
 
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        maps = Expected("float32", f"{len(self.maps)} 3 4")
+        return {"exposure_maps": maps, **self._adam.table("exposure")}
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on."""
         return {"exposure_maps": self.maps, **self._adam.state("exposure")}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Go on from a `state`.
+
+        Raises:
+            ShapeError: the mean of the maps mixes colors beyond recovery: it cannot be taken out of them.
+        """
+        mean = state["exposure_maps"].astype(np.float64).mean(axis=0)[:, :3]
+        if not np.linalg.cond(mean) < MOST_CONDITION:
+            raise ShapeError("exposure_maps must have a mean that can be inverted")
         self.maps = state["exposure_maps"]
         self._adam.restore("exposure", state)
 
@@ -104,7 +146,12 @@ def colour_match(
     """The map of colours, A and b, that brings a picture nearest to another: linear least squares.
 
     Held-out pictures have an exposure, too, that nobody knows: compared in its colours, they tell of the scene alone.
+
+    Raises:
+        ShapeError: the pictures are empty, or not finite.
     """
     flat, wanted = (part.reshape(-1, 3).astype(np.float64) for part in (picture, truth))
+    if not flat.size or not (np.isfinite(flat).all() and np.isfinite(wanted).all()):
+        raise ShapeError("picture and truth must have pixels, and be finite")
     known = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
     return np.linalg.lstsq(known, wanted, rcond=None)[0].T

@@ -10,19 +10,26 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 
 from epipole import _parallel
+from epipole._checks import check_count
+from epipole._declared import checked
+from epipole._declared.tables import Expected, check_arrays
 from epipole.cameras import Camera
+from epipole.errors import ConfigError
 from epipole.fields import _hash_kernels as kernels
 from epipole.fields._projection_kernels import harmonics
 from epipole.fields._simd_kernels import ROW
 from epipole.fields._voxel_kernels import SHIFT as VOXEL_SHIFT
 from epipole.fields.rays import Rays, rays_of_camera
-from epipole.fields.voxel_field import Voxels, corners_of, voxels_on
+from epipole.fields.voxel_field import Voxels, check_room, corners_of, voxels_on
 from epipole.geometry import Rigid3
 
 FEATURES, SAID, BASIS = 4, 16, 16
 """Of a level; of what the first network says, density and 15 more; and harmonics of a direction."""
+MOST_CELLS = 1 << 27
+"""Of an explicit grid that is made."""
 TOGETHER, WAVE = 1024, 16
 """Rays of a picture in one piece of work, and samples of each before what is hidden is left out."""
 DELTA = np.float32(kernels.STEP)
@@ -71,6 +78,35 @@ class Seen(NamedTuple):
     counts: np.ndarray
     light: np.ndarray
     layers: tuple[np.ndarray, ...]
+
+
+_HASH = {
+    "occupied": Expected("uint8", "x y z", most=1),
+    "blocks": Expected("uint8", "_ _ _", most=1),
+    "low": Expected("float64", "3"),
+    "size": Expected("float64"),
+    "cells": Expected("int64", "l", least=1),
+    "tables": Expected("float32", f"l r {FEATURES}"),
+    "weight_0": Expected("float32", "i a"),
+    "weight_1": Expected("float32", f"a {SAID}"),
+    "weight_2": Expected("float32", f"{SAID + BASIS} b"),
+    "weight_3": Expected("float32", "b c"),
+    "weight_4": Expected("float32", "c 3"),
+}
+"""What a field holds: rooms, tables, layers."""
+
+
+def check_hash_field(field: HashField) -> None:
+    """Check a neural field.
+
+    Raises:
+        ShapeError: its arrays are of another kind, or do not fit each other.
+    """
+    room = {name: np.asarray(part) for name, part in field.room._asdict().items()}
+    weights = {f"weight_{n}": np.asarray(one) for n, one in enumerate(field.weights)}
+    known = {"cells": np.asarray(field.cells), "tables": np.asarray(field.tables)}
+    check_arrays({**room, **known, **weights}, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
+    check_room(field.room.occupied.shape, field.room.blocks.shape, field.room.size)
 
 
 def new_weights(rng: np.random.Generator, levels: int, width: int) -> tuple[np.ndarray, ...]:
@@ -130,10 +166,17 @@ def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
     return Seen(kept, counts, light, coloured(field, joined))
 
 
+@checked
 def draw_hash(
-    field: HashField, camera: Camera, cam_from_world: Rigid3, background: np.ndarray
+    field: HashField, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked."""
+    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
+
+    Raises:
+        ShapeError: the arrays of the field do not fit each other, or the pose is not a single motion.
+        ConfigError: the camera has more pixels than are rendered.
+    """
+    check_hash_field(field)
     rays, total = rays_of_camera(camera, cam_from_world), camera.width * camera.height
     picture = np.zeros((total, 4), np.float32)
 
@@ -167,8 +210,18 @@ def _draw_rays(
     return total
 
 
+@checked
 def voxels_of(field: HashField, finer: int = 2) -> Voxels:
-    """The field as an explicit grid of `finer` cells for each of its own: densities, and colours along six axes as harmonics of degree 1."""
+    """The field as an explicit grid of `finer` cells for each of its own: densities, and colours along six axes as harmonics of degree 1.
+
+    Raises:
+        ShapeError: the arrays of the field do not fit each other.
+        ConfigError: `finer` is not positive, or makes too many cells.
+    """
+    check_hash_field(field)
+    if finer < 1:
+        raise ConfigError(f"finer must be positive, got {finer}")
+    check_count(field.room.occupied.size * finer**3, "the cells of the grid", MOST_CELLS)
     room = field.room
     cells = room.occupied.astype(bool)
     for axis in range(3):

@@ -6,8 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 
 from epipole import _parallel
+from epipole._checks import check_seed, check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
+from epipole.errors import ShapeError
 from epipole.fields import _hash_kernels as kernels
 from epipole.fields._simd_kernels import MOMENTUM, SQUARES
 from epipole.fields.hash_field import (
@@ -24,7 +29,7 @@ from epipole.fields.hash_field import (
     sampled,
     seen,
 )
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -66,15 +71,22 @@ class HashTrainer:
         num_samples: of the last step, at which the network was asked.
     """
 
-    def __init__(self, views: Sequence[TrainingView], background: np.ndarray, seed: int = 0) -> None:
+    @checked
+    def __init__(
+        self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
+    ) -> None:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view, or masks leave no pixel of any.
+            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ShapeError: the background is not finite.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
+        check_seed(seed)
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         self.rays = rays_of(views)
-        self.background = background.astype(np.float32)
+        self.background = background
         self.num_steps = self.num_samples = 0
         self._rng = np.random.default_rng([22, seed])
         low, size, full = first_cells(views, SIDE)
@@ -89,12 +101,17 @@ class HashTrainer:
         self._gradient, self._mean, self._square = ([np.zeros_like(one) for one in moved] for _ in range(3))
         self._num_rays = FIRST_RAYS
 
+    @checked
     def step(self, progress: float) -> float:
         """A batch of rays of all pictures; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         count = self._num_rays
         chosen = drawn_pixels(self.rays, count, self._rng)
         first = self._rng.random(count, np.float32) - np.float32(1.0)
@@ -110,6 +127,24 @@ class HashTrainer:
         wanted = count * PIECES * SAMPLES / max(self.num_samples, 1)
         self._num_rays = int(np.clip(wanted, 0.5 * count, min(2 * count, MOST_RAYS)))
         return sum(part.error for part in parts) / (3 * count)
+
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        moved = [" ".join(map(str, one.shape)) for one in (self.field.tables, *self.field.weights)]
+        parts = {
+            f"{kind}_{n}": Expected("float32", axes, least=0 if kind == "square" else None)
+            for kind in ("value", "mean", "square")
+            for n, axes in enumerate(moved)
+        }
+        occupied = " ".join(map(str, self.field.room.occupied.shape))
+        return {
+            **parts,
+            "alpha": Expected("float32", f"{len(self._may_be)}", least=0, most=1),
+            "occupied": Expected("uint8", occupied, most=1),
+            "counts": Expected("int64", "2", least=0),
+            "rng": STATE,
+        }
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
@@ -127,7 +162,15 @@ class HashTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
+        """Go on from a `state` of a trainer with the same views: the same bits as without a break.
+
+        Raises:
+            ShapeError: it takes more rays than a step may have, or none.
+        """
+        state = check_arrays(state, self.table)
+        num_steps, num_rays = state["counts"].tolist()
+        if not 1 <= num_rays <= MOST_RAYS:
+            raise ShapeError(f"counts must have 1 to {MOST_RAYS} rays, got {num_rays}")
         values, self._mean, self._square = (
             [state[f"{kind}_{n}"] for n in range(len(self._mean))] for kind in ("value", "mean", "square")
         )
@@ -135,7 +178,7 @@ class HashTrainer:
         room = self.field.room._replace(occupied=occupied, blocks=blocks_of(occupied > 0))
         self.field = self.field._replace(room=room, tables=values[0], weights=tuple(values[1:]))
         self._alpha = state["alpha"]
-        self.num_steps, self._num_rays = state["counts"].tolist()
+        self.num_steps, self._num_rays = num_steps, num_rays
         set_state(self._rng, state["rng"])
 
     def _followed(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Followed:
@@ -235,6 +278,12 @@ class HashTrainer:
         """Numbers that are learnt."""
         return self.field.tables.size + sum(one.size for one in self.field.weights)
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return draw_hash(self.field, view.camera, view.cam_from_world, self.background)[0]
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        picture, _, count = draw_hash(self.field, view.camera, view.cam_from_world, self.background)
+        return picture, count

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
+from epipole._checks import check_share
 from epipole._declared import checked
 from epipole.errors import ShapeError
 from epipole.fields import _photometric_kernels as kernels
@@ -46,7 +47,9 @@ def likeness(
 
     Raises:
         ShapeError: the pictures are empty.
+        ConfigError: the weight is not from 0 to 1.
     """
+    check_share(ssim_weight, "ssim_weight")
     if not picture.size:
         raise ShapeError("a picture without pixels is like nothing")
     n = picture.size
@@ -70,7 +73,13 @@ def likeness(
 
 @checked
 def psnr(picture: Float32[np.ndarray, "h w 3"], truth: Float32[np.ndarray, "h w 3"]) -> float:
-    """Peak signal to noise, in dB, of pictures from 0 to 1; infinite for the same."""
+    """Peak signal to noise, in dB, of pictures from 0 to 1; infinite for the same.
+
+    Raises:
+        ShapeError: the pictures are empty, or not finite.
+    """
+    if not picture.size or not (np.isfinite(picture).all() and np.isfinite(truth).all()):
+        raise ShapeError("picture and truth must have pixels, and be finite")
     error = float(np.mean((np.clip(picture, 0.0, 1.0) - truth) ** 2, dtype=np.float64))
     return float(-10.0 * np.log10(error)) if error > 0 else float("inf")
 

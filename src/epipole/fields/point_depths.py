@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.fields.rasterizer import Rendering
 from epipole.fields.training_view import TrainingView
 
@@ -33,6 +34,7 @@ class DepthLoss(NamedTuple):
     """(h, w) by its coverage."""
 
 
+@checked
 def point_depths(view: TrainingView) -> PointDepths:
     """Of the points that a view shows; of two in one pixel, the nearer."""
     points = np.zeros((0, 3)) if view.points_in_world is None else view.points_in_world

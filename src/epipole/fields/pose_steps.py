@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from epipole._declared.tables import Expected, Table
 from epipole.fields.rows_adam import RowsAdam
 from epipole.geometry import Rigid3
 
@@ -29,6 +30,16 @@ class PoseSteps:
         """One camera, by the derivative (6,) of the loss by xi = (translation, rotation) in exp(xi) @ cam_from_world."""
         xi = self._unit * self._adam.step(view, self._unit * gradient, progress)
         self.cams_from_world[view] = Rigid3.exp(xi) @ self.cams_from_world[view]
+
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        count = len(self.cams_from_world)
+        return {
+            "pose_rotation": Expected("float64", f"{count} 3 3", is_rotation=True),
+            "pose_translation": Expected("float64", f"{count} 3"),
+            **self._adam.table("pose"),
+        }
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on."""

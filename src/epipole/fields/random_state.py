@@ -6,6 +6,12 @@ import json
 
 import numpy as np
 
+from epipole._declared.tables import TEXT, Expected
+from epipole.errors import ShapeError
+
+STATE = Expected(TEXT)
+"""What `state_of` makes."""
+
 
 def state_of(rng: np.random.Generator) -> np.ndarray:
     """The state, as text in an array."""
@@ -13,5 +19,12 @@ def state_of(rng: np.random.Generator) -> np.ndarray:
 
 
 def set_state(rng: np.random.Generator, state: np.ndarray) -> None:
-    """Go on from a `state_of`."""
-    rng.bit_generator.state = json.loads(str(state))
+    """Go on from a `state_of`.
+
+    Raises:
+        ShapeError: it is none.
+    """
+    try:
+        rng.bit_generator.state = json.loads(str(state))
+    except (ValueError, TypeError, LookupError, OverflowError, AttributeError, RecursionError) as error:
+        raise ShapeError(f"the state of the random numbers cannot be used: {error!r:.100}") from error

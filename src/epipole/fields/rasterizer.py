@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole import _parallel
-from epipole._declared import checked
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
+from epipole._declared import Declared, check_fields, checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _blend_kernels as blend_kernels
@@ -26,6 +27,9 @@ LEAST_TOGETHER, MOST_PIECES, TILES_TOGETHER, ROWS_TOGETHER = 1024, 64, 16, 64
 """Gaussians in one piece of work, unless there would be more pieces than that; tiles, and rows of a picture, in one."""
 
 
+MOST_BLUR_PX = 1e6
+
+
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
     """How Gaussians are drawn."""
@@ -36,6 +40,18 @@ class RenderOptions:
     """Take from the opacity what the widening adds (the 2D filter of Yu et al., Mip-Splatting, 2024)."""
     near: float = 0.01
     """Nearer to the camera's plane nothing is drawn, in world units."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: one is negative, too large, or no number.
+        """
+        check_fields(self)
+        if not 0 <= self.blur_px <= MOST_BLUR_PX:
+            raise ConfigError(f"blur_px must be from 0 to {MOST_BLUR_PX:g}, got {self.blur_px:g}")
+        if not 0 < self.near < np.inf:
+            raise ConfigError(f"near must be positive and finite, got {self.near:g}")
 
 
 class Cloud(NamedTuple):
@@ -66,7 +82,7 @@ class View(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rendering:
+class Rendering(Declared):
     """A picture of Gaussians, before any background."""
 
     colour: Float32[np.ndarray, "h w 3"]
@@ -78,6 +94,7 @@ class Rendering:
     tiles: Tiles
     """What was drawn where, for the way back."""
 
+    @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture before a background of one colour."""
         out, height = np.empty_like(self.colour), len(self.coverage)
@@ -109,13 +126,15 @@ class Tiles(NamedTuple):
     """Pairs of a pixel and a Gaussian that were evaluated."""
 
 
+@checked
 def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> View:
     """A camera at its place.
 
     Raises:
-        ConfigError: the camera has distortion.
+        ConfigError: the camera has distortion, or more pixels than are rendered.
         ShapeError: the place is not a single motion.
     """
+    check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
         raise ConfigError("Gaussians are drawn by a PINHOLE camera: undistort the pictures")
     if cam_from_world.batch_shape() != ():

@@ -7,8 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
+from epipole._declared import checked
 from epipole.cameras import Camera
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
 from epipole.fields._march_kernels import BLOCK
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
@@ -31,6 +33,7 @@ class Rays(NamedTuple):
     """(n,) pixels that are learnt from; empty: all."""
 
 
+@checked
 def rays_of(views: Sequence[TrainingView]) -> Rays:
     """All pixels of all views.
 
@@ -77,8 +80,17 @@ def _used(views: Sequence[TrainingView], offset: list[int]) -> np.ndarray:
     return used
 
 
+@checked
 def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
-    """Rays without pictures."""
+    """Rays without pictures.
+
+    Raises:
+        ConfigError: the camera has more pixels than are rendered.
+        ShapeError: the pose is not a single motion.
+    """
+    check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
+    if cam_from_world.batch_shape() != ():
+        raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
     none = np.zeros((0, 4), np.uint8)
     return Rays(
         none,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from epipole._declared.tables import Expected, Table
+
 MOMENTUM, SQUARES, LEAST = 0.9, 0.99, 1e-15
 
 
@@ -30,6 +32,15 @@ class RowsAdam:
         square = self.square[row] / (1 - SQUARES ** int(self.count[row]))
         rate = self._rates[0] * (self._rates[1] / self._rates[0]) ** progress
         return -rate * mean / (np.sqrt(square) + LEAST)
+
+    def table(self, name: str) -> Table:
+        """What a `state` of that name holds."""
+        count, width = self.mean.shape
+        return {
+            f"{name}_mean": Expected("float64", f"{count} {width}"),
+            f"{name}_square": Expected("float64", f"{count} {width}", least=0),
+            f"{name}_count": Expected("int64", f"{count}", least=0),
+        }
 
     def state(self, name: str) -> dict[str, np.ndarray]:
         """All of it, by names that begin with this one."""

@@ -6,7 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float32
 
+from epipole._checks import check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import Exposures
@@ -16,7 +20,7 @@ from epipole.fields.growth import Growth, halves
 from epipole.fields.photometric import likeness
 from epipole.fields.point_depths import PointDepths, depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rasterizer import (
     Cloud,
     Rendering,
@@ -60,8 +64,13 @@ class SplatTrainer:
         loss: of the last step.
     """
 
+    @checked
     def __init__(
-        self, views: Sequence[TrainingView], start: GaussianCloud, config: SplatConfig, background: np.ndarray
+        self,
+        views: Sequence[TrainingView],
+        start: GaussianCloud,
+        config: SplatConfig,
+        background: Float32[np.ndarray, " 3"],
     ) -> None:
         """Begin.
 
@@ -73,14 +82,16 @@ class SplatTrainer:
 
         Raises:
             ConfigError: there is no view.
-            ShapeError: there is no Gaussian.
+            ShapeError: there is no Gaussian, or the background is not finite.
         """
         if not views:
             raise ConfigError("there is no picture to train on")
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         if not len(start):
             raise ShapeError("there is no Gaussian to begin with")
         self.config, self.views, self.num_steps, self.loss = config, list(views), 0, np.nan
-        self.background = background.astype(np.float32)
+        self.background = background
         self.options = RenderOptions(antialiased=config.antialiased)
         self._rng = np.random.default_rng([20, config.seed])
         self._most = USUAL_MOST if config.max_gaussians is None else config.max_gaussians
@@ -117,6 +128,26 @@ class SplatTrainer:
     def __len__(self) -> int:
         return len(self._arrays.means)
 
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        axes = {"means": "n 3", "log_scales": "n 3", "quats_wxyz": "n 4", "logits": "n", "sh": "n s 3"}
+        parts = {
+            f"{kind}_{name}": Expected("float32", axes[name], least=0 if kind == "square" else None)
+            for kind in ("value", "mean", "square")
+            for name in Cloud._fields
+        }
+        return {
+            **parts,
+            "pull": Expected("float32", "n", least=0),
+            "views": Expected("float32", "n", least=0),
+            "order": Expected("int64", "_", least=0, most=len(self.views) - 1),
+            "counts": Expected("int64", "3", least=0),
+            "size": Expected("float64", least=0),
+            "rng": STATE,
+            **{name: one for part in self._own() for name, one in part.table.items()},
+        }
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
         clouds = {"value": self._arrays, "mean": self._adam.mean, "square": self._adam.square}
@@ -135,7 +166,21 @@ class SplatTrainer:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break."""
+        """Go on from a `state` of a trainer with the same views and options: the same bits as without a break.
+
+        Raises:
+            ShapeError: it holds no Gaussian, too many of them, one without a rotation, or harmonics of no degree.
+        """
+        state = check_arrays(state, self.table)
+        n, num_sh = state["value_sh"].shape[:2]
+        most = max(self._most, self._num_first)
+        if not 1 <= n <= most or num_sh not in NUM_SH[: self.config.sh_degree + 1]:
+            raise ShapeError(
+                f"value_sh must be of 1 to {most} Gaussians and at most degree {self.config.sh_degree}, "
+                f"got {state['value_sh'].shape}"
+            )
+        if not state["value_quats_wxyz"].any(axis=1).all():
+            raise ShapeError("value_quats_wxyz must be rotations: one is zero")
         names = ("value", "mean", "square")
         self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))
@@ -156,17 +201,28 @@ class SplatTrainer:
         """The views, from where their cameras now are."""
         return [self._view(number, 1) for number in range(len(self.views))]
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        seen = view_of(view.camera, view.cam_from_world, self.options)
-        return blend(tiles_of(self._arrays, seen), seen).over(self.background)
+        return self.draw_counted(view)[0]
 
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and the pairs of Gaussian and pixel that were evaluated for it."""
+        seen = view_of(view.camera, view.cam_from_world, self.options)
+        drawn = blend(tiles_of(self._arrays, seen), seen)
+        return drawn.over(self.background), drawn.tiles.num_evaluated
+
+    @checked
     def step(self, progress: float) -> float:
         """One picture: draw it, compare, and move what was seen; returns the loss.
 
         Args:
             progress: share of the training that is done, from 0 to 1; sizes, counts and rates follow it.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         self._raise_degree(progress)
         number = self._next_view()
         self.loss = self._learn(number, self._factor(number, progress), progress)

@@ -10,11 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 from scipy.spatial import cKDTree
 
+from epipole._checks import check_count, check_seed
 from epipole._declared import checked
-from epipole.errors import DegenerateGeometryError, ShapeError
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
+MOST_SIDE, MOST_POINTS = 512, 1 << 27
+"""Cells along a side of the first grid, and points that are drawn: arrays are made for them."""
 HALVINGS = 3
 """Of cells, from the first that are held against silhouettes."""
 PARALLEL = 1e-3
@@ -25,6 +28,11 @@ NEAREST, FARTHEST = 2.0, 100.0
 farther hardly moves."""
 TRIES, MOST_VIEWS = 40, 24
 """Points drawn for each that is wanted, and views that each is held against."""
+
+
+def _check_views(views: Sequence[TrainingView], least: int = 1) -> None:
+    if len(views) < least:
+        raise ConfigError(f"{least} or more views are needed, got {len(views)}")
 
 
 @checked
@@ -63,7 +71,11 @@ def points_in_frusta(
 
     Raises:
         DegenerateGeometryError: all cameras stand at one place, or no pixel is left to look through.
+        ConfigError: there are not two views, the count is negative or too large, or the seed is negative.
     """
+    _check_views(views, 2)
+    check_count(count, "count", MOST_POINTS)
+    check_seed(seed)
     centers = np.stack([view.cam_from_world.inverse().translation for view in views])
     between = cKDTree(centers).query(centers, 2)[0][:, 1]
     if not between.any():
@@ -99,7 +111,10 @@ def points_in_silhouettes(
 
     Raises:
         DegenerateGeometryError: the cameras look at nothing in common.
+        ConfigError: there is no view, the count is negative or too large, or the seed is negative.
     """
+    check_count(count, "count", MOST_POINTS // TRIES)
+    check_seed(seed)
     rng = np.random.default_rng([19, seed])
     middle, radius = common_ball(views)
     draws = rng.normal(size=(TRIES * count, 3))
@@ -126,8 +141,17 @@ def points_in_silhouettes(
     return points[chosen], np.rint(colour[chosen] / seen[chosen, None]).astype(np.uint8)
 
 
-def share_in_view(views: Sequence[TrainingView], points_in_world: np.ndarray) -> float:
-    """The share of points (n, 3) that a picture shows, if nothing hides another: the median of all views."""
+@checked
+def share_in_view(views: Sequence[TrainingView], points_in_world: Float64[np.ndarray, "n 3"]) -> float:
+    """The share of points that a picture shows, if nothing hides another: the median of all views.
+
+    Raises:
+        ConfigError: there is no view.
+        ShapeError: there is no point.
+    """
+    _check_views(views)
+    if not len(points_in_world):
+        raise ShapeError("points_in_world must have a point")
     shares = []
     for view in views:
         pixels = view.camera.project(view.cam_from_world.apply(points_in_world))
@@ -144,6 +168,7 @@ class Silhouette(NamedTuple):
     """(h, w) pixels to the nearest that is not quite transparent."""
 
 
+@checked
 def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
     """Those of all pictures that have transparency."""
     found = []
@@ -155,12 +180,19 @@ def silhouettes_of(views: Sequence[TrainingView]) -> list[Silhouette]:
     return found
 
 
+@checked
 def may_be_full(
-    silhouettes: Sequence[Silhouette], centers_in_world: np.ndarray, radius: float
+    silhouettes: Sequence[Silhouette], centers_in_world: Float64[np.ndarray, "n 3"], radius: float
 ) -> Bool[np.ndarray, " n"]:
-    """Which balls (n, 3) touch every silhouette of the pictures that see their middles."""
+    """Which balls (n, 3) touch every silhouette of the pictures that see their middles.
+
+    Raises:
+        ShapeError: a silhouette is not of its view's size.
+    """
     kept = np.ones(len(centers_in_world), bool)
     for view, away in silhouettes:
+        if away.shape != view.picture.shape[:2]:
+            raise ShapeError(f"a silhouette must be of its view's size, got {away.shape}")
         places = view.cam_from_world.apply(centers_in_world)
         pixels = view.camera.project(places)
         inside = np.isfinite(pixels).all(axis=1)
@@ -173,8 +205,14 @@ def may_be_full(
     return kept
 
 
+@checked
 def look_the_same_way(views: Sequence[TrainingView]) -> bool:
-    """Whether optical axes are so nearly parallel that they meet nowhere in particular."""
+    """Whether optical axes are so nearly parallel that they meet nowhere in particular.
+
+    Raises:
+        ConfigError: there is no view.
+    """
+    _check_views(views)
     axes = np.stack([view.cam_from_world.rotation[2] for view in views])
     return bool(np.linalg.eigvalsh(_across(axes).sum(axis=0))[0] < PARALLEL * len(views))
 
@@ -184,12 +222,15 @@ def _across(axes: np.ndarray) -> np.ndarray:
     return np.asarray(np.eye(3) - axes[:, :, None] * axes[:, None, :])
 
 
+@checked
 def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     """The point nearest to all optical axes, and how far the pictures reach around it.
 
     Raises:
         DegenerateGeometryError: most cameras look away from it.
+        ConfigError: there is no view.
     """
+    _check_views(views)
     centers = np.stack([view.cam_from_world.inverse().translation for view in views])
     axes = np.stack([view.cam_from_world.rotation[2] for view in views])
     across = _across(axes)
@@ -206,12 +247,16 @@ def common_ball(views: Sequence[TrainingView]) -> tuple[np.ndarray, float]:
     return middle, float(np.median(np.maximum(depth, 0.0) * reach))
 
 
+@checked
 def first_cells(views: Sequence[TrainingView], side: int) -> tuple[np.ndarray, float, np.ndarray]:
     """Corner, size of a cell, and which of a grid's cells (x, y, z), at most `side` along an axis, silhouettes leave of what the cameras look at.
 
     Raises:
         DegenerateGeometryError: that is nothing.
+        ConfigError: there is no view, or `side` is not from 1 to 512.
     """
+    if not 1 <= side <= MOST_SIDE:
+        raise ConfigError(f"side must be from 1 to {MOST_SIDE}, got {side}")
     middle, radius = common_ball(views)
     low, size = middle - radius, 2.0 * radius / side
     silhouettes = silhouettes_of(views)

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-from epipole._declared import Declared, check_fields
+from epipole._declared import Declared, check_fields, checked
 from epipole.cameras import Camera
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
 
@@ -37,14 +37,25 @@ class TrainingView(Declared):
         check_fields(self)
         if self.picture.shape != (self.camera.height, self.camera.width, self.picture.shape[2]):
             raise ShapeError(f"{self.name}: the picture is not of its camera's size")
+        if self.cam_from_world.batch_shape() != ():
+            raise ShapeError(f"{self.name}: cam_from_world must be a single motion")
         if self.picture.shape[2] not in (3, 4):
             raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.picture.shape[2]}")
 
     def __repr__(self) -> str:
         return f"TrainingView({self.name!r}, {self.camera.width} x {self.camera.height})"
 
+    @checked
     def smaller(self, factor: int) -> TrainingView:
-        """With pictures `factor` times smaller, by the mean of pixels (of colours times alpha)."""
+        """With pictures `factor` times smaller, by the mean of pixels (of colours times alpha).
+
+        Raises:
+            ConfigError: the factor is not positive, or leaves no pixel.
+        """
+        if not 1 <= factor <= min(self.camera.width, self.camera.height):
+            raise ConfigError(
+                f"factor must leave a pixel of {self.camera.width} x {self.camera.height}, got {factor}"
+            )
         if factor == 1:
             return self
         width, height = self.camera.width // factor, self.camera.height // factor
@@ -58,6 +69,7 @@ class TrainingView(Declared):
             mask = shrunk_mask(mask[: height * factor, : width * factor], (width, height))
         return replace(self, picture=shrunk(cut, (width, height)), camera=camera, used_mask=mask)
 
+    @checked
     def over(self, background: Float32[np.ndarray, " 3"]) -> Float32[np.ndarray, "h w 3"]:
         """The picture from 0 to 1, before a background of one colour."""
         rgb = self.picture[..., :3].astype(np.float32) / np.float32(255.0)

@@ -8,29 +8,73 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
 from epipole import _parallel
-from epipole.cameras import Camera
-from epipole.errors import DegenerateGeometryError
+from epipole._checks import check_count, check_indices
+from epipole._declared import Declared, check_fields, checked
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields import _tsdf_kernels as kernels
 from epipole.geometry import Rigid3
 
+MOST_SIDE, MOST_VOXELS = 1024, 1 << 28
+"""Voxels along the longest side, and of a box: each takes 20 bytes."""
+LARGEST = 1e150
+"""Coordinate: sums of larger ones are no numbers, and the kernel would take them for pixels."""
 BAND = 3.0
 """Voxels before and behind a surface within which distances are told."""
 PLANES_TOGETHER = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
+class Mesh(Declared):
     """Triangles, whose corners go round against the clock seen from outside."""
 
     vertices_in_world: Float64[np.ndarray, "n 3"]
     faces: Int64[np.ndarray, "m 3"]
     rgb: UInt8[np.ndarray, "n 3"]
+    num_components: int = 0
+    """Connected parts that were found; 0 where nobody counted."""
+    num_removed: int = 0
+    """Of these, the small ones that were removed."""
+
+    def __post_init__(self) -> None:
+        """Check the corners.
+
+        Raises:
+            ShapeError: an array is of another kind or shape, or a corner is not there.
+        """
+        check_fields(self)
+        check_indices(self.faces, "faces", len(self.vertices_in_world))
 
     def __len__(self) -> int:
         return len(self.faces)
 
     def __repr__(self) -> str:
         return f"Mesh({len(self.vertices_in_world):,} vertices, {len(self.faces):,} triangles)"
+
+    def without_small_components(self, least: float) -> Mesh:
+        """Without the connected parts that have fewer triangles than a fraction of the largest one's.
+
+        Args:
+            least: the fraction; 0 keeps all.
+        """
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        n = len(self.vertices_in_world)
+        ends = self.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+        graph = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(n, n))
+        component = connected_components(graph, directed=False)[1][self.faces[:, 0]]
+        sizes = np.bincount(component)
+        is_kept = sizes >= max(least * sizes.max(initial=0), 1)
+        num_components = int((sizes > 0).sum())
+        used, corners = np.unique(self.faces[is_kept[component]], return_inverse=True)
+        return Mesh(
+            self.vertices_in_world[used],
+            corners.reshape(-1, 3),
+            self.rgb[used],
+            num_components,
+            num_components - int(is_kept.sum()),
+        )
 
 
 class DistanceVolume:
@@ -41,7 +85,8 @@ class DistanceVolume:
         weight: (x, y, z) pictures that each voxel is seen in.
     """
 
-    def __init__(self, low: np.ndarray, high: np.ndarray, voxels: int) -> None:
+    @checked
+    def __init__(self, low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"], voxels: int) -> None:
         """Begin with nothing seen.
 
         Args:
@@ -51,15 +96,20 @@ class DistanceVolume:
 
         Raises:
             DegenerateGeometryError: the box is empty or not finite.
+            ConfigError: the number of voxels is not from 2 to 1024, or all are too many.
         """
+        if not 2 <= voxels <= MOST_SIDE:
+            raise ConfigError(f"voxels must be from 2 to {MOST_SIDE}, got {voxels}")
+        if not (low.min() >= -LARGEST and high.max() <= LARGEST and (high - low > 1.0 / LARGEST).all()):
+            raise DegenerateGeometryError("the box of the mesh is empty, or too large to be calculated with")
         side = float(np.max(high - low))
-        if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all() and side > 0):
-            raise DegenerateGeometryError("the box of the mesh is empty")
-        self.low, self.size = low.astype(np.float64), side / voxels
+        self.low, self.size = low.copy(), side / voxels
         x, y, z = np.maximum(np.ceil((high - low) / self.size - 1e-9), 2).astype(int).tolist()
+        check_count(x * y * z, "the voxels of the box", MOST_VOXELS)
         self.distance, self.weight = np.ones((x, y, z), np.float32), np.zeros((x, y, z), np.float32)
         self.colour = np.zeros((x, y, z, 3), np.float32)
 
+    @checked
     def add(
         self,
         camera: Camera,
@@ -76,12 +126,21 @@ class DistanceVolume:
             depth: along the optical axis, times coverage.
             coverage: how much of a pixel is not background.
             rgb: from 0 to 1, times coverage.
+
+        Raises:
+            ShapeError: the images are not of the camera's size, or the pose is not a single finite motion.
+            ConfigError: the camera has distortion.
         """
+        if camera.model not in (CameraModel.PINHOLE, CameraModel.SIMPLE_PINHOLE):
+            raise ConfigError("depth is fused from a PINHOLE camera: undistort the images")
+        if depth.shape != (camera.height, camera.width):
+            raise ShapeError(f"depth is {depth.shape[::-1]}, its camera {camera.width} x {camera.height}")
+        if cam_from_world.batch_shape() != () or not (np.abs(cam_from_world.translation) <= LARGEST).all():
+            raise ShapeError("cam_from_world must be a single finite motion")
         matrix = camera.K
         lens = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
         view = np.array([*cam_from_world.rotation.ravel(), *cam_from_world.translation, *lens])
-        pictures = (np.ascontiguousarray(part, np.float32) for part in (depth, coverage, rgb))
-        seen = view, *pictures, self.low, self.size, BAND * self.size
+        seen = view, depth, coverage, rgb, self.low, self.size, BAND * self.size
         count = len(self.distance)
         _parallel.map_chunks(
             lambda a, b, _: kernels.fuse(*seen, a, b, self.distance, self.weight, self.colour),

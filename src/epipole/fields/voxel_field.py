@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
+from epipole._declared import checked
+from epipole._declared.tables import Expected, check_arrays
 from epipole.cameras import Camera
-from epipole.errors import DegenerateGeometryError
+from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields import _voxel_kernels as kernels
+from epipole.fields._march_kernels import BLOCK
 from epipole.fields._simd_kernels import ROW
 from epipole.fields._voxel_kernels import MOST_SAMPLES
 from epipole.fields.rays import blocks_of, rays_of_camera
@@ -55,6 +59,40 @@ class MarchWork(NamedTuple):
     wanted: np.ndarray
 
 
+_VOXELS = {
+    "row_of": Expected("int32", "x+1 y+1 z+1", least=-1, below="n"),
+    "occupied": Expected("uint8", "x y z", most=1),
+    "seen": Expected("uint8", "x y z", most=1),
+    "blocks": Expected("uint8", "_ _ _", most=1),
+    "values": Expected("float32", f"n {ROW}"),
+    "low": Expected("float64", "3"),
+    "size": Expected("float64"),
+    "delta": Expected("float32"),
+}
+
+
+def check_voxels(voxels: Voxels) -> None:
+    """Check an explicit grid.
+
+    Raises:
+        ShapeError: its arrays are of another kind, or do not fit each other.
+    """
+    check_arrays({name: np.asarray(part) for name, part in voxels._asdict().items()}, _VOXELS)
+    check_room(voxels.occupied.shape, voxels.blocks.shape, min(voxels.size, float(voxels.delta)))
+
+
+def check_room(cells: tuple[int, ...], blocks: tuple[int, ...], size: float) -> None:
+    """Check the blocks and the size of cells.
+
+    Raises:
+        ShapeError: they do not fit the cells.
+    """
+    if min(cells) < 1 or blocks != tuple(-(-side // BLOCK) for side in cells):
+        raise ShapeError(f"blocks must be of {BLOCK} cells along each side of {cells}, got {blocks}")
+    if not size > 0:
+        raise ShapeError(f"size must be positive, got {size}")
+
+
 def march_work() -> MarchWork:
     """Scratch of a thread."""
     shapes = (ROW, (MOST_SAMPLES, 6), (MOST_SAMPLES, 6), 3, 3, 3, 3)
@@ -92,15 +130,22 @@ def unit_of(voxels: Voxels) -> float:
     return float(kernels.STEP * voxels.size / voxels.delta)
 
 
+@checked
 def draw_voxels(
-    voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: np.ndarray
+    voxels: Voxels, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up."""
+    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples that were looked up.
+
+    Raises:
+        ShapeError: the arrays of the grid do not fit each other, or the pose is not a single motion.
+        ConfigError: the camera has more pixels than are rendered.
+    """
+    check_voxels(voxels)
     rays, count = rays_of_camera(camera, cam_from_world), camera.width * camera.height
     picture, depth = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     samples = _parallel.map_chunks(
         lambda a, b, _: kernels.draw_pixels(
-            *(rays, 0, camera.width, voxels, background.astype(np.float32)),
+            *(rays, 0, camera.width, voxels, background),
             *(a, b, picture, depth, march_work()),
         ),
         count,
@@ -110,12 +155,18 @@ def draw_voxels(
     return picture.reshape(*shape, 3), depth.reshape(shape) * np.float32(voxels.size), sum(samples)
 
 
+@checked
 def gaussians_of(voxels: Voxels, most: int) -> GaussianCloud:
     """A round Gaussian at each corner near the surface: less than 90 % of the light go through it, and more through one beside it.
 
     Raises:
         DegenerateGeometryError: light goes through everything.
+        ShapeError: the arrays of the grid do not fit each other.
+        ConfigError: none is wanted.
     """
+    check_voxels(voxels)
+    if most < 1:
+        raise ConfigError(f"most must be positive, got {most}")
     raw = voxels.values[:, 0].astype(np.float64) + float(kernels.SHIFT)
     own = 1.0 - np.exp(-np.logaddexp(0.0, raw) * float(voxels.delta / kernels.STEP))
     alpha = np.zeros(voxels.row_of.shape, np.float32)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from scipy import ndimage
 
 from epipole import _parallel
+from epipole._checks import check_seed, check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
+from epipole.errors import ShapeError
 from epipole.fields import _voxel_kernels as kernels
 from epipole.fields._simd_kernels import ROW
-from epipole.fields.random_state import set_state, state_of
+from epipole.fields.random_state import STATE, set_state, state_of
 from epipole.fields.rays import drawn_pixels, rays_of
 from epipole.fields.starting import first_cells
 from epipole.fields.training_view import TrainingView
@@ -52,34 +57,41 @@ class VoxelTrainer:
         num_samples: of the last step.
     """
 
-    def __init__(self, views: Sequence[TrainingView], background: np.ndarray, seed: int = 0) -> None:
+    @checked
+    def __init__(
+        self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
+    ) -> None:
         """Begin with everything that the cameras look into.
 
         Raises:
-            ConfigError: there is no view, or masks leave no pixel of any.
+            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ShapeError: the background is not finite.
             DegenerateGeometryError: the cameras look at nothing in common.
         """
+        check_seed(seed)
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
         self.rays = rays_of(views)
-        self.background = background.astype(np.float32)
+        self.background = background
         self.num_steps = self.num_samples = 0
         self._rng = np.random.default_rng([21, seed])
         low, self._unit, full = first_cells(views, SIZES[0][1])
         self.field = voxels_on(full, low, self._unit, self._unit)
         self._pixel = _pixel_size(views, low + 0.5 * self._unit * np.array(full.shape))
         self._level, self._looks = 0, False
-        self._adam = self._new_adam()
+        self._adam = _new_adam(self.field)
 
-    def _new_adam(self) -> GridAdam:
-        n = self.field.values.size
-        gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
-        return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
-
+    @checked
     def step(self, progress: float) -> float:
         """A batch of rays of all pictures; returns the mean squared error.
 
         Args:
             progress: share of the training that is done, from 0 to 1.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
         """
+        check_share(progress, "progress")
         while self._can_refine() and progress >= SIZES[self._level + 1][0]:
             self._refine()
         if not self._looks and progress >= self._half_way():
@@ -98,25 +110,50 @@ class VoxelTrainer:
         self.num_steps += 1
         return sum(part[2] for part in parts) / (3 * RAYS)
 
-    def state(self) -> dict[str, np.ndarray]:
-        """All that the next steps depend on, besides the views."""
-        named = {
-            **self.field._asdict(),
-            **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
-        }
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
         return {
-            **{name: np.asarray(part) for name, part in named.items()},
+            "occupied": Expected("uint8", "x y z", most=1),
+            "seen": Expected("uint8", "x y z", most=1),
+            "values": Expected("float32", f"n {ROW}"),
+            "adam_gradient": Expected("float32", "g"),
+            "adam_mean": Expected("float32", "g"),
+            "adam_square": Expected("float32", "g", least=0),
+            "adam_touched": Expected("uint8", "n", most=1),
+            "adam_rates": Expected("float32", f"{ROW}", least=0),
+            "counts": Expected("int64", "3", least=0),
+            "rng": STATE,
+        }
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views; what follows from the cells is made again."""
+        return {
+            **{name: getattr(self.field, name) for name in ("occupied", "seen", "values")},
+            **{f"adam_{name}": part for name, part in self._adam._asdict().items()},
             "counts": np.array([self.num_steps, self._level, self._looks], np.int64),
             "rng": state_of(self._rng),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state` of a trainer with the same views: the same bits as without a break."""
-        parts: dict[str, Any] = {name: state[name] for name in Voxels._fields}
-        parts |= {"size": float(parts["size"]), "delta": np.float32(parts["delta"])}
-        self.field = Voxels(**parts)
+        """Go on from a `state` of a new trainer with the same views: the same bits as without a break.
+
+        Raises:
+            ShapeError: its cells are not those of its level, or its values not theirs.
+        """
+        state = check_arrays(state, self.table)
+        num_steps, level, looks = state["counts"].tolist()
+        first, cells = self.field, state["occupied"].astype(bool)
+        shape = tuple(side << min(level, len(SIZES)) for side in first.occupied.shape)
+        if level >= len(SIZES) or looks > 1 or cells.shape != shape:
+            raise ShapeError(f"occupied must be the {shape} cells of a level, got {cells.shape}")
+        field = voxels_on(cells, first.low, first.size / 2**level, self._unit)
+        values = state["values"]
+        if values.shape != field.values.shape or state["adam_mean"].size != values.size:
+            raise ShapeError(f"values must be those of {len(field.values)} corners, got {values.shape}")
+        self.field = field._replace(values=values, seen=state["seen"])
         self._adam = GridAdam(*(state[f"adam_{name}"] for name in GridAdam._fields))
-        self.num_steps, self._level, looks = state["counts"].tolist()
+        self.num_steps, self._level = num_steps, level
         self._looks, self._rows_at = bool(looks), None
         set_state(self._rng, state["rng"])
 
@@ -174,12 +211,14 @@ class VoxelTrainer:
 
     def _refine(self) -> None:
         """Leave out what is empty, and halve the voxels."""
-        self._level, self._looks = self._level + 1, False
         voxels = self.field
         cells = np.repeat(np.repeat(np.repeat(self._seen_cells(), 2, 0), 2, 1), 2, 2)
         values = _between(voxels, np.argwhere(corners_of(cells)))
-        self.field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
-        self._rows_at, self._adam = None, self._new_adam()
+        field = voxels_on(cells, voxels.low, voxels.size / 2, self._unit, values)
+        adam = _new_adam(field)
+        # All at once: where the memory does not suffice for one of them, the others stay, too.
+        self.field, self._adam, self._rows_at = field, adam, None
+        self._level, self._looks = self._level + 1, False
 
     def _seen_cells(self) -> np.ndarray:
         """Cells that some ray has seen something in, and those beside."""
@@ -192,9 +231,21 @@ class VoxelTrainer:
         """Corners of voxels that have a row."""
         return len(self.field.values)
 
+    @checked
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
-        return draw_voxels(self.field, view.camera, view.cam_from_world, self.background)[0]
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        picture, _, count = draw_voxels(self.field, view.camera, view.cam_from_world, self.background)
+        return picture, count
+
+
+def _new_adam(field: Voxels) -> GridAdam:
+    n = field.values.size
+    gradient, mean, square = (np.zeros(n, np.float32) for _ in range(3))
+    return GridAdam(gradient, mean, square, np.zeros(n // ROW, np.uint8), np.zeros(ROW, np.float32))
 
 
 def _pixel_size(views: Sequence[TrainingView], middle: np.ndarray) -> float:

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
+from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.io._bag_scanning import ScannedBag, is_scannable, refuse_views
-from epipole.io.files import require_file
+from epipole.io._bag_unpacking import bound_unpacking
+from epipole.io.files import read_by_others, require_file
 
 ROS1_SUFFIX = ".bag"
 ROS2_SUFFIXES = frozenset({".db3", ".mcap"})
 METADATA = "metadata.yaml"
+_PROBLEM = "cannot be read as a recording of ROS"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +61,7 @@ class OpenBag:
             return
         rows = self.reader.messages(connections=wanted)
         while True:
-            with reading(self.path):
+            with read_by_others(self.path, _PROBLEM):
                 row = next(rows, None)
                 if row is None:
                     return
@@ -73,7 +75,7 @@ class OpenBag:
         Raises:
             FileFormatError: it is damaged.
         """
-        with reading(self.path, f"a message of {message.topic} is damaged"):
+        with read_by_others(self.path, f"a message of {message.topic} is damaged"):
             if self.is_ros1:
                 return self.types.deserialize_ros1(message.data, message.kind)
             return self.types.deserialize_cdr(message.data, message.kind)
@@ -101,7 +103,7 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
     for file in files:
         refuse_views(file)
     try:
-        with reading(path):
+        with read_by_others(path, _PROBLEM):
             reader = reader_of(at)
             reader.open()
     except FileFormatError as error:
@@ -113,7 +115,7 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
             raise
         warnings = (f"{error}; what stands before the damage, or before the file is cut off, is read",)
     try:
-        with reading(path):
+        with read_by_others(path, _PROBLEM):
             # One kind for each topic: what else is published there is not read.
             kinds = {str(c.topic): str(c.msgtype) for c in reversed(reader.connections)}
             counts = dict.fromkeys(kinds, 0)
@@ -125,20 +127,8 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
         is_ros1 = at.suffix.lower() == ROS1_SUFFIX
         yield OpenBag(path, reader, types, is_ros1, counts, kinds, warnings)
     finally:
-        with reading(path):
+        with read_by_others(path, _PROBLEM):
             reader.close()
-
-
-@contextmanager
-def reading(path: Path, problem: str = "cannot be read as a recording of ROS") -> Iterator[None]:
-    """Whatever is raised on damaged bytes, by three formats and their compressions, becomes one kind of error."""
-    try:
-        yield
-    except EpipoleError:
-        raise
-    except Exception as error:
-        words = str(error).strip().splitlines()
-        raise FileFormatError(path, f"{problem}: {words[0] if words else type(error).__name__}") from error
 
 
 def _as_bytes(data: object) -> bytes:
@@ -157,6 +147,7 @@ def _reader_and_types(path: Path) -> tuple[Path, Any, Any]:
         raise MissingDependencyError(
             f"{path} is a recording of ROS; to read it: pip install 'epipole[ros]' (or rosbags>=0.11,<0.12)"
         ) from error
+    bound_unpacking()
     if path.suffix.lower() == ROS1_SUFFIX and not path.is_dir():
         require_file(path)
         return path, Reader1, get_typestore(Stores.ROS1_NOETIC)

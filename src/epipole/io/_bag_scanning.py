@@ -6,19 +6,17 @@ the first record that is not whole is lost.
 
 from __future__ import annotations
 
-import bz2
 import io
 import sqlite3
 import struct
-import sys
 from collections.abc import Collection, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from epipole.errors import FileFormatError
+from epipole.io._bag_unpacking import unpacked
 from epipole.io.files import open_file
 
 _ROS1, _MCAP, _SQLITE = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
@@ -142,7 +140,7 @@ def _ros1_records(stream: io.BufferedIOBase) -> Iterator[Any]:
         data = _exactly(stream, _number(stream, "I"))
         kind = header["op"][0]
         if kind == _R1_CHUNK:
-            yield from _ros1_records(io.BytesIO(_unpacked(header["compression"].decode(), data)))
+            yield from _ros1_records(io.BytesIO(unpacked(header["compression"].decode(), data)))
         elif kind == _R1_CONNECTION:
             fields = _ros1_fields(data)
             package, _slash, name = fields["type"].decode().partition("/")
@@ -181,7 +179,7 @@ def _mcap_records(stream: io.BufferedIOBase, schemas: dict[int, str]) -> Iterato
             record.seek(28)
             compression = _text(record)
             data = _exactly(record, _number(record, "Q"))
-            yield from _mcap_records(io.BytesIO(_unpacked(compression, data)), schemas)
+            yield from _mcap_records(io.BytesIO(unpacked(compression, data)), schemas)
 
 
 def _sqlite_records(path: Path) -> Iterator[Any]:
@@ -203,18 +201,3 @@ def _sqlite_records(path: Path) -> Iterator[Any]:
 
 def _text(stream: io.BufferedIOBase) -> str:
     return _exactly(stream, _number(stream, "I")).decode()
-
-
-def _unpacked(compression: str, data: bytes) -> bytes:
-    """What a chunk holds; lz4 and zstd come with rosbags."""
-    if compression in ("", "none"):
-        return data
-    if compression == "bz2":
-        return bz2.decompress(data)
-    modules = {
-        "lz4": "lz4.frame",
-        "zstd": "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd",
-    }
-    if compression in modules:
-        return bytes(import_module(modules[compression]).decompress(data))
-    raise ValueError(f"the compression {compression[:20]!r} is not known")

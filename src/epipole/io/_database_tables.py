@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float64, Int32, UInt8
 from numpy.typing import DTypeLike
 
+from epipole._checks import check_indices
+from epipole._declared import Declared, check_fields
 from epipole.errors import FileFormatError
 from epipole.io._colmap_cameras import HALF_PIXEL
 from epipole.io._colmap_tables import UNKNOWN_POSE
@@ -97,7 +99,7 @@ SCHEMA = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DatabaseContents:
+class DatabaseContents(Declared):
     """What a database holds, in rows; `frames` has no places, since a database knows none."""
 
     cameras: Cameras
@@ -112,6 +114,17 @@ class DatabaseContents:
     """Verified pairs."""
     gps_lat_lon_alt: Float64[np.ndarray, "n 3"] | None = None
     """For each image latitude and longitude in degrees and altitude in metres (WGS84); NaN where unknown."""
+
+    def __post_init__(self) -> None:
+        """Check the rows.
+
+        Raises:
+            ShapeError: a sensor has no camera, or an image no sensor.
+            ConfigError: something is of another kind.
+        """
+        check_fields(self)
+        check_indices(self.rigs.sensor_camera, "rigs.sensor_camera", len(self.cameras))
+        check_indices(self.images.sensor, "images.sensor", len(self.rigs.sensor_camera))
 
     def __repr__(self) -> str:
         pairs = 0 if self.view_graph is None else len(self.view_graph)

@@ -23,11 +23,12 @@ from PIL.PpmImagePlugin import PpmImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from epipole.cameras.image_fit import inverse_orientation
 from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
 from epipole.io._deep_pixels import GreyRange, colour_16, has_16_bits, range_of, sample_of, stretched
 from epipole.io._image_formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
 from epipole.io._spherical import refuse_panorama
+from epipole.io._turned_pixels import as_stored as as_stored
+from epipole.io._turned_pixels import turn as turn
 from epipole.io.exif import EXIF_ERRORS, orientation_of
 from epipole.io.files import file_bytes
 
@@ -381,24 +382,3 @@ def _shrink(
     return cv2.warpAffine(
         pixels, reduced_from_new, (new_width, new_height), flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
-
-
-def as_stored(
-    pixels: np.ndarray, stored: int | None, left: int, orientation: int | None
-) -> np.ndarray:
-    """The pixels to which another orientation than the file's is to be applied.
-
-    Pillow turns a TIFF as it loads it: what is `left` of its `stored` orientation then is 1. Where another one is asked
-    for, that is taken back.
-    """
-    if orientation is None or stored is None or stored == left:
-        return pixels
-    return turn(pixels, inverse_orientation(stored))
-
-
-def turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Apply an EXIF orientation."""
-    if orientation in (5, 6, 7, 8):
-        pixels = cv2.transpose(pixels)
-    flip = {2: 1, 3: -1, 4: 0, 6: 1, 7: -1, 8: 0}.get(orientation)
-    return np.ascontiguousarray(pixels if flip is None else cv2.flip(pixels, flip))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 from epipole.io.trajectories import PositionLog, read_positions, read_trajectory
@@ -47,6 +48,7 @@ class OdometryLog:
     """Places by odometry."""
 
 
+@checked
 def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
     """Read known lengths: a line for each end in each picture, `NAME METRES END PICTURE X Y`.
 
@@ -83,6 +85,7 @@ def read_lengths(path: str | Path) -> tuple[KnownLength, ...]:
     return tuple(found.values())
 
 
+@checked
 def read_places(path: str | Path) -> PositionLog | NamedPositions:
     """Read measured places: `SECONDS X Y Z` a line, or `PICTURE X Y Z` (the names may have blanks).
 
@@ -107,6 +110,7 @@ def read_places(path: str | Path) -> PositionLog | NamedPositions:
     return NamedPositions(tuple(names), np.array(places))
 
 
+@checked
 def read_odometry(path: str | Path) -> OdometryLog:
     """Read odometry: `SECONDS METRES` a line, the distance since any begin; or a trajectory in TUM's form.
 

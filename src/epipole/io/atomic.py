@@ -37,7 +37,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         WorkspaceError: the place is not writable, or full, or a folder or a socket.
     """
     with reporting(path):
-        if _is_stream(Path(path)):
+        if is_stream(Path(path)):
             with tempfile.TemporaryDirectory(prefix="epipole-") as folder:
                 part = part_beside(Path(folder) / Path(path).name)
                 yield part
@@ -85,7 +85,12 @@ def atomic_folder(path: str | Path, stale: Sequence[str] = ()) -> Iterator[Path]
 
 def part_beside(target: Path) -> Path:
     """A new temporary name in the target's folder: it tells whose it is, keeps the suffix, and is never long."""
-    suffix = target.suffix if len(os.fsencode(target.suffix)) <= _LONGEST_SUFFIX else ""
+    endings = (
+        "".join(target.suffixes[-2:]),
+        target.suffix,
+        "",
+    )  # .compressed.ply is another format than .ply
+    suffix = next(ending for ending in endings if len(os.fsencode(ending)) <= _LONGEST_SUFFIX)
     own = f".epipole-{_machine()}-{os.getpid()}-{_LIFE}{secrets.token_hex(4)}.part"
     return target.with_name(own + suffix)
 
@@ -141,7 +146,7 @@ def _is_alive(process: str, life: str) -> bool:
     return True
 
 
-def _is_stream(path: Path) -> bool:
+def is_stream(path: Path) -> bool:
     """Whether something stands there that is written to and not replaced.
 
     Raises:

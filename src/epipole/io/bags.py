@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
@@ -88,6 +89,7 @@ class _Info:
     projection: np.ndarray
 
 
+@checked
 def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
     """The topics of a recording that have messages.
 
@@ -99,6 +101,7 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
         return _topics(bag)
 
 
+@checked
 def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ()) -> BagSequence:
     """Which topics are followed, and their cameras.
 
@@ -155,6 +158,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     )
 
 
+@checked
 def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
     """The frames of a recording, in the order in which they were recorded, by the stamps in their headers.
 
@@ -178,6 +182,7 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
                 yield BagFrame(time_s, _grey(bag, 0, first), None, _depth(bag, second))
 
 
+@checked
 def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     """What an IMU measured (sensor_msgs/Imu), by the stamps in its headers.
 

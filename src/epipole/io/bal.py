@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import MAX_PARAMS, CameraModel
 from epipole.errors import FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
@@ -26,6 +27,7 @@ _MOST_TURN = 1e6  # radians; of longer vectors nothing of the direction is left
 _MOST_UNPACKED, _SMALL, _MOST_UNPACKED_LARGE = 200, 1 << 24, 20
 
 
+@checked
 def read_bal(path: str | Path) -> BundleProblem:
     """Read a problem (.txt, or .bz2 of it): one camera for each frame, everything but principal points free.
 
@@ -98,6 +100,7 @@ def _unpacked(data: bytes) -> bytes:
     return out
 
 
+@checked
 def write_bal(path: str | Path, problem: BundleProblem) -> None:
     """Write a problem whose frames each have one picture, by a RADIAL camera with its principal point at (0, 0).
 

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.io.atomic import atomic_write
@@ -20,6 +21,7 @@ MAX_ASPECT_DIFFERENCE = 0.01
 _BUNDLER_AXES = np.array([1.0, -1.0, -1.0])
 
 
+@checked
 def write_bundler(reconstruction: Reconstruction, path: str | Path, image_folder: str = "") -> None:
     """Write the registered cameras and the points, with `list.txt` beside.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.errors import EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
@@ -26,6 +26,7 @@ from epipole.io._lens_words import lens_words, refuse_binning, require_coefficie
 from epipole.io._mrcal_models import is_mrcal, is_mrcal_text, mrcal_cameras, mrcal_values
 from epipole.io._named_numbers import is_rotation, numbers_of, size_of, xml_values, yaml_values
 from epipole.io.atomic import atomic_write
+from epipole.io.calibrated_cameras import CalibrationFile as CalibrationFile
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_text, json_values
 from epipole.scene import StereoRig
@@ -49,21 +50,7 @@ _PAIR_KEYS = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFile:
-    """What a calibration file holds."""
-
-    cameras: tuple[Camera, ...]
-    cam_from_rig: Rigid3
-    """One row per camera; the first is the identity."""
-    covariance: Float64[np.ndarray, "30 30"] | None = None
-    """Of a pair, as in `StereoRig`."""
-
-    def __repr__(self) -> str:
-        errors = "no covariance" if self.covariance is None else "with covariance"
-        return f"CalibrationFile({len(self.cameras)} cameras, {errors})"
-
-
+@checked
 def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) -> CalibrationFile:
     """Read cameras, and how they stand to each other where a file says so.
 
@@ -129,6 +116,7 @@ def _read(files: list[Path], size: tuple[int, int] | None) -> CalibrationFile:
     return _opencv_pair(path, merged, size)
 
 
+@checked
 def read_body_from_camera(path: str | Path) -> Rigid3:
     """The place of a camera in the body (the IMU) that EuRoC's `sensor.yaml` tells (T_BS): body_from_camera.
 
@@ -142,6 +130,7 @@ def read_body_from_camera(path: str | Path) -> Rigid3:
         raise FileFormatError(path, f"T_BS cannot be read: {error}") from error
 
 
+@checked
 def read_stereo_rig(
     *paths: str | Path, size: tuple[int, int] | None = None, cameras: tuple[int, int] | None = None
 ) -> StereoRig:
@@ -176,6 +165,7 @@ def read_stereo_rig(
         raise FileFormatError(paths[0], str(error)) from error
 
 
+@checked
 def write_calibration(
     path: str | Path, calibration: CalibrationFile, about: Mapping[str, Any] | None = None
 ) -> None:
@@ -207,6 +197,7 @@ def write_calibration(
         aside.write_text(json_text(content, indent=1), encoding="utf-8")
 
 
+@checked
 def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
     """Write what OpenCV's samples read: camera_matrix and distortion_coefficients, or M1, D1, M2, D2, R, T.
 
@@ -231,6 +222,7 @@ def write_opencv_yaml(path: str | Path, calibration: CalibrationFile) -> None:
         aside.write_text(storage.releaseAndGetString(), encoding="utf-8")
 
 
+@checked
 def write_ros_yaml(
     path: str | Path,
     camera: Camera,
@@ -263,6 +255,7 @@ def _ros_matrix(matrix: np.ndarray) -> dict[str, Any]:
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": [float(v) for v in matrix.ravel()]}
 
 
+@checked
 def parsed_file(path: Path) -> dict[str, Any]:
     """Names and values of a file of YAML, JSON, OpenCV's XML, or lines of KITTI's kind.
 

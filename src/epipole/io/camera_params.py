@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel, camera_model_named
 from epipole.cameras.image_fit import ImageShape, likely_size
 from epipole.errors import ConfigError
+from epipole.io.calibration_files import read_calibration
 from epipole.io.colmap import params_from_colmap, params_to_colmap
 
 MIN_FOCAL, MAX_FOCAL = 0.01, 1000.0
@@ -19,6 +22,7 @@ MAX_OFFSET = 10.0
 MAX_DISTORTION = 1e4
 
 
+@checked
 def params_of_text(text: str) -> tuple[float, ...]:
     """The numbers of an option `camera_params`.
 
@@ -34,6 +38,7 @@ def params_of_text(text: str) -> tuple[float, ...]:
     return known
 
 
+@checked
 def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str) -> Camera:
     """The camera of an option `camera_params`, of the stored or upright size of its images that its numbers are of.
 
@@ -51,6 +56,7 @@ def camera_of_images(model: str | None, shapes: Sequence[ImageShape], text: str)
     return camera_of_text(lens, likely_size(point, shapes), text)
 
 
+@checked
 def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Camera:
     """The camera of an option `camera_params`.
 
@@ -75,11 +81,38 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
     return camera
 
 
+def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
+    """The one camera of a calibration file, for images of this size.
+
+    Raises:
+        ConfigError: the file is of several cameras, or of images of another size.
+        FileFormatError: it cannot be read.
+    """
+    found = read_calibration(path, size=size).cameras
+    if len(found) != 1:
+        each = " or ".join(
+            f"camera_model {camera.model.name} and camera_params {text_of_camera(camera)}"
+            for camera in found[:2]
+        )
+        raise ConfigError(
+            f"calibration {path} holds {len(found)} cameras, and one camera took these images: give the parameters of that one, "
+            f"{each}"
+        )
+    if (found[0].width, found[0].height) != size:
+        raise ConfigError(
+            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {size[0]}x{size[1]}: "
+            "calibrate at this size, or scale the parameters (camera_params)"
+        )
+    return found[0]
+
+
+@checked
 def text_of_camera(camera: Camera) -> str:
     """A camera's parameters as `camera_of_text` reads them, to seven digits."""
     return ",".join(f"{value:.7g}" for value in params_to_colmap(camera.model, camera.params))
 
 
+@checked
 def refuse_impossible(camera: Camera, where: str) -> None:
     """Refuse numbers that no lens has.
 

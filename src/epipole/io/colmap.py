@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io._colmap_binary import read_binary, write_binary
@@ -36,9 +37,11 @@ from epipole.io._colmap_tables import (
 from epipole.io._colmap_text import read_text, write_text
 from epipole.io._image_formats import FORMAT_OF_SUFFIX
 from epipole.io.atomic import atomic_folder
+from epipole.io.contents_in_words import results_of, with_what_it_is
 from epipole.scene import Reconstruction, Rigs
 
 
+@checked
 def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, text: bool = False) -> None:
     """Write the registered images and the points as a COLMAP model; the same model gives the same bytes.
 
@@ -60,6 +63,7 @@ def write_colmap_model(reconstruction: Reconstruction, folder: str | Path, *, te
         (write_text if text else write_binary)(tables, part)
 
 
+@checked
 def read_colmap_model(folder: str | Path) -> Reconstruction:
     """Read a COLMAP model, binary if there is one, otherwise text. Rows are in the order of the file's ids.
 
@@ -74,6 +78,7 @@ def read_colmap_model(folder: str | Path) -> Reconstruction:
     raise FileFormatError(folder, "no COLMAP model here (neither cameras.bin nor cameras.txt)")
 
 
+@checked
 def camera_ids_of_sensors(rigs: Rigs, num_cameras: int) -> list[int]:
     """COLMAP's camera id of each sensor: the camera's row + 1, and a new id where a camera is used again."""
     new_ids = count(num_cameras + 1)
@@ -85,6 +90,7 @@ def camera_ids_of_sensors(rigs: Rigs, num_cameras: int) -> list[int]:
     return ids
 
 
+@checked
 def check_image_names(names: Iterable[str]) -> None:
     """Refuse names that would break a file.
 
@@ -122,6 +128,7 @@ def _camera_records(reconstruction: Reconstruction, camera_ids: list[int]) -> li
     return records
 
 
+@checked
 def pose_numbers(target_from_source: Rigid3) -> np.ndarray:
     """Rows (w, x, y, z, tx, ty, tz); NaN where the motion is."""
     known = np.isfinite(target_from_source.translation).all(axis=1)
@@ -183,6 +190,7 @@ def _point_columns(reconstruction: Reconstruction, is_written: np.ndarray) -> Po
     )
 
 
+@checked
 def find_model(path: str | Path) -> Path:
     """The folder of the COLMAP model inside an output folder, or the folder itself if it is one.
 
@@ -198,5 +206,6 @@ def find_model(path: str | Path) -> Path:
     pictures = any(
         p.suffix.lower() in FORMAT_OF_SUFFIX for at in (path, path / "images") for p in at.glob("*")
     )
-    hint = "; it holds pictures: `epipole reconstruct` makes a model of them" if pictures else ""
-    raise FileFormatError(path, f"holds no model (no cameras.bin or cameras.txt, nor sparse/0){hint}")
+    advice = "`epipole reconstruct` makes a model of pictures" if pictures and not results_of(path) else ""
+    problem = "holds no model (no cameras.bin or cameras.txt, nor sparse/0)"
+    raise FileFormatError(path, with_what_it_is(problem, path, advice))

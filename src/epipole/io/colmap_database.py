@@ -10,6 +10,7 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io._database_reading import read_contents
 from epipole.io._database_tables import SCHEMA, SCHEMA_VERSION, DatabaseReader
@@ -21,6 +22,7 @@ from epipole.io.files import require_file
 _SIDE_FILES = ("-wal", "-shm", "-journal")
 
 
+@checked
 def write_database(path: str | Path, contents: DatabaseContents) -> None:
     """Write a database in one step, in place of any that is there. An id in it is the row + 1.
 
@@ -51,6 +53,7 @@ def write_database(path: str | Path, contents: DatabaseContents) -> None:
             path.with_name(path.name + suffix).unlink(missing_ok=True)
 
 
+@checked
 def read_database(path: str | Path) -> DatabaseContents:
     """Read a database; rows are in the order of its ids. Nothing is written beside it.
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io._finite_gaussians import MOST_GAUSSIANS, finite_gaussians
 from epipole.io.atomic import atomic_write
@@ -43,6 +44,7 @@ class _Element(NamedTuple):
     fields: list[tuple[str, str]]
 
 
+@checked
 def read_compressed_ply(path: str | Path) -> GaussianCloud:
     """Read Gaussians; those with a number that is not finite are left out.
 
@@ -77,6 +79,7 @@ def read_compressed_ply(path: str | Path) -> GaussianCloud:
     return finite_gaussians(path, (means, log_scales, quats, logits, sh), origin_in_header(path))
 
 
+@checked
 def write_compressed_ply(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians, those that are near beside each other; rounded. A comment states the cloud's origin where it is not zero.
 

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.bundler import write_bundler
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.contents_in_words import what_it_is
 from epipole.io.transforms_json import read_transforms, write_transforms
 from epipole.scene import Reconstruction
 
@@ -27,6 +29,10 @@ FOLDER_WRITERS: dict[str, Callable[[Reconstruction, Path], None]] = {
 """Writers of the formats of several files."""
 
 
+MODELS = "models are read from an output folder of `epipole reconstruct`, a COLMAP model or a transforms.json"
+
+
+@checked
 def read_model(source: str | Path) -> Reconstruction:
     """Read the model of an output folder, a COLMAP model, or a transforms.json or the folder that holds one.
 
@@ -36,7 +42,11 @@ def read_model(source: str | Path) -> Reconstruction:
     source = Path(source)
     if source.suffix.lower() == ".ply" and source.is_file():
         raise FileFormatError(source, "holds points without cameras: no model")
+    if not source.exists():
+        raise FileFormatError(source, f"there is no such file or folder; {MODELS}")
     if source.is_file():
+        if what := what_it_is(source):
+            raise FileFormatError(source, f"is no model: {what}; {MODELS}")
         return read_transforms(source)
     try:
         folder = find_model(source)

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Float32
 
 from epipole._checks import as_float_array
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
 
@@ -22,6 +24,7 @@ _LONGEST_HEADER = 1 << 16
 _SIGNATURE = 8
 
 
+@checked
 def write_pfm(path: str | Path, values: Any) -> None:
     """Write a map (h, w) as a one-channel PFM: 32-bit floats, little-endian, last row first; NaN stays NaN.
 
@@ -35,6 +38,7 @@ def write_pfm(path: str | Path, values: Any) -> None:
         aside.write_bytes(f"Pf\n{width} {height}\n-1.0\n".encode() + array[::-1].astype("<f4").tobytes())
 
 
+@checked
 def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
     """Read a one-channel PFM of either byte order.
 
@@ -60,6 +64,7 @@ def read_pfm(path: str | Path) -> Float32[np.ndarray, "h w"]:
     return np.frombuffer(data, order).reshape(height, width)[::-1].astype(np.float32)
 
 
+@checked
 def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None:
     """Write a map (h, w) as 16-bit PNG, round(scale * value); 0 where NaN or out of range.
 
@@ -74,13 +79,12 @@ def write_png16(path: str | Path, values: Any, scale: float = PNG_SCALE) -> None
     with np.errstate(invalid="ignore"):
         scaled = np.rint(scale * array)
         stored = np.where((scaled >= 1) & (scaled <= 65535), scaled, 0)
-    encoded, data = cv2.imencode(".png", stored.astype(np.uint16))
-    if not encoded:
-        raise ShapeError(f"a map of {array.shape} pixels cannot be a PNG")
+    data = encoded_image(".png", stored.astype(np.uint16))
     with atomic_write(path) as aside:
-        aside.write_bytes(data.tobytes())
+        aside.write_bytes(data)
 
 
+@checked
 def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
     """Read what `write_png16` or KITTI has written; NaN where 0.
 
@@ -91,6 +95,7 @@ def read_png16(path: str | Path, scale: float = PNG_SCALE) -> Float32[np.ndarray
     return png16_in(path, file_bytes(path, 4 * _MOST_PIXELS), scale)
 
 
+@checked
 def png16_in(path: Path, data: bytes, scale: float = PNG_SCALE) -> Float32[np.ndarray, "h w"]:
     """The map in the bytes of a 16-bit PNG; NaN where 0.
 

@@ -25,10 +25,13 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from epipole._checks import as_points
+from epipole._declared import checked
+from epipole.errors import ConfigError
 from epipole.io.sensor_widths import sensor_width_mm
 
 FocalSource = Literal["35 mm equivalent", "sensor width", "focal-plane resolution"]
 
+_MOST_SHORT, _MOST_ALTITUDE_M = 65535, 1e6
 _MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _DATE_TIME_ORIGINAL, _SUBSECOND_ORIGINAL, _FOCAL_LENGTH = 0x9003, 0x9291, 0x920A
@@ -75,17 +78,20 @@ class GpsPosition(NamedTuple):
     alt_m: float | None
 
 
+@checked
 def orientation_of(exif: Image.Exif) -> int:
     """EXIF orientation 1 to 8; 1 (as stored) for anything else."""
     value = _number(exif.get(_ORIENTATION))
     return int(value) if value is not None and value in range(1, 9) else 1
 
 
+@checked
 def camera_of(exif: Image.Exif) -> tuple[str, str]:
     """Make and model, empty where not recorded."""
     return _text(exif.get(_MAKE)), _text(exif.get(_MODEL))
 
 
+@checked
 def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
     """Focal length in pixels of a picture of the given size; None when EXIF has no credible one."""
     size_px = max(width, height)
@@ -101,6 +107,7 @@ def focal_of(exif: Image.Exif, width: int, height: int) -> Focal | None:
     return None
 
 
+@checked
 def gps_of(exif: Image.Exif) -> GpsPosition | None:
     """Place where the picture was taken; None where it is missing, void, impossible or exactly (0, 0)."""
     block = _block(exif, _GPS_IFD)
@@ -116,6 +123,7 @@ def gps_of(exif: Image.Exif) -> GpsPosition | None:
     return GpsPosition(lat_deg, lon_deg, alt_m)
 
 
+@checked
 def gimbal_up_of(xmp: object) -> tuple[float, float, float] | None:
     """Direction of up in camera coordinates (x right, y down, z forward) from a drone's XMP block; None without one.
 
@@ -133,6 +141,7 @@ def gimbal_up_of(xmp: object) -> tuple[float, float, float] | None:
     return (-math.sin(r) * math.cos(p), -math.cos(r) * math.cos(p), math.sin(p))
 
 
+@checked
 def capture_time_of(exif: Image.Exif) -> datetime | None:
     """Local time on the camera's clock (without zone), with fractions of a second where recorded."""
     details = _block(exif, _EXIF_IFD)
@@ -148,6 +157,7 @@ def capture_time_of(exif: Image.Exif) -> datetime | None:
     return None
 
 
+@checked
 def upright_exif(exif: Image.Exif) -> Image.Exif:
     """A new block with the tags this module reads, without orientation, thumbnail and maker's notes."""
     out = Image.Exif()
@@ -162,13 +172,26 @@ def upright_exif(exif: Image.Exif) -> Image.Exif:
     return out
 
 
+@checked
 def new_exif(
     make: str,
     model: str,
     focal_35mm: float | None = None,
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
 ) -> Image.Exif:
-    """Build the block of a rendered photograph (EXIF has the 35 mm equivalent in whole mm: it is rounded)."""
+    """Build the block of a rendered photograph (EXIF has the 35 mm equivalent in whole mm: it is rounded).
+
+    Raises:
+        ConfigError: a number is beyond what EXIF holds.
+    """
+    if focal_35mm is not None and not 0 <= focal_35mm < _MOST_SHORT:
+        raise ConfigError(f"focal_35mm must be from 0 to {_MOST_SHORT}, got {focal_35mm:g}")
+    if gps is not None:
+        lat_deg, lon_deg, alt_m = gps
+        if not (
+            abs(lat_deg) <= 90 and abs(lon_deg) <= 360 and (alt_m is None or abs(alt_m) < _MOST_ALTITUDE_M)
+        ):
+            raise ConfigError(f"gps must be degrees, degrees and metres on the earth, got {tuple(gps)}")
     out = Image.Exif()
     out[_MAKE], out[_MODEL] = make, model
     if focal_35mm is not None:
@@ -184,6 +207,7 @@ def new_exif(
     return out
 
 
+@checked
 def gps_to_enu(lat_lon_alt: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
     """Metres east, north and up of the median place, on the WGS84 ellipsoid.
 

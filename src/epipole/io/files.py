@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import io
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from epipole.errors import FileFormatError
+from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.json_files import json_values
 
 MOST_JSON_BYTES = 1 << 28
 """Largest JSON file that is read."""
 
+SMALL_BYTES, MOST_RATIO = 1 << 26, 32
+"""The budget of what is packed: it may unpack to 64 MiB, or to 32 times its own size where that is more."""
 _MOST_NAME_BYTES = 4096
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -21,6 +25,27 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+def most_unpacked_bytes(num_packed: int, small_bytes: int = SMALL_BYTES) -> int:
+    """To how many bytes so many packed ones may unpack; to `small_bytes` always."""
+    return max(small_bytes, MOST_RATIO * num_packed)
+
+
+@contextmanager
+def read_by_others(path: Path, problem: str) -> Iterator[None]:
+    """Make one kind of error of whatever a library raises on damaged bytes: no list of its errors is ever complete.
+
+    Raises:
+        FileFormatError: reading the file in the block has failed.
+    """
+    try:
+        yield
+    except EpipoleError:
+        raise
+    except Exception as error:
+        words = str(error).strip().splitlines()
+        raise FileFormatError(path, f"{problem}: {words[0] if words else type(error).__name__}") from error
 
 
 def require_file(path: Path) -> int:

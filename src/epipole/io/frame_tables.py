@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from epipole._declared import check_fields
+from epipole._declared import check_fields, checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
 
@@ -34,6 +34,7 @@ class FrameTable:
         check_fields(self)
 
 
+@checked
 def read_frame_table(path: str | Path) -> FrameTable:
     """Read the pictures and times of all frames.
 

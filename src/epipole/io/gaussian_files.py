@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import finite_gaussians
 from epipole.io._sog_files import META as META
@@ -17,6 +18,7 @@ from epipole.io._sog_files import is_sog as is_sog
 from epipole.io._sog_files import is_unpacked_sog as is_unpacked_sog
 from epipole.io.atomic import atomic_write
 from epipole.io.compressed_ply import read_compressed_ply, write_compressed_ply
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.files import file_bytes, open_file
 from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
 from epipole.io.sog import read_sog, write_sog
@@ -24,12 +26,15 @@ from epipole.io.spz import read_spz, write_spz
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
 SUFFIXES = (".ply", ".compressed.ply", ".spz", ".sog", ".splat")
+SPLAT = "splat.ply"
+"""In an output folder of `splat`."""
 WITHOUT_ORIGIN = (".spz", ".splat")
 """Files that cannot hold a cloud's origin: their coordinates are relative to it."""
 _HEADER = 8192
 _SPLAT = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
 
 
+@checked
 def read_gaussians(path: str | Path) -> GaussianCloud:
     """Read Gaussians of any of the formats (of SOG the meta.json of a folder, too); those with a number that is not finite are left out.
 
@@ -41,7 +46,7 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
         return read_sog(path)
     suffix = path.suffix.lower()
     if suffix not in (".ply", ".spz", ".sog", ".splat"):
-        raise FileFormatError(path, f"Gaussians are read from {', '.join(SUFFIXES)}")
+        raise FileFormatError(path, with_what_it_is(f"Gaussians are read from {', '.join(SUFFIXES)}", path))
     with open_file(path) as stream:
         head = stream.read(_HEADER)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -54,6 +59,26 @@ def read_gaussians(path: str | Path) -> GaussianCloud:
     return readers[suffix](path)
 
 
+def gaussians_file(path: Path) -> Path:
+    """The file of Gaussians that a path is, or that a folder holds: `splat.ply`, or the meta.json of an unpacked SOG.
+
+    Raises:
+        FileFormatError: it is neither.
+    """
+    if path.is_file() and not path.name.lower().endswith((*SUFFIXES, META)):
+        problem = f"is no file of trained Gaussians ({', '.join(SUFFIXES)})"
+        raise FileFormatError(path, with_what_it_is(problem, path))
+    is_sog_folder = not (path / SPLAT).is_file() and is_unpacked_sog(path / META)
+    file = path if path.is_file() else path / (META if is_sog_folder else SPLAT)
+    if not file.is_file():
+        problem = "holds no trained Gaussians (splat.ply) and no trained field (hash.npz, grid.npz)"
+        raise FileFormatError(
+            path, with_what_it_is(problem, path, "`epipole splat` and `epipole nerf` train them")
+        )
+    return file
+
+
+@checked
 def write_gaussians(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in the format of the file's name; all but .ply are rounded, and .splat has no harmonics above degree 0.
 

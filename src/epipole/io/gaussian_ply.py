@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io._finite_gaussians import finite_gaussians
 from epipole.io.atomic import atomic_write
@@ -35,6 +36,7 @@ _ORIGIN_WORDS = [b"comment", ORIGIN.encode()]
 _MOST_HEADER = 1 << 16
 
 
+@checked
 def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians in single precision: coefficients above degree 0 channel by channel, rotations as w, x, y, z.
 
@@ -57,6 +59,7 @@ def write_gaussian_ply(path: str | Path, cloud: GaussianCloud) -> None:
         stream.write(table.data)
 
 
+@checked
 def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     """Read Gaussians; those with a number that is not finite are left out.
 
@@ -104,6 +107,7 @@ def read_gaussian_ply(path: str | Path) -> GaussianCloud:
     return finite_gaussians(path, parts, origin)
 
 
+@checked
 def origin_comment(cloud: GaussianCloud) -> list[str]:
     """The header's line about what is to be added to the means; none where that is nothing."""
     if not cloud.origin_in_world.any():
@@ -111,6 +115,7 @@ def origin_comment(cloud: GaussianCloud) -> list[str]:
     return [f"comment {ORIGIN} {' '.join(map(repr, cloud.origin_in_world.tolist()))}"]
 
 
+@checked
 def origin_in_header(path: Path) -> np.ndarray:
     """(3,) what is to be added to the means; zero where the header says nothing.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise
@@ -27,6 +28,7 @@ _DENSITIES = {
 }
 
 
+@checked
 def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
     """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
 
@@ -86,6 +88,7 @@ def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]
     return values[order[is_first]], tuple(said)
 
 
+@checked
 def read_camera_from_imu(path: str | Path) -> Rigid3:
     """How the unit is mounted: `T_cam_imu` or `T_imu_cam` (Kalibr, OpenVINS; of the first camera), or T_BS (EuRoC's sensor.yaml).
 

@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 
 _MOST_VALUES = 1 << 23
 
 
+@checked
 def json_values(path: Path, text: str, *, allow_nan: bool = False) -> Any:
     """What the JSON text of a file holds.
 
@@ -56,6 +58,7 @@ def _no_constant(word: str) -> float:
     raise ValueError(f"{word} is not a finite number")
 
 
+@checked
 def json_text(content: Any, indent: int = 2) -> str:
     """The text of a file. Paths and other objects are written as their words."""
     return json.dumps(_plain(content), indent=indent, allow_nan=False, default=str) + "\n"

@@ -15,6 +15,7 @@ from tokenize import TokenError
 import numpy as np
 from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
@@ -43,6 +44,7 @@ class LlffScene:
     """Depths between which a picture's scene lies, in the unit of the cameras."""
 
 
+@checked
 def read_llff(folder: str | Path, max_side_px: int | None = None) -> LlffScene:
     """Read poses_bounds.npy, and the points of sparse/0 where they are there (they are in the same world).
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes
@@ -19,7 +19,13 @@ _NO_SURFACE = ("vertex", "edge", "camera", "material")
 _FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
-def write_mesh_ply(path: str | Path, vertices: Any, faces: Any, rgb: Any) -> None:
+@checked
+def write_mesh_ply(
+    path: str | Path,
+    vertices: Float64[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "m 3"],
+    rgb: UInt8[np.ndarray, "n 3"],
+) -> None:
     """Write triangles (m, 3) between vertices (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY.
 
     Coordinates far from the origin are doubles (`vertex_type`).
@@ -28,10 +34,7 @@ def write_mesh_ply(path: str | Path, vertices: Any, faces: Any, rgb: Any) -> Non
         ShapeError: the arrays do not fit, or a triangle names a vertex that is not there.
         WorkspaceError: the file cannot be written.
     """
-    vertices, faces, rgb = np.asarray(vertices), np.asarray(faces), np.asarray(rgb)
     n, m = len(vertices), len(faces)
-    if vertices.shape != (n, 3) or rgb.shape != (n, 3) or faces.shape != (m, 3):
-        raise ShapeError("a mesh has vertices (n, 3), triangles (m, 3) and colours (n, 3)")
     if m and not (faces.min() >= 0 and faces.max() < n):
         raise ShapeError("a triangle names a vertex that is not there")
     kind, properties = vertex_type(vertices)
@@ -60,6 +63,7 @@ class PlyMesh:
         return f"PlyMesh({len(self.xyz)} vertices, {len(self.faces)} triangles)"
 
 
+@checked
 def read_mesh_ply(path: str | Path) -> PlyMesh:
     """Read vertices and faces of a PLY file, text or binary; polygons are cut into triangles around their first corner.
 

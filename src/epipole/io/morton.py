@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, UInt64
 
+from epipole._declared import checked
+
 _BITS, _MOST = 16, 65535
 
 
+@checked
 def morton_codes(points: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
     """The bits of x, y and z in turn, of 16 bits each within their range."""
     if not len(points):
@@ -17,7 +20,8 @@ def morton_codes(points: Float[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
     return interleaved(np.rint(_MOST / spans * (wide - lows)).astype(np.uint64))
 
 
-def interleaved(codes: np.ndarray) -> UInt64[np.ndarray, " n"]:
+@checked
+def interleaved(codes: UInt64[np.ndarray, "n 3"]) -> UInt64[np.ndarray, " n"]:
     """Of whole numbers (n, 3) of 16 bits."""
     out = np.zeros(len(codes), np.uint64)
     for bit in range(_BITS):

@@ -7,7 +7,8 @@ the images, or it is refused: read or written outside of it nothing is.
 from __future__ import annotations
 
 import os
-from pathlib import Path, PurePath
+from collections.abc import Sequence
+from pathlib import Path, PurePath, PurePosixPath
 
 from epipole.errors import FileFormatError
 
@@ -46,6 +47,34 @@ def path_inside(root: Path, name: str) -> Path:
             " (copy the linked folder here, or give the folder that it points to)",
         )
     return root / name
+
+
+def flat_names(names: Sequence[str]) -> list[str]:
+    """One name for each image's file in a single folder, without its ending; no two are the same.
+
+    The name is the image's without folders and ending, `b_c` of `b/c.png`. Images that would have the same (`a.png` and
+    `a.jpg`; `b/c.png` and `b_c.png`; `A.png` and `a.png`, which some file systems take for one) keep their ending and
+    are numbered where that is not enough.
+    """
+    short = [str(PurePosixPath(name).with_suffix("")).replace("/", "_") for name in names]
+    count: dict[str, int] = {}
+    for each in short:
+        count[each.casefold()] = count.get(each.casefold(), 0) + 1
+    taken = {each for each, number in count.items() if number == 1}
+    out = []
+    for name, each in zip(names, short):
+        if count[each.casefold()] > 1:
+            each = _free_name(each + PurePosixPath(name).suffix, taken)
+            taken.add(each.casefold())
+        out.append(each)
+    return out
+
+
+def _free_name(wanted: str, taken: set[str]) -> str:
+    name, number = wanted, 2
+    while name.casefold() in taken:
+        name, number = f"{wanted}_{number}", number + 1
+    return name
 
 
 def _is_below(root: Path, folder: Path) -> bool:

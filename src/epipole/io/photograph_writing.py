@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from epipole.errors import FileFormatError
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
 from epipole.io._image_formats import FORMAT_OF_SUFFIX, format_of
 from epipole.io._photograph_pixels import PILLOW_ERRORS, decode, exif_of, open_with_pillow
 from epipole.io.atomic import atomic_write
@@ -28,8 +29,10 @@ _LOSSY: dict[str, dict[str, Any]] = {
     "HEIF": {"chroma": 444},
 }
 _WITHOUT_EXIF = ("BMP", "PPM")
+_LONGEST_JPEG_SIDE = 65500
 
 
+@checked
 def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     """Put a picture at `target` with its pixels as `read_rgb` gives them, and no orientation tag to apply.
 
@@ -50,6 +53,7 @@ def copy_or_rotate(source: Path | str, target: Path | str) -> None:
     write_photograph(target, decode(source, target.suffix.lower() == ".pgm", None), exif)
 
 
+@checked
 def write_photograph(
     path: Path, pixels: UInt8[np.ndarray, "h w *channels"], exif: Image.Exif | None = None
 ) -> None:
@@ -91,6 +95,7 @@ def _format_of_target(path: Path) -> str:
     return found
 
 
+@checked
 def write_jpeg_with_exif(
     path: Path | str,
     rgb: UInt8[np.ndarray, "h w 3"],
@@ -101,7 +106,18 @@ def write_jpeg_with_exif(
     gps: GpsPosition | tuple[float, float, float | None] | None = None,
     quality: int = 95,
 ) -> None:
-    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm)."""
+    """Write a rendered photograph as JPEG with the EXIF of a camera (35 mm equivalent rounded to mm).
+
+    Raises:
+        ConfigError: a number is beyond what EXIF or JPEG hold, or the image has no pixel or more than JPEG takes.
+        WorkspaceError: the file cannot be written.
+    """
+    if not 1 <= quality <= 100:
+        raise ConfigError(f"quality must be from 1 to 100, got {quality}")
+    if not (rgb.size and max(rgb.shape) <= _LONGEST_JPEG_SIDE):
+        raise ConfigError(
+            f"a JPEG has sides of 1 to {_LONGEST_JPEG_SIDE} pixels, got {rgb.shape[1]} x {rgb.shape[0]}"
+        )
     exif = new_exif(make, model, focal_35mm, gps).tobytes()
     with atomic_write(path) as part:
         Image.fromarray(np.ascontiguousarray(rgb)).save(part, "JPEG", quality=quality, exif=exif)
@@ -115,6 +131,7 @@ def _kept_exif(exif: Image.Exif) -> dict[str, bytes]:
         return {}
 
 
+@checked
 def link_or_copy(source: Path, target: Path) -> None:
     """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
 

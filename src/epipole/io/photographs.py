@@ -18,9 +18,8 @@ limited to 150 megapixels.
 from __future__ import annotations
 
 import io
-import os
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -29,7 +28,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from epipole.errors import FileFormatError
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
 from epipole.io._deep_pixels import GreyRange as GreyRange
 from epipole.io._image_formats import (
     AVIF_SUFFIXES,
@@ -62,12 +62,11 @@ from epipole.io.exif import (
     orientation_of,
 )
 from epipole.io.files import file_bytes, open_file
+from epipole.io.passed_over import files_below, passed_over_in_words
 from epipole.io.photograph_writing import copy_or_rotate as copy_or_rotate
 from epipole.io.photograph_writing import link_or_copy as link_or_copy
 from epipole.io.photograph_writing import write_jpeg_with_exif as write_jpeg_with_exif
 from epipole.io.picture_names import name_problem, printable
-
-_OUTPUT_MARKERS = ("config.json", "database.db")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +83,24 @@ class PhotographList:
     unusable: Mapping[str, str] = field(default_factory=dict)
     """Files named as pictures that are not listed, and why: pipes, sockets and devices, which are never opened, and
     names that no list of pictures can hold (written here with escapes)."""
+    passed_over: tuple[str, ...] = ()
+    """Sentences on files of other kinds, and folders of results, that lie there and are not listed."""
+
+    @property
+    def notes(self) -> list[str]:
+        """All that is not listed, in words."""
+        unusable = [f"{name} is left out: it {why}" for name, why in self.unusable.items()]
+        return [*([self.advice] if self.advice else []), *unusable, *self.passed_over]
+
+    def require_some(self) -> PhotographList:
+        """The list itself.
+
+        Raises:
+            FileFormatError: it is empty; the message says what lies there instead.
+        """
+        if not self.names:
+            raise FileFormatError(self.folder, "; ".join(["there is no picture in it", *self.notes]))
+        return self
 
     def __len__(self) -> int:
         return len(self.names)
@@ -114,6 +131,7 @@ class PhotographHeader:
     """Direction of up in camera coordinates, as a gimbal measured it; None where the XMP block has none."""
 
 
+@checked
 def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -> PhotographList:
     """List the photographs of a folder and its sub-folders.
 
@@ -122,7 +140,7 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
 
     Args:
         folder: where to look.
-        ignore: further folders to skip (masks, the output folder).
+        ignore: further folders to skip (masks, the output folder), and files that are used otherwise.
 
     Raises:
         FileFormatError: there is no such folder, or it or one in it cannot be listed.
@@ -134,7 +152,10 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
         )
     readable_here = readable_suffixes()
     known = frozenset(FORMAT_OF_SUFFIX) | RAW_SUFFIXES | OTHER_SUFFIXES
-    found = sorted(n for n in _walk(folder, {Path(p).resolve() for p in ignore}) if _suffix(n) in known)
+    ignored, results = {Path(p).resolve() for p in ignore}, list[Path]()
+    every = sorted(files_below(folder, ignored, results))
+    found = [n for n in every if _suffix(n) in known]
+    others = [n for n in every if _suffix(n) not in known and (folder / n).resolve() not in ignored]
     unusable = {n: why for n in found if (why := _file_problem(folder / n) or name_problem(n))}
     names = [n for n in found if n not in unusable]
     readable = [n for n in names if _suffix(n) in readable_here]
@@ -143,9 +164,13 @@ def list_photographs(folder: Path | str, *, ignore: Sequence[Path | str] = ()) -
         n for n in names if _suffix(n) not in readable_here and PurePosixPath(n).with_suffix("") not in stems
     ]
     escaped = {printable(n): why for n, why in unusable.items()}
-    return PhotographList(folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped)
+    passed_over = passed_over_in_words(folder, others, results)
+    return PhotographList(
+        folder, tuple(readable), tuple(unreadable), _advice(unreadable), escaped, tuple(passed_over)
+    )
 
 
+@checked
 def read_header(path: Path | str) -> PhotographHeader:
     """Read size, camera, focal length, place and time of a picture from its header alone.
 
@@ -180,6 +205,7 @@ def read_header(path: Path | str) -> PhotographHeader:
     )
 
 
+@checked
 def read_grey(
     path: Path | str,
     max_size_px: int | None = None,
@@ -203,6 +229,7 @@ def read_grey(
     return decode(Path(path), True, max_size_px, limits, orientation)
 
 
+@checked
 def read_rgb(
     path: Path | str,
     max_size_px: int | None = None,
@@ -225,6 +252,7 @@ def read_rgb(
     return decode(Path(path), False, max_size_px, limits, orientation)
 
 
+@checked
 def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     """The file that holds the mask of a picture, by the names that `read_mask` tells; None where there is none."""
     for candidate in mask_names(name):
@@ -235,11 +263,19 @@ def mask_of(mask_folder: Path | str, name: str) -> Path | None:
     return None
 
 
+@checked
 def mask_names(name: str) -> tuple[str, str]:
-    """What the mask of a picture can be called, in the order of preference."""
+    """What the mask of a picture can be called, in the order of preference.
+
+    Raises:
+        ConfigError: the name is none.
+    """
+    if not PurePosixPath(name).name:
+        raise ConfigError(f"name must be that of an image, got {name!a:.60}")
     return f"{name}.png", str(PurePosixPath(name).with_suffix(".png"))
 
 
+@checked
 def read_mask(
     mask_folder: Path | str, name: str, *, size: tuple[int, int] | None = None
 ) -> Bool[np.ndarray, "h w"] | None:
@@ -260,6 +296,7 @@ def read_mask(
     return None if path is None else read_mask_file(path, name, size=size)
 
 
+@checked
 def read_mask_file(path: Path, name: str, *, size: tuple[int, int] | None = None) -> Bool[np.ndarray, "h w"]:
     """Read a mask whose file is known; as `read_mask`.
 
@@ -288,26 +325,6 @@ def _file_problem(path: Path) -> str:
         if not stat.S_ISREG(path.stat().st_mode):
             return "is no regular file but a pipe, a socket or a device"
     return ""
-
-
-def _refuse_folder(error: OSError) -> None:
-    """A folder that cannot be listed may hold half of the pictures: not to be passed over."""
-    raise FileFormatError(Path(error.filename), f"the folder cannot be listed: {error.strerror}")
-
-
-def _walk(folder: Path, ignored: set[Path]) -> Iterator[str]:
-    """Names of all files below a folder; each real folder is entered once (links may form circles)."""
-    entered: set[Path] = set()
-    for here, sub_folders, files in os.walk(folder, followlinks=True, onerror=_refuse_folder):
-        at = Path(here)
-        real = at.resolve()
-        is_output = real in ignored or any(marker in files for marker in _OUTPUT_MARKERS)
-        if real in entered or (is_output and at != folder):
-            sub_folders.clear()
-            continue
-        entered.add(real)
-        sub_folders[:] = sorted(s for s in sub_folders if not s.startswith(".") and s != "__MACOSX")
-        yield from ((at / f).relative_to(folder).as_posix() for f in files if not f.startswith("."))
 
 
 def _advice(unreadable: Sequence[str]) -> str:

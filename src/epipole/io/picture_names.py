@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import PurePosixPath
 
+from epipole._declared import checked
+
 _BREAKS = frozenset({"Cc", "Zl", "Zp"})
 _DEPTH_WORD = re.compile(r"depth", re.IGNORECASE)
 _LETTERS = re.compile(r"[^\W\d_]+")
 PAIRED_SHARE = 0.4
 
 
+@checked
 def name_problem(name: str) -> str:
     """Why lists of pictures and COLMAP's files cannot hold a name; empty where they can.
 
@@ -28,6 +31,7 @@ def name_problem(name: str) -> str:
     return ""
 
 
+@checked
 def printable(name: str) -> str:
     """A name with escapes for what cannot be printed."""
     shown = "".join(c.encode("unicode_escape").decode() if _is_odd(c) else c for c in name)
@@ -38,6 +42,7 @@ def _is_odd(character: str) -> bool:
     return unicodedata.category(character) in _BREAKS
 
 
+@checked
 def fits(name: str, pattern: str) -> bool:
     """Whether a relative name, or the file's own name where the pattern has no slash, fits a glob pattern."""
     return fnmatchcase(name, pattern) or (
@@ -45,6 +50,7 @@ def fits(name: str, pattern: str) -> bool:
     )
 
 
+@checked
 def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
     """Those of the 16-bit grey PNGs that are the depth of the colour pictures beside them, by their names.
 
@@ -67,4 +73,5 @@ def depth_among(names: Sequence[str], deep_grey: frozenset[str]) -> list[str]:
 
 
 def _without_letters(name: str) -> str:
-    return _LETTERS.sub("", str(PurePosixPath(name).with_suffix("")))
+    path = PurePosixPath(name)
+    return _LETTERS.sub("", str(path.with_suffix("") if path.name else path))

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import as_points, require_same_length
+from epipole._checks import as_picture, as_points, require_same_length
+from epipole._declared import checked
 from epipole.errors import FileFormatError, ShapeError
 from epipole.io._bytes import ByteReader
 from epipole.io._ply_colours import ply_colours
 from epipole.io.atomic import atomic_write
-from epipole.io.files import file_bytes
+from epipole.io.files import file_bytes, open_file
 from epipole.scene import Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
@@ -58,7 +59,8 @@ class PlyPoints:
         return f"PlyPoints({len(self)}, {'no' if self.rgb is None else 'with'} colours)"
 
 
-def vertex_type(xyz: np.ndarray) -> tuple[np.dtype, list[str]]:
+@checked
+def vertex_type(xyz: Float64[np.ndarray, "n 3"]) -> tuple[np.dtype, list[str]]:
     """How vertices (n, 3) with colours are stored, and what the header says of it.
 
     Coordinates are `float`, or `double` where single precision rounds them by more than a millionth of their spread: points far from the
@@ -78,6 +80,7 @@ def vertex_type(xyz: np.ndarray) -> tuple[np.dtype, list[str]]:
     return np.dtype([("xyz", kind, 3), ("rgb", "u1", 3)]), header
 
 
+@checked
 def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
     """Write points (n, 3) with colours (n, 3), 0 to 255, as binary little-endian PLY, in the precision of `vertex_type`.
 
@@ -85,10 +88,11 @@ def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
         ShapeError: the arrays do not fit.
         WorkspaceError: the file cannot be written.
     """
-    xyz, rgb = _checked(xyz, rgb)
+    xyz, rgb = _points_and_colours(xyz, rgb)
     _write(Path(path), xyz, rgb, np.empty(0, _EDGE))
 
 
+@checked
 def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     """Write the points and, as edges, a pyramid for each registered camera.
 
@@ -107,9 +111,14 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     _write(Path(path), xyz, rgb, edges, SCENE_COMMENT)
 
 
+@checked
 def num_cameras_of_scene(path: str | Path) -> int | None:
-    """How many cameras a file of `write_scene_ply` holds; None of other files."""
-    with Path(path).open("rb") as stream:
+    """How many cameras a file of `write_scene_ply` holds; None of other files.
+
+    Raises:
+        FileFormatError: there is no such file.
+    """
+    with open_file(Path(path)) as stream:
         head = stream.read(_MAX_HEADER).split(b"end_header", 1)[0].decode("ascii", "replace").splitlines()
     if SCENE_COMMENT not in head:
         return None
@@ -117,13 +126,14 @@ def num_cameras_of_scene(path: str | Path) -> int | None:
     return int(edges) // len(_FRUSTUM_EDGES) if edges.isdigit() else 0
 
 
+@checked
 def frustum_segments(corners: Float64[np.ndarray, "n 5 3"]) -> Float64[np.ndarray, "m 2 3"]:
     """The lines of drawn cameras, from their centres and the corners of their pictures."""
     return corners[:, _FRUSTUM_EDGES].reshape(-1, 2, 3)
 
 
-def _checked(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
-    xyz, rgb = as_points(xyz, "xyz", 3), np.asarray(rgb)
+def _points_and_colours(xyz: Any, rgb: Any) -> tuple[np.ndarray, np.ndarray]:
+    xyz, rgb = as_points(xyz, "xyz", 3), np.atleast_1d(as_picture(rgb, "rgb"))
     require_same_length(xyz=xyz, rgb=rgb)
     if rgb.dtype != np.uint8 or rgb.shape != xyz.shape:
         raise ShapeError(f"rgb must be (n, 3) of type uint8, got {rgb.shape} of type {rgb.dtype}")
@@ -198,6 +208,7 @@ class PlyHeader:
         return sum(np.dtype(kind).itemsize for kind in self.types)
 
 
+@checked
 def read_points_ply(path: str | Path) -> PlyPoints:
     """Read the vertices of a PLY file, text or binary, with their colours if there are any.
 
@@ -211,6 +222,7 @@ def read_points_ply(path: str | Path) -> PlyPoints:
     return points_of_ply(path, data, ply_header(path, data))
 
 
+@checked
 def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     """The vertices of a file's bytes.
 
@@ -225,6 +237,7 @@ def points_of_ply(path: Path, data: bytes, header: PlyHeader) -> PlyPoints:
     return PlyPoints(xyz, ply_colours(path, columns))
 
 
+@checked
 def ply_columns(path: Path) -> dict[str, np.ndarray]:
     """The vertices of a PLY file, property by property.
 
@@ -239,6 +252,7 @@ def _columns(path: Path, data: bytes, header: PlyHeader) -> dict[str, np.ndarray
     return _binary_columns(path, data, header) if header.byte_order else _text_columns(path, data, header)
 
 
+@checked
 def ply_header(path: Path, data: bytes) -> PlyHeader:
     """What a file promises.
 

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.io._image_formats import format_of
 from epipole.io._photograph_pixels import (
     as_stored,
@@ -26,6 +28,7 @@ from epipole.io.files import file_bytes
 _WITH_ALPHA = ("PNG", "TIFF", "WEBP", "AVIF", "HEIF")
 
 
+@checked
 def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.ndarray, "h w 4"] | None:
     """Read an image with transparency: colours not composited, and alpha; None where there is none.
 
@@ -53,12 +56,15 @@ def read_rgba(path: Path | str, *, orientation: int | None = None) -> UInt8[np.n
     return turn(as_stored(pixels, stored, own, orientation), orientation or own)
 
 
+@checked
 def write_png(path: Path | str, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write a picture as PNG.
 
     Raises:
+        ConfigError: the image has no pixel, or too many.
         WorkspaceError: the file cannot be written.
     """
+    check_pixels(rgb.shape[1], rgb.shape[0])
     data = io.BytesIO()
     Image.fromarray(rgb).save(data, "PNG", compress_level=3)
     with atomic_write(Path(path)) as aside:

@@ -5,6 +5,8 @@ The width is the longer side of the sensor as the makers' data sheets give it.
 
 from types import MappingProxyType
 
+from epipole._declared import checked
+
 _WIDTH_MM_BY_MODELS: tuple[tuple[float, tuple[str, ...]], ...] = (
     # 36 x 24 mm
     (35.8, ("canon eos 5d", "canon eos 6d", "sony ilce-7", "sony ilce-7m2")),
@@ -59,6 +61,7 @@ _BRANDS = (
 )
 
 
+@checked
 def camera_key(make: str, model: str) -> str:
     """Write make and model as one lower-case name: ("NIKON CORPORATION", "NIKON D90") is "nikon d90"."""
     make, model = (" ".join(text.lower().split()) for text in (make, model))
@@ -66,6 +69,7 @@ def camera_key(make: str, model: str) -> str:
     return model if not brand or model.startswith(brand) else f"{brand} {model}"
 
 
+@checked
 def sensor_width_mm(make: str, model: str) -> float | None:
     """Width of the sensor of a camera, None when it is not in the table."""
     return SENSOR_WIDTH_MM.get(camera_key(make, model))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, EpipoleError, FileFormatError
 from epipole.io._calibrations_beside import CalibrationBeside, calibration_beside, check_fits
 from epipole.io._rgbd_layouts import CALIBRATION_NOT_USED as CALIBRATION_NOT_USED
@@ -16,13 +17,15 @@ from epipole.io._sequence_data import SensorDepth as SensorDepth
 from epipole.io._sequence_data import SequenceKind as SequenceKind
 from epipole.io._sequence_lists import TIMES, by_number, in_order, timed_names_of_camera, times_of
 from epipole.io.calibration_files import read_calibration, read_stereo_rig
-from epipole.io.photographs import list_photographs, read_header
+from epipole.io.contents_in_words import with_what_it_is
+from epipole.io.photographs import PhotographList, list_photographs, read_header
 
 _STEREO_FOLDERS = (("image_0", "image_1"), ("image_l", "image_r"), ("image_2", "image_3"), ("left", "right"))
 _PLAIN_HZ, _KITTI_HZ = 30.0, 10.0
 _GIVEN = "given"
 
 
+@checked
 def read_sequence(
     folder: str | Path, fps: float | None = None, depth_scale: float | None = None
 ) -> ImageSequence:
@@ -57,12 +60,10 @@ def read_sequence(
 
 def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if not folder.is_dir():
-        what = (
-            "is a file, and neither a video nor a recording that is known here"
-            if folder.exists()
-            else "does not exist"
-        )
-        raise FileFormatError(folder, what)
+        if not folder.exists():
+            raise FileFormatError(folder, "does not exist")
+        problem = "is a file, and neither a video nor a recording that is known here"
+        raise FileFormatError(folder, with_what_it_is(problem, folder))
     for at in (folder / "mav0", folder):
         if (at / "cam0" / "data.csv").is_file():
             return _euroc(at)
@@ -74,12 +75,13 @@ def _read_sequence(folder: Path, fps: float | None) -> ImageSequence:
     if is_scannet(folder):
         return scannet(folder)
     _refuse_several(folder)
-    names = list_photographs(folder).names
+    listed = list_photographs(folder, ignore=[folder / TIMES])
+    names = listed.names
     if any(NUMBERED_FRAME.fullmatch(name) for name in names):
         return numbered_frames(folder, names)
     if (folder / "image_0").is_dir():
         return _kitti(folder, folder / "image_0", None)
-    return _pictures(folder, by_number(names), fps)
+    return _pictures(listed.require_some(), fps)
 
 
 def _refuse_several(folder: Path) -> None:
@@ -128,9 +130,7 @@ def _euroc(folder: Path) -> ImageSequence:
 
 
 def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
-    names = by_number(list_photographs(left).names)
-    if not names:
-        raise FileFormatError(left, "there is no picture in it")
+    names = by_number(list_photographs(left).require_some().names)
     times, warnings = times_of(folder, names, _KITTI_HZ)
     frames = tuple(
         FrameFiles(time, left / name, None if right is None else right / name)
@@ -155,9 +155,8 @@ def _kitti(folder: Path, left: Path, right: Path | None) -> ImageSequence:
     return replace(sequence, camera=rig.left, rig=rig, camera_source=source)
 
 
-def _pictures(folder: Path, names: tuple[str, ...], fps: float | None) -> ImageSequence:
-    if not names:
-        raise FileFormatError(folder, "there is no picture in it")
+def _pictures(listed: PhotographList, fps: float | None) -> ImageSequence:
+    folder, names = listed.folder, by_number(listed.names)
     times, warnings = times_of(folder, names, fps or _PLAIN_HZ)
     frames = tuple(FrameFiles(time, folder / name) for time, name in zip(times, names))
     note = (
@@ -165,9 +164,8 @@ def _pictures(folder: Path, names: tuple[str, ...], fps: float | None) -> ImageS
         " of a picture a line)"
     )
     is_told = fps is not None or (folder / TIMES).is_file()
-    sequence = ImageSequence(
-        SequenceKind.PICTURES, frames, None, warnings=warnings if is_told else (*warnings, note)
-    )
+    warnings = (*warnings, *(() if is_told else (note,)), *listed.notes)
+    sequence = ImageSequence(SequenceKind.PICTURES, frames, None, warnings=warnings)
     return _with_camera(sequence, calibration_beside((folder,), _size(frames[0].picture)))
 
 

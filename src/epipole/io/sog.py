@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import MOST_LOGIT, finite_gaussians
 from epipole.io._named_numbers import numbers_of
@@ -36,6 +37,7 @@ _SMALLEST_PALETTE, _LARGEST = 1024, 6e4
 """Rows, and the largest harmonic: squares of it are summed up in single precision."""
 
 
+@checked
 def read_sog(path: str | Path) -> GaussianCloud:
     """Read Gaussians; those with a number that is not finite are left out.
 
@@ -146,6 +148,7 @@ def _labels(path: Path, pixels: np.ndarray, size: int) -> np.ndarray:
     return labels
 
 
+@checked
 def write_sog(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians as a .sog file of version 2, those that are near beside each other; rounded, and those that are not finite left out.
 

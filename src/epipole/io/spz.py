@@ -17,10 +17,11 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io._finite_gaussians import MOST_GAUSSIANS, finite_gaussians
 from epipole.io.atomic import atomic_write
-from epipole.io.files import file_bytes
+from epipole.io.files import file_bytes, most_unpacked_bytes
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 
 _MAGIC = b"NGSP"
@@ -29,6 +30,10 @@ _HEAD = struct.Struct("<4sIIBBBB")
 _HEAD_4 = struct.Struct("<4sIIBBBBI12x")
 _SIZES = struct.Struct("<QQ")
 _WRITTEN_VERSION, _FRACTIONAL_BITS, _MOST_FRACTIONAL_BITS = 3, 12, 24
+_SMALL_BYTES = 1 << 24
+"""To which every file may unpack; a larger one to a multiple of its size (`most_unpacked_bytes`). Real ones shrink to a half or a third."""
+_SPARE_BYTES = 1 << 16
+"""Of extensions that may follow the numbers."""
 _LARGEST_FIXED = (1 << 23) - 1
 _COLOUR_STEPS = 0.15 * 255.0
 _SMALLEST_PART = (1 << 9) - 1
@@ -38,6 +43,7 @@ _HALF_TURN_SH = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1
 """Signs of the harmonics after half a turn around x."""
 
 
+@checked
 def read_spz(path: str | Path) -> GaussianCloud:
     """Read Gaussians of version 1 to 4; those with a number that is not finite are left out.
 
@@ -68,6 +74,7 @@ def read_spz(path: str | Path) -> GaussianCloud:
     return _half_turned(finite_gaussians(path, (means, log_scales, quats, logits, sh)))
 
 
+@checked
 def write_spz(path: str | Path, cloud: GaussianCloud) -> None:
     """Write Gaussians as version 3, rounded; the format cannot hold the cloud's origin, and coordinates are relative to it.
 
@@ -118,7 +125,12 @@ def _section_sizes(version: int, degree: int) -> list[int]:
     return [6 if version == 1 else 9, 1, 3, 3, 3 if version < 3 else 4, 3 * (NUM_SH[degree] - 1)]
 
 
-def _checked(path: Path, head: tuple, versions: tuple[int, ...]) -> None:
+def _check_head(path: Path, head: tuple, versions: tuple[int, ...], num_bytes: int) -> None:
+    """Check what a header says, before anything is unpacked.
+
+    Raises:
+        FileFormatError: it is of another kind, or promises more than so many packed bytes may hold.
+    """
     magic, version, count, degree, bits = head[:5]
     if magic != _MAGIC:
         raise FileFormatError(path, "is no SPZ file")
@@ -130,6 +142,8 @@ def _checked(path: Path, head: tuple, versions: tuple[int, ...]) -> None:
         raise FileFormatError(path, f"has harmonics of degree {degree}; 0 to {len(NUM_SH) - 1} are read")
     if not (version == 1 or 0 <= bits <= _MOST_FRACTIONAL_BITS):
         raise FileFormatError(path, f"is a damaged SPZ file: positions of {bits} fractional bits")
+    if count * sum(_section_sizes(version, degree)) > most_unpacked_bytes(num_bytes, _SMALL_BYTES):
+        raise FileFormatError(path, f"promises {count} Gaussians in {num_bytes} bytes")
 
 
 def _sections(path: Path, data: bytes) -> tuple[tuple, bytes]:
@@ -140,15 +154,14 @@ def _sections(path: Path, data: bytes) -> tuple[tuple, bytes]:
         if len(start) < _HEAD.size:
             raise FileFormatError(path, "is no SPZ file")
         head = _HEAD.unpack(start)
-        _checked(path, head, (1, 2, 3))
+        _check_head(path, head, (1, 2, 3), len(data))
         size = head[2] * sum(_section_sizes(head[1], head[3]))
-        # Extensions may follow; what is much larger is none.
-        found = unpack.decompress(unpack.unconsumed_tail, size + (1 << 16))
+        found = unpack.decompress(unpack.unconsumed_tail, size + _SPARE_BYTES)
     except (zlib.error, MemoryError) as error:
         raise FileFormatError(path, f"is no SPZ file ({error})") from error
     if len(found) < size:
         raise FileFormatError(path, f"is a damaged SPZ file: {len(found)} of {size} bytes are there")
-    if len(found) >= size + (1 << 16):
+    if len(found) >= size + _SPARE_BYTES:
         raise FileFormatError(path, f"unpacks to more than its {head[2]} Gaussians need")
     return head, found
 
@@ -158,7 +171,7 @@ def _sections_4(path: Path, data: bytes) -> tuple[tuple, bytes]:
     if len(data) < _HEAD_4.size:
         raise FileFormatError(path, "is a damaged SPZ file: its header is cut short")
     *head, at = _HEAD_4.unpack_from(data)
-    _checked(path, tuple(head), (4,))
+    _check_head(path, tuple(head), (4,), len(data))
     sizes = [head[2] * size for size in _section_sizes(head[1], head[3]) if size]
     first = at + len(sizes) * _SIZES.size
     if head[6] != len(sizes) or at < _HEAD_4.size or first > len(data):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.photographs import list_photographs
 
@@ -19,6 +20,7 @@ _AGREES = 2  # names that are the same in both folders: one may be chance
 Pair = tuple[Path, Path]
 
 
+@checked
 def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
     """(name, (left picture, right picture)): by names; by names but for the side's word; else by order.
 
@@ -28,12 +30,10 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
         FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
             together.
     """
-    names = [list_photographs(folder, ignore=list(ignore)).names for folder in (left, right)]
+    listed = [list_photographs(folder, ignore=list(ignore)) for folder in (left, right)]
     if left.resolve() == right.resolve():
         raise FileFormatError(left, "the left and the right folder are the same")
-    for folder, own in ((left, names[0]), (right, names[1])):
-        if not own:
-            raise FileFormatError(folder, "there is no picture in it")
+    names = [own.require_some().names for own in listed]
     exact = set(names[0]) & set(names[1])
     if len(exact) >= min(_AGREES, *(-(-len(own) // 2) for own in names)):
         return [(name, (left / name, right / name)) for name in sorted({*names[0], *names[1]})]
@@ -49,6 +49,7 @@ def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[t
     return [(a, (left / a, right / b)) for a, b in zip(*names)]
 
 
+@checked
 def pair_within(folder: Path) -> list[Pair]:
     """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
 
@@ -61,6 +62,7 @@ def pair_within(folder: Path) -> list[Pair]:
     return [pair for _, pair in _joined(sides[0], sides[1], folder, folder)]
 
 
+@checked
 def side_of(name: str, side: Literal["left", "right"]) -> str | None:
     """A name without the word of this side (left, cam0, infra1 ...), by which it is known on both; None without the word."""
     word = _LEFT if side == "left" else _RIGHT

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.files import require_file
 from epipole.io.video import count_frames, opened_video
 
 
-def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> list[tuple[Path, Path]]:
+@checked
+def extract_pairs(
+    left: Path,
+    right: Path,
+    folder: Path,
+    max_frames: int,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[tuple[Path, Path]]:
     """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
 
     Args:
@@ -21,6 +30,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
         right: the other video, whose frames were taken at the same instants.
         folder: where to write; frames that are there already are not read again.
         max_frames: largest number of pairs.
+        progress: called with the frames that were read, and their number.
 
     Raises:
         FileFormatError: a video cannot be read.
@@ -41,6 +51,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
     pairs: list[tuple[Path, Path]] = []
     index = 0
     while index <= max(wanted):
+        progress(index, max(wanted) + 1)
         if not all(c.grab() for c in captures):
             break
         if index in wanted:
@@ -56,6 +67,7 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
                 _write(path, picture)
             pairs.append((paths[0], paths[1]))
         index += 1
+    progress(max(wanted) + 1, max(wanted) + 1)
     if not pairs:
         raise FileFormatError(left, "it has no frame that can be read")
     return pairs
@@ -63,10 +75,8 @@ def extract_pairs(left: Path, right: Path, folder: Path, max_frames: int) -> lis
 
 def _write(path: Path, picture: np.ndarray) -> None:
     """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(picture))
-    if not encoded:
-        raise WorkspaceError(f"a frame cannot be written to {path}")
-    if path.is_file() and path.read_bytes() == data.tobytes():
+    data = encoded_image(".png", picture)
+    if path.is_file() and path.read_bytes() == data:
         return
     with atomic_write(path) as aside:
-        aside.write_bytes(data.tobytes())
+        aside.write_bytes(data)

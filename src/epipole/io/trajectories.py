@@ -48,6 +48,7 @@ class TrajectoryReading:
     columns: Columns
 
 
+@checked
 def trajectory_format(path: str | Path) -> TrajectoryFormat:
     """The form of a trajectory's file by its content: tum (w of the quaternion is last), euroc (w is first), or kitti (no times).
 
@@ -57,6 +58,7 @@ def trajectory_format(path: str | Path) -> TrajectoryFormat:
     return read_trajectory_columns(path).columns.format
 
 
+@checked
 def read_trajectory(path: str | Path, format: TrajectoryFormat | None = None) -> Trajectory:
     """Read a trajectory.
 
@@ -139,6 +141,7 @@ def _reading(table: TrajectoryTable, values: np.ndarray, columns: Columns) -> Tr
     return TrajectoryReading(Trajectory(times, places, covariance, is_timed), columns)
 
 
+@checked
 def read_pose_matrix(path: str | Path) -> Rigid3:
     """A place from the 3 x 4 or 4 x 4 matrix in a file, a row a line (7-Scenes' `frame-*.pose.txt`, world_from_cam).
 
@@ -165,6 +168,7 @@ class PositionLog:
     positions: Float64[np.ndarray, "n 3"]
 
 
+@checked
 def read_positions(path: str | Path) -> PositionLog:
     """Read a log of places: `seconds x y z` a line, by spaces or commas, and whatever else follows (TUM's files are such).
 

@@ -15,7 +15,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Similarity3
@@ -41,11 +43,12 @@ POINTS_FILE = "sparse_pc.ply"
 """Name of the points that are written beside the cameras."""
 
 
+@checked
 def write_transforms(
     reconstruction: Reconstruction,
     path: str | Path,
     image_folder: str = "images",
-    origin_in_world: np.ndarray | None = None,
+    origin_in_world: Float64[np.ndarray, 3] | None = None,
 ) -> None:
     """Write the registered cameras, and the points (if any) as a PLY file beside.
 
@@ -125,6 +128,7 @@ class TransformsScene:
         return f"TransformsScene({len(self.reconstruction.images)} images, {len(self.masks)} masks{splits})"
 
 
+@checked
 def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstruction:
     """Read cameras, and the points if the file names some; such a file has no keypoints and no tracks.
 
@@ -143,6 +147,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
     return scene.reconstruction
 
 
+@checked
 def read_transforms_scene(path: str | Path, image_folder: str = "images") -> TransformsScene:
     """Read cameras and points, and the masks and splits that the file names.
 
@@ -335,6 +340,7 @@ def _points(path: Path, content: dict[str, Any]) -> tuple[Points, list[str]]:
     return Points(cloud.xyz, rgb, np.full(len(cloud), np.nan)), []
 
 
+@checked
 def model_of_cameras(
     names: list[str], cameras: list[Camera], camera_rows: list[int], cams_from_world: Rigid3, points: Points
 ) -> Reconstruction:

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.colmap import read_colmap_model
+from epipole.io.contents_in_words import what_it_is
 from epipole.io.files import file_text
 from epipole.io.transforms_json import read_transforms
 from epipole.scene import Reconstruction
@@ -36,6 +38,7 @@ class TruthCameras:
         return f"TruthCameras({len(self)} cameras)"
 
 
+@checked
 def read_truth(path: str | Path) -> TruthCameras:
     """Read ground-truth cameras; the format is detected.
 
@@ -60,7 +63,9 @@ def read_truth(path: str | Path) -> TruthCameras:
         if len(lists) == 1:
             return _middlebury(lists[0])
     problem = "these are no known cameras" if path.exists() else "there is no such file or folder"
-    raise FileFormatError(path, f"{problem}; readable are {_FORMS}")
+    inside = path / "sparse" / "0"
+    what = f"its model is in {inside}" if inside.is_dir() else what_it_is(path) if path.exists() else ""
+    raise FileFormatError(path, "; ".join(filter(None, [problem, what, f"readable are {_FORMS}"])))
 
 
 def is_truth_of_images(folder: Path) -> bool:

@@ -15,9 +15,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64, Int64, UInt8
 
-from epipole.errors import ConfigError, FileFormatError
+from epipole._checks import check_count
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.image.encoding import encoded_image
 from epipole.io._photograph_pixels import turn
 from epipole.io._spherical import refuse_spherical_video
 from epipole.io.atomic import atomic_folder
@@ -39,11 +42,14 @@ VIDEO_SUFFIXES = frozenset(
         ".m2ts",
         ".3gp",
         ".insv",
+        ".360",
         ".ts",
         ".ogv",
         ".flv",
     }
 )
+SPHERICAL_SUFFIXES = frozenset({".insv", ".360"})
+"""Raw recordings of cameras that see all around: each frame holds circles of fisheye lenses, or parts of a cube."""
 
 _MANIFEST = "frames.json"
 _FRAME = re.compile(r"frame_[0-9]{6,12}\.jpg")
@@ -74,11 +80,13 @@ class VideoFrames:
         return f"VideoFrames({len(self)} over {span_s:.1f} s)"
 
 
+@checked
 def is_video(path: Path | str) -> bool:
     """Whether a path is a file with a video's suffix."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES and Path(path).is_file()
 
 
+@checked
 def frame_size(path: Path | str) -> tuple[int, int] | None:
     """Width and height of a video's frames; None where the file does not tell.
 
@@ -90,6 +98,7 @@ def frame_size(path: Path | str) -> tuple[int, int] | None:
     return size if min(size) > 0 else None
 
 
+@checked
 def frame_orientation(path: Path | str) -> int:
     """The EXIF orientation that the rotation of a video's metadata amounts to; 1 for none. Its frames are read upright.
 
@@ -115,6 +124,7 @@ def frame_orientation(path: Path | str) -> int:
     return next((o for o, frame in turned.items() if np.array_equal(frame, upright)), 1)
 
 
+@checked
 def extract_frames(
     video: Path | str,
     folder: Path | str,
@@ -165,16 +175,32 @@ def extract_frames(
     return frames
 
 
+@checked
 def slot_bounds(num_frames: int, num_slots: int) -> Int64[np.ndarray, "n 2"]:
-    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each."""
+    """Cut range(num_frames) into equal slots; the (first, last) frame of the window in the middle of each.
+
+    Raises:
+        ConfigError: there is no slot, or a number is negative or too large.
+    """
+    check_count(num_frames, "num_frames", 1 << 53)
+    check_count(num_slots, "num_slots")
+    if num_slots < 1:
+        raise ConfigError("num_slots must be positive")
     edges = np.linspace(0.0, num_frames, num_slots + 1)
     middle = np.floor(0.5 * (edges[:-1] + edges[1:])).astype(np.int64)
     half = min(_MAX_WINDOW, max(1, num_frames // (2 * num_slots))) // 2
     return np.stack([np.maximum(middle - half, 0), np.minimum(middle + half, num_frames - 1)], axis=1)
 
 
-def sharpness(bgr: np.ndarray) -> float:
-    """Variance of the Laplacian of a frame, at 640 pixels."""
+@checked
+def sharpness(bgr: UInt8[np.ndarray, "h w *channels"]) -> float:
+    """Variance of the Laplacian of a frame, in color or grey, at 640 pixels.
+
+    Raises:
+        ShapeError: it has no pixel, or other channels than three.
+    """
+    if not bgr.size or bgr.ndim > 3 or bgr.shape[2:] not in ((), (3,)):
+        raise ShapeError(f"bgr must be (h, w, 3) or (h, w), got {bgr.shape}")
     grey = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY) if bgr.ndim == 3 else bgr
     scale = _SHARPNESS_SIZE_PX / max(grey.shape)
     if scale < 1.0:
@@ -201,8 +227,7 @@ def _extract(
         progress(0, num_frames)
     for index, time_s, frame in _sharpest(video, windows, num_frames, fps):
         name = f"frame_{index:06d}.jpg"
-        encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1]
-        (folder / name).write_bytes(encoded.tobytes())
+        (folder / name).write_bytes(encoded_image(".jpg", frame, _JPEG_QUALITY))
         names.append(name)
         indices.append(index)
         times.append(time_s)
@@ -211,6 +236,7 @@ def _extract(
     return VideoFrames(tuple(names), np.array(indices, np.int64), np.array(times, np.float64))
 
 
+@checked
 def opened_video(video: Path) -> cv2.VideoCapture:
     """A video whose frames can be read one after the other.
 
@@ -219,6 +245,12 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     """
     with open_file(video) as stream:
         head = stream.read(_HEAD)
+        if video.suffix.lower() in SPHERICAL_SUFFIXES:
+            raise FileFormatError(
+                video,
+                f"is the raw recording of a 360 degree camera ({video.suffix}), whose frames hold several fisheye images each: "
+                "export a flat video of one perspective (an .mp4) with the program of the camera's maker, and give that",
+            )
         refuse_spherical_video(video, stream)
     # FFmpeg would follow the addresses and names of a list.
     if all(32 <= byte < 127 or byte in b"\t\n\r\f\v" for byte in head):
@@ -237,6 +269,7 @@ def opened_video(video: Path) -> cv2.VideoCapture:
     return capture
 
 
+@checked
 def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]:
     """Frames that a video announces (0 if it does not), and whether its container counts them.
 
@@ -249,6 +282,7 @@ def announced_frames(video: Path, capture: cv2.VideoCapture) -> tuple[int, bool]
     return (int(announced) if 0 < announced < 1e9 else 0), is_counted
 
 
+@checked
 def count_frames(video: Path) -> tuple[int, float | None]:
     """Frames of a video and frames per second (None if unknown); read to its end where its container does not count them.
 

@@ -9,13 +9,23 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from epipole._checks import check_pixels
+from epipole._declared import checked
 from epipole.errors import ConfigError, WorkspaceError
+from epipole.io.atomic import refuse_other_kinds
 
+MOST_FPS = 1000
 VIDEO_SUFFIX, CODEC = ".mp4", "vp09"
+_COMPARED_SIDE = 8
+"""Frames are compared with what was written at this many cells each way: compression changes details."""
+_LARGEST_DIFFERENCE = 24.0
+"""Mean difference of cells, of 255, up to which a frame that is read back is the one that was written."""
 
 
 def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float) -> None:
-    """Write RGB pictures of one size.
+    """Write RGB images of one size, and read the video back, as the encoder reports no errors.
+
+    A video has an even width and height: the last column or row of an odd one is left out.
 
     Args:
         path: the file; its name may have any ending.
@@ -23,32 +33,81 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
         fps: pictures a second.
 
     Raises:
-        ConfigError: the pictures differ in size, or there is none.
-        WorkspaceError: the file cannot be written.
+        ConfigError: the pictures differ in size, there is none, or the rate is not from 0 to 1000.
+        WorkspaceError: the file cannot be written, or does not read back as it was written (the disk is full).
     """
-    path = Path(path)
+    path, fps = _target(path, fps)
+    if not isinstance(pictures, Iterable):
+        raise ConfigError(f"pictures must be images, got {pictures!r:.60}")
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
-    writer, size = None, (0, 0)
+    writer, size, count = None, (0, 0), 0
+    first = last = np.zeros((1, 1, 3), np.uint8)
     try:
-        for picture in pictures:
+        for picture in map(_frame, pictures):  # one after the other: all may not fit into the memory
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
-                writer = _opened(aside, fps, size)
+                writer, first = _opened(aside, fps, size), picture
             if (picture.shape[1], picture.shape[0]) != size:
                 raise ConfigError(
                     "the pictures of a video must be of one size: give a width, or draw to a folder"
                 )
             writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+            last, count = picture, count + 1
         if writer is None:
             raise ConfigError("a video needs a picture")
         writer.release()
-        if not aside.is_file():
-            raise WorkspaceError(f"{path} could not be written")
+        problem = _problem_of(aside, count, first, last)
+        if problem:
+            raise WorkspaceError(f"cannot write {path}: {problem}; is the disk full?")
         aside.replace(path)
     finally:
         if writer is not None:
             writer.release()
         aside.unlink(missing_ok=True)
+
+
+@checked
+def _target(path: str | Path, fps: float) -> tuple[Path, float]:
+    if not 0 < fps <= MOST_FPS:
+        raise ConfigError(f"fps must be above 0 and at most {MOST_FPS}, got {fps:g}")
+    refuse_other_kinds(Path(path))
+    return Path(path), fps
+
+
+@checked
+def _frame(picture: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
+    check_pixels(picture.shape[1], picture.shape[0])
+    return picture
+
+
+def _problem_of(path: Path, count: int, first: np.ndarray, last: np.ndarray) -> str:
+    """What a video that was written lacks; empty where nothing."""
+    if not path.is_file():
+        return "the encoder wrote no file"
+    capture, num_read = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG), 0
+    try:
+        while capture.grab():
+            if num_read in (0, count - 1):
+                is_read, frame = capture.retrieve()
+                written = first if num_read == 0 else last
+                if not is_read or not _is_like(frame[..., ::-1], written):
+                    return f"frame {num_read + 1} of {count} does not read back as it was written"
+            num_read += 1
+    finally:
+        capture.release()
+    return "" if num_read == count else f"only {num_read} of {count} frames read back"
+
+
+def _is_like(read: np.ndarray, written: np.ndarray) -> bool:
+    written = written[: written.shape[0] & ~1, : written.shape[1] & ~1]
+    if read.shape != written.shape:
+        return False
+    side = min(_COMPARED_SIDE, *written.shape[:2])
+    cells = [
+        cv2.resize(np.ascontiguousarray(each), (side, side), interpolation=cv2.INTER_AREA)
+        for each in (read, written)
+    ]
+    return float(np.abs(cells[0].astype(np.float64) - cells[1]).mean()) <= _LARGEST_DIFFERENCE
 
 
 def _opened(path: Path, fps: float, size: tuple[int, int]) -> cv2.VideoWriter:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from epipole._terminal import say
+
 
 def lesson(export: Path | None = None, port: int | None = None, host: str = "127.0.0.1") -> None:
     """Show the lesson in the browser: pages on depth from pictures, with something to move on each; or write them as files.
@@ -19,13 +21,11 @@ def lesson(export: Path | None = None, port: int | None = None, host: str = "127
 
     if export is not None:
         done = export_lesson(export)
-        print(
-            f"Written {len(done.pages)} pages ({done.num_bytes / 1e6:.1f} MB): {done.folder / 'index.html'}"
-        )
+        say(f"Written {len(done.pages)} pages ({done.num_bytes / 1e6:.1f} MB): {done.folder / 'index.html'}")
         return
     handle = open_lesson(host, port)
     noted = f"; {handle.note}" if handle.note else ""
-    print(f"Lesson at {handle.url} (Ctrl-C stops it{noted})", flush=True)
+    say(f"Lesson at {handle.url} (Ctrl-C stops it{noted})")
     try:
         threading.Event().wait()
     finally:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from epipole._checks import as_path
 from epipole._declared import checked
-from epipole.io.atomic import atomic_write
 from epipole.lesson.pages import lesson_pages
+from epipole.runs import refuse_existing, replacing_file
 from epipole.viewer.handle import ViewerHandle, serve
 from epipole.viewer.page_server import HTML, PageServer, Served, fixed
 from epipole.viewer.ports import note_on_port, port_for
@@ -29,17 +29,18 @@ def export_lesson(folder: str | Path) -> ExportedLesson:
     """Write the lesson's pages, each one file that loads nothing, in English and Chinese.
 
     Args:
-        folder: where to; files of the same names are replaced, others stay.
+        folder: where to; pages that an earlier call wrote are replaced, other files stay.
 
     Raises:
-        WorkspaceError: a page cannot be written.
+        WorkspaceError: a file of a page's name exists that no earlier call wrote, or a page cannot be written.
     """
     place, pages, num_bytes = as_path(folder), lesson_pages(), 0
+    refuse_existing([place / name for name in pages], "lesson", ())
     for name, html in pages.items():
         data = html.encode("utf-8")
-        with atomic_write(place / name) as part:
+        with replacing_file(place / name, "lesson", ()) as part:
             part.write_bytes(data)
-        num_bytes += len(data)
+        num_bytes += (place / name).stat().st_size
     return ExportedLesson(place, tuple(pages), num_bytes)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from epipole import _parallel
-from epipole._declared import check_fields, checked
+from epipole._declared import check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
@@ -48,7 +48,7 @@ class BundleConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_iterations < 0 or not self.function_tolerance >= 0:
             raise ConfigError("max_iterations and function_tolerance must not be negative")
         if not (0 < self.loss_scale_px < 1e150 and 0 < self.initial_damping < math.inf):

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.sparse.linalg import splu
 
 from epipole import _parallel
-from epipole._declared import check_fields, checked
+from epipole._declared import check_fields, check_options, checked
 from epipole.config import options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid2, Rigid3, Rotation3, Similarity3
@@ -106,7 +106,7 @@ class PoseGraphConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_iterations < 1 or not self.relative_tolerance >= 0:
             raise ConfigError("max_iterations must be at least 1 and relative_tolerance not negative")
         if not 1e-9 < self.confidence < 1:  # below, no residual would lie within

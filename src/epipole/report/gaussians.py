@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Float64, Int64
 
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 
@@ -46,10 +46,14 @@ def most_visible(cloud: GaussianCloud, most: int) -> Int64[np.ndarray, " m"]:
     """Rows, in their order, of at most so many Gaussians whose opacity times largest face is largest."""
     if len(cloud) <= most:
         return np.arange(len(cloud))
+    return np.sort(np.argpartition(-log_visibility(cloud), most)[:most])
+
+
+def log_visibility(cloud: GaussianCloud) -> Float64[np.ndarray, " n"]:
+    """The logarithm of opacity times the area of the largest face."""
     lengths = np.sort(np.clip(cloud.log_scales.astype(np.float64), -MOST_LOG_SCALE, MOST_LOG_SCALE), axis=1)
     # The logarithm of the opacity, from its logit.
-    visible = lengths[:, 1] + lengths[:, 2] - np.logaddexp(0.0, -cloud.opacity_logits.astype(np.float64))
-    return np.sort(np.argpartition(-visible, most)[:most])
+    return lengths[:, 1] + lengths[:, 2] - np.logaddexp(0.0, -cloud.opacity_logits.astype(np.float64))
 
 
 def packed(cloud: GaussianCloud) -> PackedGaussians:

@@ -5,24 +5,35 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from epipole.image import color_map, color_range, downscaled
+from epipole.image.encoding import encoded_image
 from epipole.report.markup import data_uri
 
 MAX_FEATURES = 400
 """Features drawn on one thumbnail."""
 _SHOWN_PX = 1000  # longest side of the pictures in the page
+_PHOTOGRAPH_PX, _PHOTOGRAPH_QUALITY = 640, 85
+_SMALL_BYTES = 1 << 15
+"""Longest side of photographs, which stand three beside each other, and the quality of their JPEGs; PNGs up to so many bytes stay exact."""
 
 
 def picture_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
     """The picture, reduced, as a data URI."""
     small = downscaled(rgb, _SHOWN_PX)
-    _, data = cv2.imencode(".png", np.ascontiguousarray(small[..., ::-1]))
-    return data_uri(data.tobytes(), "image/png")
+    return data_uri(encoded_image(".png", small[..., ::-1]), "image/png")
+
+
+def photograph_uri(rgb: UInt8[np.ndarray, "h w 3"]) -> str:
+    """A photograph or a render, reduced, as a data URI: a JPEG, a tenth of the bytes, unless its PNG is small."""
+    small = downscaled(rgb, _PHOTOGRAPH_PX)
+    exact = encoded_image(".png", small[..., ::-1])
+    if len(exact) <= _SMALL_BYTES:
+        return data_uri(exact, "image/png")
+    return data_uri(encoded_image(".jpg", small[..., ::-1], _PHOTOGRAPH_QUALITY), "image/jpeg")
 
 
 def color_map_uri(values: Float[np.ndarray, "h w"]) -> str:

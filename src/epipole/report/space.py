@@ -15,7 +15,8 @@ from jaxtyping import Float64, Int64
 from PIL import Image
 
 from epipole.image import color_map, downscaled
-from epipole.report.gaussians import most_visible, packed
+from epipole.report.gaussian_merging import merged
+from epipole.report.gaussians import packed
 from epipole.report.markup import count, data_uri
 from epipole.report.space_scene import (
     CameraLayer,
@@ -57,7 +58,7 @@ class SpaceData:
 def space_data(
     scene: SpaceScene, most_points: int | None = None, most_gaussians: int | None = None
 ) -> SpaceData:
-    """A scene for the script, with at most so many points a layer, drawn evenly at random, and the most visible Gaussians."""
+    """A scene for the script, with at most so many points a layer, drawn evenly at random, and as many Gaussians, merged."""
     extent = _extent(scene)
     # Gaussians are told as their file has them.
     origin = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
@@ -208,8 +209,8 @@ def _gaussians(data: SpaceData, scene: SpaceScene, most: int | None) -> dict[str
     if scene.gaussians is None:
         return None
     cloud = scene.gaussians
-    if most is not None and len(cloud) > most:
-        cloud = cloud.rows(most_visible(cloud, most))
+    if most is not None:
+        cloud = merged(cloud, most)
     found = packed(cloud)
     data.blocks["gaussians"] = found.rows
     if found.harmonics is not None:

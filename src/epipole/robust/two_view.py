@@ -33,7 +33,7 @@ from epipole.robust.estimate import (
     run_loop,
     usable_rows,
 )
-from epipole.robust.motion_evidence import Matches, Verdict, lie_on_a_line, weigh_motion
+from epipole.robust.motion_evidence import Verdict, lie_on_a_line, weigh_motion
 from epipole.robust.pair_batch import (
     fit_motions,
     found_of_one,
@@ -43,6 +43,7 @@ from epipole.robust.pair_batch import (
     to_coordinates,
     usable_matches,
 )
+from epipole.robust.ray_matches import Matches
 from epipole.robust.rays import rays_on_plane
 
 Matrix3 = Float64[np.ndarray, "3 3"]

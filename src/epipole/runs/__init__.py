@@ -6,6 +6,10 @@ from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
 from epipole.runs.folder import holds_own_model as holds_own_model
 from epipole.runs.folder import read_mark as read_mark
+from epipole.runs.guard import is_overwriting as is_overwriting
+from epipole.runs.guard import overwriting as overwriting
+from epipole.runs.guard import refuse_existing as refuse_existing
+from epipole.runs.guard import replacing_file as replacing_file
 from epipole.runs.interrupts import heeded_interrupts as heeded_interrupts
 from epipole.runs.progress import Progress as Progress
 from epipole.runs.progress import ProgressCallback as ProgressCallback

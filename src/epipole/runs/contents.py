@@ -8,20 +8,27 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared.tables import TEXT, Expected
 from epipole.errors import WorkspaceError
 from epipole.io.files import open_file, require_file
 from epipole.runs.executors import opened
+from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.units import is_done, load, store
 
 _KEY = "contents 1"
 
+_TABLE = {name: Expected(TEXT, "n") for name in ("paths", "states", "digests")}
 
-def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
+
+def content_digests(
+    paths: Iterable[Path], memory: Path, progress: ProgressCallback = ignore_progress
+) -> dict[Path, str]:
     """The digest of each file's bytes.
 
     Args:
         paths: the files.
         memory: a file that remembers the digests of the last call; made if missing, with its folder.
+        progress: called after each file that is read.
 
     Raises:
         FileFormatError: a file cannot be read.
@@ -36,7 +43,11 @@ def content_digests(paths: Iterable[Path], memory: Path) -> dict[Path, str]:
     }
     changed = [path for path in states if path not in known]
     with opened("threads" if len(changed) > 1 else "inline") as pool:
-        known.update(zip(changed, (pool.map if pool is not None else map)(_digest_of, changed)))
+        progress(Progress("digest", 0, len(changed)))
+        digests = (pool.map if pool is not None else map)(_digest_of, changed)
+        for n, (path, digest) in enumerate(zip(changed, digests), 1):
+            known[path] = digest
+            progress(Progress("digest", n, len(changed)))
     if changed or len(before) != len(states):
         rows = {"paths": [str(p) for p in states], "states": list(states.values())}
         rows["digests"] = [known[path] for path in states]
@@ -53,7 +64,7 @@ def _remembered(memory: Path) -> dict[str, tuple[str, str]]:
     if not is_done(memory, _KEY):
         return {}
     try:
-        held = load(memory, "paths", "states", "digests")
+        held = load(memory, _TABLE)
     except WorkspaceError:
         return {}
     return {

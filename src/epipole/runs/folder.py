@@ -18,14 +18,72 @@ from typing import Any
 from epipole._version import __version__
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts_below, reporting
+from epipole.io.contents_in_words import MARK as MARK
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
 from epipole.io.names import is_inside_name, path_inside
+from epipole.runs.guard import is_overwriting
 from epipole.runs.lock import LOCK, remove_free_locks
 from epipole.runs.source import Source
 
-MARK = "epipole.json"
 FORMAT = 3
+FILE_SUFFIXES = frozenset(
+    [
+        ".mp4",
+        ".mov",
+        ".avi",
+        ".mkv",
+        ".webm",
+        ".m4v",
+        ".mpg",
+        ".mpeg",
+        ".wmv",
+        ".gif",
+        ".jpg",
+        ".jpeg",
+        ".png",
+        ".tif",
+        ".tiff",
+        ".webp",
+        ".bmp",
+        ".heic",
+        ".exr",
+        ".pfm",
+        ".ply",
+        ".obj",
+        ".glb",
+        ".gltf",
+        ".stl",
+        ".spz",
+        ".sog",
+        ".splat",
+        ".npz",
+        ".npy",
+        ".json",
+        ".yaml",
+        ".yml",
+        ".txt",
+        ".csv",
+        ".html",
+        ".htm",
+        ".pdf",
+        ".xml",
+        ".zip",
+        ".tar",
+        ".gz",
+        ".bz2",
+        ".7z",
+        ".bin",
+        ".db",
+        ".out",
+        ".bag",
+        ".db3",
+        ".mcap",
+        ".py",
+        ".md",
+    ]
+)
+"""A folder that does not exist yet is not made under a name with one of these: a file was meant."""
 
 
 class OutputFolder:
@@ -156,10 +214,14 @@ class OutputFolder:
                     raise WorkspaceError(
                         f"{self.root / name} is no file any more: remove it, or choose another folder"
                     )
-                if name not in ours:
+                if name not in ours and not (is_file and is_overwriting() and not self._is_input(name)):
                     raise WorkspaceError(
                         f"{self.root} holds {name}, which no earlier run has written: choose another folder"
                     )
+
+    def _is_input(self, name: str) -> bool:
+        real = (self.root / name).resolve()
+        return any(real.is_relative_to(path) for path in self.source.paths)
 
     def _remove(self, names: Iterable[str]) -> None:
         """Remove results, and folders that they leave empty; what is no file any more is not ours."""
@@ -180,15 +242,37 @@ BY_PRODUCTS = frozenset({"database"})
 """Groups that a run writes before it knows whether there will be a result."""
 
 
-def check_place(root: Path, inputs: Sequence[Path]) -> None:
-    """Refuse a file as the output folder, and the folder of the inputs.
+def check_place(root: Path, kind: str, inputs: Sequence[Path]) -> None:
+    """Before any work, and without touching anything: the output folder is new, or ours, or may be overwritten.
+
+    Args:
+        root: the folder.
+        kind: the command that makes its contents.
+        inputs: files and folders that are read; none of them may be the output folder.
+
+    Raises:
+        WorkspaceError: it is a file, the folder of the inputs, or holds something else.
+    """
+    with reporting(root, "use the output folder"):
+        if root.exists() and not root.is_dir():
+            raise WorkspaceError(f"{root} is a file; the output must be a folder")
+        is_ours = (root.parent / MARK).is_file()  # as the folders of many pairs, named by their images
+        if not root.exists() and root.suffix.lower() in FILE_SUFFIXES and not is_ours:
+            raise WorkspaceError(
+                f"`epipole {kind}` writes a folder, and {root} has the name of a {root.suffix} file: "
+                "give the name of a folder"
+            )
+    refuse_folder_of(root, inputs)
+    _held(root, kind, Source.of(inputs, root))
+
+
+def refuse_folder_of(root: Path, inputs: Sequence[Path]) -> None:
+    """Refuse the folder of the inputs as the output folder.
 
     Raises:
         WorkspaceError: it is one.
     """
     with reporting(root, "use the output folder"):
-        if root.exists() and not root.is_dir():
-            raise WorkspaceError(f"{root} is a file; the output must be a folder")
         for path in inputs:
             if root.resolve() == (path.resolve() if path.is_dir() else path.resolve().parent):
                 what = "the pictures" if path.is_dir() else path.name
@@ -199,7 +283,8 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
     """Make the output folder, or open it again if it belongs to the same job on the same source.
 
     The source is the same if its paths are, or if nothing is at the old ones and mostly the same files are at the new. A
-    folder in which a run failed is taken over by the next, whatever it is.
+    folder in which a run failed is taken over by the next, whatever it is. With `overwriting`, so is any folder, and of a
+    folder without a mark only the files are replaced that have the names of results.
 
     Args:
         root: the folder.
@@ -209,14 +294,10 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
     Raises:
         WorkspaceError: it is a file, holds something else, or is not writable.
     """
-    check_place(root, inputs)
+    check_place(root, kind, inputs)
     source = Source.of(inputs, root)
     with reporting(root, "use the output folder"):
-        held = read_mark(root)
-        if held is None and root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
-            raise WorkspaceError(
-                f"{root} is not empty and was not made by epipole; choose another output folder"
-            )
+        held = _held(root, kind, source)
         root.mkdir(parents=True, exist_ok=True)
         if not os.access(root, os.W_OK):
             raise WorkspaceError(f"{root} is not writable")
@@ -226,14 +307,35 @@ def claim(root: Path, kind: str, inputs: Sequence[Path]) -> OutputFolder:
             folder = held
             folder.source = source
             folder.refuse_replaced()
-        elif held.has_failed or _is_bare(root, held):
-            folder = held.take_over(kind, source)
         else:
-            raise WorkspaceError(_whose(held))
+            folder = held.take_over(kind, source)
         remove_abandoned_parts_below(root)
         remove_free_locks(root)
         folder.save()
         return folder
+
+
+def _held(root: Path, kind: str, source: Source) -> OutputFolder | None:
+    """What the folder is already; None where it is new.
+
+    Raises:
+        WorkspaceError: it is not ours, or belongs to another job or source that has results.
+    """
+    with reporting(root, "use the output folder"):
+        held = read_mark(root)
+        if is_overwriting():
+            return held
+        if held is None:
+            if root.is_dir() and any(not p.name.startswith(".") for p in root.iterdir()):
+                raise WorkspaceError(
+                    f"{root} is not empty and was not made by epipole; choose another output folder, or pass "
+                    "--overwrite to replace files that have the names of results"
+                )
+            return None
+        is_same = held.kind == kind and held.source.is_same_as(source)
+        if not (is_same or held.has_failed or _is_bare(root, held)):
+            raise WorkspaceError(_whose(held))
+        return held
 
 
 def _is_bare(root: Path, held: OutputFolder) -> bool:
@@ -243,7 +345,7 @@ def _is_bare(root: Path, held: OutputFolder) -> bool:
 
 def _whose(held: OutputFolder) -> str:
     what = "results" if set(held.files) - BY_PRODUCTS else "work"
-    advice = "choose another output folder"
+    advice = "choose another output folder, or pass --overwrite"
     if held.source.is_gone():
         advice += ", or, if that is these files under an earlier name, rename them back"
     return f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}; {advice}"

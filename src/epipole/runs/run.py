@@ -109,7 +109,7 @@ def open_run(job: Job, out: Path) -> Iterator[Run]:
     Raises:
         WorkspaceError: the folder belongs to another job, another run works in it, or it cannot be written.
     """
-    check_place(out, job.inputs)
+    check_place(out, job.kind, job.inputs)
     with alone_in(out), thread_scope(job.threads, opencv_alone=job.opencv_alone):
         run = Run(job, claim(out, job.kind, job.inputs))
         try:

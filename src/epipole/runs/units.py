@@ -10,37 +10,27 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import threading
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any, BinaryIO
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 
 from epipole import _parallel
-from epipole.errors import WorkspaceError
+from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole.errors import FileFormatError, WorkspaceError
+from epipole.io.array_files import checked_arrays, read_archive
 from epipole.io.atomic import atomic_write
-from epipole.io.files import require_file
+from epipole.io.files import open_file, require_file
 from epipole.runs.executors import ExecutorChoice, opened
 from epipole.runs.progress import Progress, ProgressCallback, ignore_progress
 from epipole.runs.threads import opencv_in_one_thread
 
-Arrays = dict[str, np.ndarray]
 _SEAL_BYTES = 16
-_DAMAGE = (
-    *(OSError, ValueError, LookupError, EOFError, TypeError, OverflowError, MemoryError, RuntimeError),
-    *(SyntaxError, BadZipFile, TokenError, zlib.error),
-)
-"""What zipfile and NumPy may raise on a damaged file."""
-_one_header_at_a_time = threading.Lock()
-"""NumPy reads the header of an array with Python's parser, which up to Python 3.12 counts its depth for all threads
-together and now and then takes that for an error (CPython issue 106905)."""
+_KEY = {"key": Expected(TEXT)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,35 +137,36 @@ def store(path: Path, key: str, arrays: Arrays) -> None:
             file.write(seal)
 
 
-def _open_arrays(path: Path) -> NpzFile:
-    """A file of arrays that are stored as they are: one that is packed may stand for gigabytes."""
-    num_bytes = require_file(path)
-    file = np.load(path, allow_pickle=False)
-    if not isinstance(file, NpzFile):
-        raise ValueError("it holds one array alone")
-    members = file.zip.infolist() if file.zip is not None else []
-    if sum(member.file_size for member in members) > num_bytes:
-        file.close()
-        raise ValueError("its arrays are larger than the file")
-    return file
+def load(path: Path, table: Table, *names: str, **sizes: int) -> Arrays:
+    """Read arrays from a unit's file.
 
-
-def _array(file: NpzFile, name: str) -> np.ndarray:
-    with _one_header_at_a_time:
-        return np.asarray(file[name])
-
-
-def load(path: Path, *names: str) -> Arrays:
-    """Read the arrays of these names from a unit's file; all of them if none is named.
+    Args:
+        path: the file.
+        table: what such a file holds.
+        names: of the arrays that are read; all of the table if none is named.
+        sizes: lengths of axes of the table that are known.
 
     Raises:
-        WorkspaceError: the file is missing or damaged.
+        WorkspaceError: the file is missing or damaged, or holds other arrays.
     """
+    wanted = {name: replace(table[name], is_optional=False) for name in names} if names else table
     try:
-        with _open_arrays(path) as file:
-            return {name: _array(file, name) for name in names or file.files if name != "key"}
-    except _DAMAGE as error:
-        raise WorkspaceError(f"{path} is damaged ({error}); delete it and run the command again") from error
+        found = _stored(path, table, *wanted)
+        return checked_arrays(path, found, wanted, **sizes)
+    except FileFormatError as error:
+        problem = str(error).removeprefix(f"{path}: ")
+        raise WorkspaceError(f"{path} is damaged ({problem}); delete it and run the command again") from error
+
+
+def _stored(path: Path, table: Table, *names: str) -> Arrays:
+    """Arrays as they are stored, without packing: one that is packed may stand for gigabytes.
+
+    Raises:
+        FileFormatError: the file is missing or damaged, or larger when it is unpacked.
+    """
+    num_bytes = require_file(path)
+    with open_file(path) as stream:
+        return read_archive(path, stream, {**table, **_KEY}, num_bytes, names)
 
 
 def is_done(path: Path, key: str) -> bool:
@@ -186,9 +177,10 @@ def is_done(path: Path, key: str) -> bool:
 def stored_key(path: Path) -> str:
     """The key inside a unit's file; empty if the file is missing or damaged."""
     try:
-        with _open_arrays(path) as file:
-            return str(_array(file, "key"))
-    except _DAMAGE:
+        with open_file(path) as stream:
+            found = read_archive(path, stream, None, require_file(path), ["key"])
+        return str(checked_arrays(path, found, _KEY)["key"])
+    except FileFormatError:
         return ""
 
 

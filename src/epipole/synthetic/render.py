@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
-from epipole._checks import check_pixels
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
@@ -93,7 +93,7 @@ def render_exposures(
 
 def _blank(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     height, width = camera.height, camera.width
-    check_pixels(width, height, 1 << 27)
+    check_pixels(width, height, MOST_RENDERED_PIXELS)
     return np.zeros((height, width, 3), np.float32), np.full((height, width), np.nan)
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-from epipole._checks import check_pixels, check_seed
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels, check_seed
 from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3, depth_to_disparity
@@ -47,7 +47,7 @@ def stereo_room(seed: int, size: tuple[int, int] = (480, 360)) -> StereoPair:
         ConfigError: the seed is negative, or the picture too large.
     """
     check_seed(seed)
-    check_pixels(*size, 1 << 27)
+    check_pixels(*size, MOST_RENDERED_PIXELS)
     rng = np.random.default_rng(seed)
     scene = _room(rng)
     focal = size[0] * rng.uniform(0.8, 1.2)
@@ -72,7 +72,7 @@ def stereo_street(
         ConfigError: the seed is negative, or the picture too large.
     """
     check_seed(seed)
-    check_pixels(*size, 1 << 27)
+    check_pixels(*size, MOST_RENDERED_PIXELS)
     rng = np.random.default_rng(seed)
     ground = HeightField(
         center=(0, 20, -1.2),

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeVar
 
-from rich.console import Console
-
+from epipole.screen import open_console
 from epipole.viewer.handle import Stoppable, serve
 from epipole.viewer.ports import note_on_port
 
@@ -32,7 +31,7 @@ def opened_live(viewer_on: Callable[[viser.ViserServer], V], host: str, port: in
     viewer = viewer_on(server)
     handle = serve(viewer, shown, host, note_on_port(port, shown), block=False)
     noted = f" ({handle.note})" if handle.note else ""
-    Console(stderr=True).print(f"Live view at {handle.url}{noted}", highlight=False, markup=False)
+    open_console(stderr=True).print(f"Live view at {handle.url}{noted}", highlight=False)
     try:
         yield viewer
     finally:

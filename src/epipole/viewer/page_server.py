@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from email.message import Message
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 from epipole.errors import ConfigError
 from epipole.viewer.allowed import is_allowed
@@ -48,7 +50,7 @@ class PageServer:
         """
         pages = {"favicon.ico": fixed("image/x-icon", b""), **pages}  # browsers ask for it
         try:
-            self.http = ThreadingHTTPServer((host, port), partial(_Answer, pages, is_local(host)))
+            self.http = _Server((host, port), partial(_Answer, pages, is_local(host)))
         except OSError as error:
             raise ConfigError(f"cannot listen on {host}, port {port}: {error.strerror or error}") from error
         self.http.daemon_threads = True
@@ -63,6 +65,13 @@ class PageServer:
             self.stopped.set()
             self.http.shutdown()
             self.http.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing where the browser has closed its tab, or asks for nothing more."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
 
 
 class _Answer(BaseHTTPRequestHandler):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from epipole.report.frame import render
+from epipole.report.markup import count
 from epipole.report.space import SpaceData, of_all, pictures_inside, space_data
 from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
 
@@ -70,5 +71,5 @@ def _with_what_is_left_out(scene: SpaceScene, data: SpaceData) -> str:
     ]
     gaussians = data.numbers["gaussians"]
     if gaussians is not None and gaussians["count"] < gaussians["whole"]:
-        left.append(f"the most visible {of_all(gaussians['count'], gaussians['whole'])} Gaussians")
+        left.append(f"{count(gaussians['whole'])} Gaussians merged into {count(gaussians['count'])}")
     return f"{scene.words}; here {', '.join(left)}" if left else scene.words

@@ -58,12 +58,11 @@ def camera_options(camera: Camera) -> str:
 
 def show_calibration(run: CalibrationRun) -> None:
     """Print the verdict, the cameras, and where the report is."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    console, found = Console(), run.calibration
+    console, found = open_console(), run.calibration
     console.print(
         run.verdict.sentence, style="green" if run.verdict.passes else "yellow", highlight=False, markup=False
     )

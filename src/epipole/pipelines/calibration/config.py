@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.config import BoardConfig
 from epipole.errors import ConfigError
 
@@ -30,6 +30,6 @@ class CalibrationConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if not (self.outlier_factor > 1 and self.max_view_factor > 1):
             raise ConfigError("outlier_factor and max_view_factor must be greater than 1")

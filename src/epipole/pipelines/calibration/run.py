@@ -56,7 +56,8 @@ def calibrate(
         WorkspaceError: the output folder cannot be used.
         ConfigError: an option is unknown, or its value makes no sense.
     """
-    config, images = options_of(CalibrationConfig, config, options), as_path(images)
+    config = options_of(CalibrationConfig, config, options, ["config", "right", "progress"])
+    images = as_path(images)
     others = () if right is None else (as_path(right),)
     job = Job(
         kind="calibrate",
@@ -66,6 +67,9 @@ def calibrate(
     )
     with open_run(job, as_path(out)) as run:
         found = _measure(pictures_of_cameras(images, *others), run, config)
+        for folder in (images, *others):
+            for number, note in enumerate(list_photographs(folder).notes):
+                found.problems[f"{folder} {number}"] = note
         with run.folder.publish("calibration") as aside:
             write_results(found, aside)
             (aside / "report.html").write_text(render_page(found), encoding="utf-8")
@@ -157,10 +161,7 @@ def pictures_of_cameras(images: Path, right: Path | None = None) -> list[list[Pa
 
 
 def _pictures(folder: Path) -> list[Path]:
-    names = list_photographs(folder).names
-    if not names:
-        raise FileFormatError(folder, "there is no picture in it")
-    return [folder / name for name in names]
+    return [folder / name for name in list_photographs(folder).require_some().names]
 
 
 def _common_orientation(images: Sequence[Path]) -> tuple[int | None, dict[str, str]]:

@@ -20,16 +20,15 @@ def convert(
         target: For PLY and splat a file (splat: .ply, .compressed.ply, .spz, .sog or .splat), otherwise a new folder; transforms and bundler get their pictures, too.
         format: COLMAP txt or bin, PLY, nerfstudio transforms.json, Bundler, or splat; needed where the target's name does not tell it.
     """
-    from rich.console import Console
-
     from epipole.pipelines.conversion.run import convert as run
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings, working
 
-    done, console = run(source, target, format), Console()
+    with working():
+        done = run(source, target, format)
+    console = open_console()
     pictures = f" with {done.num_pictures} pictures" if done.num_pictures else ""
     console.print(f"Written {done.out}{pictures}", highlight=False, markup=False)
-    if done.losses:
-        print_warnings(console, list(done.losses))
+    print_warnings(console, [*done.warnings, *done.losses])
     if done.missing:
         note = f"{len(done.missing)} pictures were not found ({done.missing[0]} first): put them into {done.out}/images"
         print_warnings(console, [note])

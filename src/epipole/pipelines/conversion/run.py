@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.io.atomic import remove_abandoned_parts
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
-from epipole.io.files import open_file
 from epipole.io.gaussian_files import (
     META,
+    SPLAT,
     SUFFIXES,
     WITHOUT_ORIGIN,
-    is_sog,
+    gaussians_file,
     is_unpacked_sog,
     read_gaussians,
     write_gaussians,
@@ -24,10 +23,12 @@ from epipole.io.gaussian_files import (
 from epipole.io.names import path_inside
 from epipole.io.photographs import link_or_copy
 from epipole.io.ply import write_scene_ply
-from epipole.runs import Job, open_run
+from epipole.io.reconstruction_losses import losses_in
+from epipole.runs import Job, open_run, refuse_existing, replacing_file
 from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud
 
+KIND = "convert"
 _WITH_PICTURES = ("transforms", "bundler")
 _SUFFIXES_OF_FILES = (".json", ".out", ".txt", ".bin", ".ply", ".db")
 
@@ -42,6 +43,8 @@ class Conversion:
     """Pictures that lie in `images/` beside the model."""
     missing: tuple[str, ...]
     """Images of the model whose pictures were not found."""
+    warnings: tuple[str, ...] = ()
+    """What the reconstruction that is the source has lost: images and models that are not in what was written."""
     losses: tuple[str, ...] = ()
     """What the format cannot hold, in words."""
 
@@ -52,11 +55,12 @@ def format_told_by(source: Path, target: Path) -> str | None:
     if name.endswith((".spz", ".sog", ".splat", ".compressed.ply")):
         return "splat"
     if name.endswith(".ply"):
-        is_splat = source.is_file() or (source / "splat.ply").is_file() or is_unpacked_sog(source / META)
+        is_splat = source.is_file() or (source / SPLAT).is_file() or is_unpacked_sog(source / META)
         return "splat" if is_splat else "ply"
     return None
 
 
+@checked
 def convert(source: str | Path, target: str | Path, format: str | None = None) -> Conversion:
     """Write a model in another format.
 
@@ -71,47 +75,49 @@ def convert(source: str | Path, target: str | Path, format: str | None = None) -
     Raises:
         ConfigError: unknown format, or one that cannot hold the cameras; none is given, and the name tells none.
         FileFormatError: there is no readable model.
-        WorkspaceError: the target cannot be written, or holds something else.
+        WorkspaceError: the target cannot be written, holds something else, or is a file that no earlier call wrote.
     """
     source, target = as_path(source), as_path(target)
     format = format_told_by(source, target) if format is None else format
     if format is None:
-        raise ConfigError(f"{target} tells no format: format is one of {', '.join(get_args(ModelFormat))}")
+        raise ConfigError(
+            f"{target} tells no format that is written: end it in .ply or {', '.join(SUFFIXES[1:])}, or give format, one of "
+            f"{', '.join(get_args(ModelFormat))}"
+        )
     if format not in get_args(ModelFormat):
         raise ConfigError(f"unknown format {format!r}; one of {', '.join(get_args(ModelFormat))}")
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if format == "splat":
         return _convert_gaussians(source, target)
-    model = read_model(source)
     if format == "ply":
-        return _convert_to_ply(model, target)
+        return _convert_to_ply(source, target)
+    model, losses = read_model(source), tuple(losses_in(source))
     if target.suffix.lower() in _SUFFIXES_OF_FILES and not target.is_dir():
         raise WorkspaceError(f"{target}: {format} is a format of several files; give the name of a folder")
     names = _names_with_place(model) if format in _WITH_PICTURES else []
     found = {name: path for name in names if (path := _picture(source, name)) is not None}
-    with open_run(Job(kind="convert", inputs=(source,), settings={"format": format}), target) as run:
+    with open_run(Job(kind=KIND, inputs=(source,), settings={"format": format}), target) as run:
         if format in _WITH_PICTURES:
             with run.folder.replacing(IMAGE_FOLDER, [f"{IMAGE_FOLDER}/{name}" for name in found]):
                 for name, path in found.items():
                     link_or_copy(path, run.root / IMAGE_FOLDER / name)
         with run.folder.publish(format) as aside:  # last: where it is, its pictures are
             FOLDER_WRITERS[format](model, aside)
-        run.finish()
-    return Conversion(target, len(found), tuple(name for name in names if name not in found))
+        run.finish({"num_pictures": len(found), "warnings": losses})
+    return Conversion(target, len(found), tuple(name for name in names if name not in found), losses)
 
 
 def _convert_gaussians(source: Path, target: Path) -> Conversion:
     """Read and write files of Gaussians, of the formats that their names tell."""
-    file = source
-    if source.is_dir():
-        file = source / (META if is_unpacked_sog(source / META) else "splat.ply")
+    file = gaussians_file(source)
     if target.is_dir():
         raise WorkspaceError(f"{target} is a folder; give a file's name ({', '.join(SUFFIXES)})")
+    refuse_existing([target], KIND, (source,))
     cloud = read_gaussians(file)
-    _refuse_to_replace(target)
-    write_gaussians(target, cloud)
-    return Conversion(target, 0, (), _losses(target, cloud))
+    with replacing_file(target, KIND, (source,)) as aside:
+        write_gaussians(aside, cloud)
+    return Conversion(target, 0, (), losses=_losses(target, cloud))
 
 
 def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
@@ -128,29 +134,13 @@ def _losses(target: Path, cloud: GaussianCloud) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _convert_to_ply(model: Reconstruction, target: Path) -> Conversion:
-    if target.is_dir():
-        target = target / "scene.ply"
-        if os.path.lexists(target):
-            raise WorkspaceError(f"{target} is there already; give a file's name, which is replaced")
-    _refuse_to_replace(target)
-    remove_abandoned_parts(target.parent)
-    write_scene_ply(target, model)
-    return Conversion(target, 0, ())
-
-
-def _refuse_to_replace(target: Path) -> None:
-    """Only a PLY, SPZ or SOG file is replaced by one: a mistyped target may be a picture, or a file of the model itself.
-
-    Raises:
-        WorkspaceError: a file of another kind stands there.
-    """
-    if not target.is_file():
-        return
-    with open_file(target) as stream:
-        head = stream.read(4)
-    if head and not head.startswith((b"ply", b"NGSP", b"\x1f\x8b")) and not is_sog(target):
-        raise WorkspaceError(f"{target} is there already and is no PLY, SPZ or SOG file: give another name")
+def _convert_to_ply(source: Path, target: Path) -> Conversion:
+    target = target / "scene.ply" if target.is_dir() else target
+    refuse_existing([target], KIND, (source,))
+    model, losses = read_model(source), tuple(losses_in(source))
+    with replacing_file(target, KIND, (source,)) as aside:
+        write_scene_ply(aside, model)
+    return Conversion(target, 0, (), losses)
 
 
 def _names_with_place(model: Reconstruction) -> list[str]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from epipole._terminal import say
 from epipole.pipelines.sfm.command import STAGES, show_reconstruction
 
 if TYPE_CHECKING:
@@ -33,14 +34,15 @@ def demo(
     show_reconstruction(result.reconstruction)
     show_comparison(result)
     if not result.success:
-        print("epipole: the demo missed its truth", file=sys.stderr)
+        say("epipole: the demo missed its truth", to_stderr=True)
         sys.exit(1)
 
 
 def show_comparison(result: DemoResult) -> None:
     """Print how far the model is from the exact truth."""
-    from rich.console import Console
     from rich.table import Table
+
+    from epipole.screen import open_console
 
     errors = result.errors
     table = Table(title="Against the exact truth", box=None, show_header=False)
@@ -51,4 +53,4 @@ def show_comparison(result: DemoResult) -> None:
         f" ({result.size_m:.1f} m)",
     )
     table.add_row("rotation error", f"mean {errors.mean_rotation_deg:.4f} degrees")
-    Console().print(table)
+    open_console().print(table)

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.photographs import write_jpeg_with_exif
+from epipole.io.reconstruction_losses import losses_of
 from epipole.metrics import CameraErrors, camera_errors
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
@@ -77,6 +79,7 @@ class DemoResult:
         )
 
 
+@checked
 def demo(
     out: str | Path = "demo", num_views: int = 24, progress: ProgressCallback = ignore_progress
 ) -> DemoResult:
@@ -94,8 +97,16 @@ def demo(
         with run.stage("render"), run.folder.publish("photographs") as aside:
             truth = render_photographs(aside / "photographs", num_views, progress)
         result = reconstruct(photographs, model, progress=progress)
-        run.finish()
-        return _compare(result, truth)
+        found = _compare(result, truth)
+        run.finish(
+            {
+                "num_views": num_views,
+                "num_placed": found.num_placed,
+                "relative_error": found.relative_error,
+                "warnings": losses_of(result.summary, model),
+            }
+        )
+        return found
 
 
 def _compare(result: ReconstructionResult, truth: Rigid3) -> DemoResult:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from epipole._terminal import say
+
 if TYPE_CHECKING:
     from epipole.pipelines.evaluation.run import Evaluation
     from epipole.pipelines.evaluation.trajectories import TrajectoryEvaluation
@@ -30,19 +32,22 @@ def evaluate(
     """
     from epipole.io.json_files import json_text
     from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
+    from epipole.screen import working
 
     if paths := trajectories_of(out, truth):
-        found = {path.name: evaluate_trajectory(path, truth, max_difference_s) for path in paths}
+        with working():
+            found = {path.name: evaluate_trajectory(path, truth, max_difference_s) for path in paths}
         if json:
             print(json_text({name: asdict(result) for name, result in found.items()}), end="")
         else:
             for name, result in found.items():
                 show_trajectory_evaluation(name, result)
-            print("Lengths are in the truth's unit.")
+            say("Lengths are in the truth's unit.")
         return
     from epipole.pipelines.evaluation.run import evaluate as run
 
-    cameras = run(out, truth)
+    with working():
+        cameras = run(out, truth)
     if json:
         print(json_text(asdict(cameras)), end="")
     else:
@@ -51,10 +56,11 @@ def evaluate(
 
 def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
     """Print errors against a known trajectory."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    from epipole.screen import open_console
+
+    console = open_console()
     console.print(
         f"{name}: {result.num_compared} of {result.num_instants} instants compared with {result.num_truth} of"
         f" the truth, over a path of {result.path_length:.4g}",
@@ -87,8 +93,9 @@ def show_trajectory_evaluation(name: str, result: TrajectoryEvaluation) -> None:
 
 def show_evaluation(result: Evaluation) -> None:
     """Print errors against known cameras."""
-    from rich.console import Console
     from rich.table import Table
+
+    from epipole.screen import open_console
 
     table = Table(box=None, show_header=False)
     table.add_row("registered", f"{result.num_registered} of {result.num_truth}")
@@ -100,4 +107,4 @@ def show_evaluation(result: Evaluation) -> None:
         "rotation error", f"mean {result.rotation_mean_deg:.4f}, max {result.rotation_max_deg:.4f} degrees"
     )
     table.add_row("AUC of relative pose", ", ".join(f"@{d}: {100 * a:.2f}" for d, a in result.auc.items()))
-    Console().print(table)
+    open_console().print(table)

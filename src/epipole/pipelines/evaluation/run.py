@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.colmap import find_model, read_colmap_model
@@ -40,6 +41,7 @@ class Evaluation:
         )
 
 
+@checked
 def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
     """Compare a model's cameras with known ones; paths of moving cameras are for `evaluate_trajectory`.
 

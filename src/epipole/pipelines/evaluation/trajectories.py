@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
 from epipole.io.true_paths import has_true_path, true_path_at
@@ -47,6 +48,7 @@ def trajectories_of(out: Path, truth: Path) -> list[Path]:
     return found
 
 
+@checked
 def evaluate_trajectory(
     estimate: str | Path, truth: str | Path, max_difference_s: float = 0.01
 ) -> TrajectoryEvaluation:

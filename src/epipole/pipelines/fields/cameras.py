@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
+from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import NoModelError
+from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.image import undistorted_camera
 from epipole.io.convert import read_model
 from epipole.io.llff import LLFF, read_llff
+from epipole.io.names import flat_names
 from epipole.pipelines.fields.config import RenderJob
 from epipole.scene import Reconstruction
 
@@ -31,18 +33,24 @@ def shots_of_model(source: Path, job: RenderJob) -> list[Shot]:
     """The registered cameras of a model, without distortion, by their names.
 
     Raises:
-        FileFormatError: there is no model that can be read.
+        FileFormatError: there is no model that can be read, or a camera of it has too many pixels.
         NoModelError: it has no camera with a pose.
     """
     model: Reconstruction = (
         read_llff(source).reconstruction if (source / LLFF).is_file() else read_model(source)
     )
     cams_from_world, out = model.cams_from_world(), []
-    rows = np.flatnonzero(model.is_registered()).tolist()
-    for row in sorted(rows, key=lambda k: model.images.name[k]):
+    rows = sorted(np.flatnonzero(model.is_registered()).tolist(), key=lambda k: model.images.name[k])
+    for row, name in zip(rows, flat_names([model.images.name[row] for row in rows])):
         camera = undistorted_camera(model.cameras[int(model.camera_of_image[row])])
-        name = str(PurePosixPath(model.images.name[row]).with_suffix("")).replace("/", "_")
-        out.append(Shot(name, sized(camera, job.width), cams_from_world[row]))
+        camera = sized(camera, job.width)
+        try:
+            check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
+        except ConfigError as error:
+            raise FileFormatError(
+                source, f"the camera of {name!a} is too large: {error}; pass --width"
+            ) from error
+        out.append(Shot(name, camera, cams_from_world[row]))
     if not out:
         raise NoModelError(f"{source} holds no camera with a pose")
     return out

@@ -9,23 +9,37 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from epipole._declared.tables import Expected, Table
 from epipole._version import __version__
+from epipole.errors import ShapeError, WorkspaceError
 from epipole.fields.training_view import TrainingView
 from epipole.runs.units import digest, is_done, load, store
 
 CHECKPOINT, EVERY_S = "checkpoint.npz", 60.0
 """Its name in the output folder, and how often it is written."""
+_OWN: Table = {
+    "seconds": Expected("float64", least=0),
+    "curve": Expected("float64", "_ 4", may_be_nan=True),
+}
 
 
 @runtime_checkable
 class Resumable(Protocol):
     """What can go on from where it was."""
 
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state`."""
+        """Go on from a `state` that holds what the table says.
+
+        Raises:
+            ShapeError: its arrays do not fit each other.
+        """
 
 
 class Checkpoint:
@@ -50,11 +64,19 @@ class Checkpoint:
         self._saved = perf_counter()
 
     def restore(self) -> tuple[float, list[list[float]]]:
-        """Give the trainer its earlier state; seconds and curve until then, 0 and nothing where there is none."""
+        """Give the trainer its earlier state; seconds and curve until then, 0 and nothing where there is none.
+
+        Raises:
+            WorkspaceError: the file is not one that a trainer has written.
+        """
         if not is_done(self._path, self._key):
             return 0.0, []
-        arrays = load(self._path)
-        self._trainer.restore(arrays)
+        arrays = load(self._path, {**self._trainer.table, **_OWN})
+        try:
+            self._trainer.restore({name: part for name, part in arrays.items() if name not in _OWN})
+        except ShapeError as error:
+            problem = f"{self._path} is damaged: {error}; delete it and run the command again"
+            raise WorkspaceError(problem) from error
         return float(arrays["seconds"]), arrays["curve"].tolist()
 
     def is_due(self) -> bool:

@@ -18,7 +18,13 @@ from epipole.pipelines.fields.config import FieldOptions, MeshJob, RenderJob
 from epipole.pipelines.sfm.command import STAGES
 
 DEFAULTS, ALL_PICTURES, CIRCLE, MARCHED = SplatConfig(), FieldOptions(), RenderJob(), NerfConfig()
-WORDS = {**STAGES, "train": "Training", "test": "Drawing held-out views"}
+WORDS = {
+    **STAGES,
+    "load": "Reading images",
+    "start": "Preparing the training",
+    "train": "Training",
+    "test": "Rendering held-out views",
+}
 WHOLE = MeshJob()
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
@@ -86,16 +92,14 @@ def render(
         out: A video (.mp4), or a folder for PNG pictures.
         job: From where, and how large.
     """
-    from rich.console import Console
-
-    from epipole.screen import progress_on_screen
+    from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"draw": "Drawing"}) as progress:
         from epipole.pipelines.fields.rendering import render as run
 
         done = run(source, out, job, progress)
     text = f"Written {done.out}: {done.num_frames} pictures, {done.frames_per_s:.1f} drawn a second"
-    Console().print(text, highlight=False, markup=False)
+    open_console().print(text, highlight=False, markup=False)
 
 
 def mesh(
@@ -110,16 +114,19 @@ def mesh(
         out: The mesh, a PLY file with colours.
         job: From where, and how fine.
     """
-    from rich.console import Console
-
-    from epipole.screen import progress_on_screen
+    from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"fuse": "Fusing depth"}) as progress:
         from epipole.pipelines.fields.meshing import mesh as run
 
         found = run(source, out, job, progress)
     text = f"Written {out}: {len(found.vertices_in_world):,} vertices, {len(found):,} triangles"
-    Console().print(text, highlight=False, markup=False)
+    if found.num_removed:
+        text += (
+            f"; removed {found.num_removed:,} of {found.num_components:,} components, which have fewer triangles than"
+            f" {100 * job.least_component:g} % of the largest (--least-component)"
+        )
+    open_console().print(text, highlight=False, markup=False)
 
 
 def compare_fields(
@@ -136,17 +143,15 @@ def compare_fields(
         job: Which pictures, and for how long each is trained.
         config: Which field the Gaussians are compared with.
     """
-    from rich.console import Console
-
-    from epipole.screen import print_warnings, progress_on_screen
+    from epipole.screen import open_console, print_warnings, progress_on_screen
 
     with progress_on_screen({**WORDS, "compare": "Comparing"}) as progress:
         from epipole.pipelines.fields.comparison import compare_fields as run
 
         result = run(source, out, config, job, progress)
-    console = Console()
+    console = open_console()
     console.print(_compared(result.rows, config.kind))
-    print_warnings(console, list(result.warnings[:10]))
+    print_warnings(console, result.warnings, rest_in=str(result.out / "compare.json"))
     console.print(f"written   {result.out}", highlight=False, markup=False)
     if result.is_interrupted:
         sys.exit(INTERRUPTED)
@@ -170,25 +175,25 @@ def _compared(rows: dict[str, dict[str, Any]], kind: str) -> Table:
 
 def _show(summary: dict[str, Any], warnings: Sequence[str], count: str, model: Path) -> None:
     """What was trained and where it is; ends with the code of Ctrl-C where that ended it."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    console, table = Console(), Table(box=None, show_header=False)
+    console, table = open_console(), Table(box=None, show_header=False)
     table.add_row(count.removeprefix("num_"), f"{summary[count]:,}")
     table.add_row(
         "trained",
         f"{summary['steps']} steps in {summary['train_s']:.0f} s on {summary['num_train']} pictures",
     )
     if summary["psnr"] is not None:
-        test = summary["num_test"]
-        held = f"{test} picture{'s that were' if test > 1 else ' that was'} held out"
+        test, compared = summary["num_test"], summary["num_compared"]
+        of_all = "" if compared == test else f"{compared} of "
+        held = f"{of_all}{test} picture{'s that were' if test > 1 else ' that was'} held out"
         table.add_row("likeness", f"PSNR {summary['psnr']:.2f} dB, SSIM {summary['ssim']:.3f} ({held})")
     if summary["interrupted"]:
         table.add_row("ended", "by Ctrl-C")
     console.print(table)
-    print_warnings(console, list(warnings[:10]))
+    print_warnings(console, warnings, rest_in=str(model.parent / "summary.json"))
     console.print(f"written   {model}", highlight=False, markup=False)
     console.print(f"report    {model.parent / 'report.html'}", highlight=False, markup=False)
     folder = quote(str(model.parent))

@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from epipole._jit import compile_seconds
 from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.rasterizer import render as draw
 from epipole.fields.rasterizer import useful_pairs
 from epipole.fields.training_view import TrainingView
+from epipole.io.files import read_json
+from epipole.io.photographs import read_rgb
 from epipole.io.rgba_pictures import write_png
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.kinds import KINDS
-from epipole.pipelines.fields.nerf import NerfResult, nerf
-from epipole.pipelines.fields.page import drawn_name
-from epipole.pipelines.fields.run import SplatResult, splat
+from epipole.pipelines.fields.held_out import in_time, timed
+from epipole.pipelines.fields.kinds import KINDS, Kind
+from epipole.pipelines.fields.nerf import NerfResult, nerf_of
+from epipole.pipelines.fields.page import rendered_names
+from epipole.pipelines.fields.pictures import FieldPictures
+from epipole.pipelines.fields.run import SplatResult, splat_of
 from epipole.pipelines.fields.scores import scores_of
-from epipole.pipelines.fields.training import MODEL, background_of, called, pictures_of
+from epipole.pipelines.fields.training import MEANS, METRICS, background_of, called
 from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
 
 PICTURES, FIGURES = "pictures", "compare.json"
 SPLAT, NERF = "splat", "nerf"
 
-Drawn = tuple[np.ndarray, Callable[[], dict[str, float]]]
-"""A picture, and what counts its pixels' work afterwards."""
+
+class Shown(NamedTuple):
+    """A view, rendered and compared with its picture."""
+
+    picture: np.ndarray
+    row: dict[str, float]
+    """Likeness, seconds (`s`), and work for each pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +63,8 @@ def compare_fields(
 ) -> FieldComparison:
     """Train Gaussians, and a neural field or a grid, for the same time, and draw the same views with both.
 
-    Views that were held out are compared; where none were, those that were trained on.
+    Views that were held out are compared; where none were, those that were trained on. With a time, as many of them, spread over all,
+    as a quarter of it is enough to render.
 
     Args:
         source: as of `splat`.
@@ -72,67 +84,117 @@ def compare_fields(
     given = called("compare-fields", (source, out), (NerfConfig, config), job, progress, options)
     source, wanted, config = given.source, given.pictures, given.config
     with open_run(given.task, given.out) as run:
-        gaussians = splat(source, run.root / SPLAT, SplatConfig(seed=config.seed), wanted, progress)
-        model = gaussians.out / MODEL
-        field = nerf(model if model.is_dir() else source, run.root / NERF, config, wanted, progress)
-        pictures = pictures_of(model if model.is_dir() else source, run, wanted)
-        views, background = pictures.test or pictures.train, background_of(wanted, pictures)
-        rows = _compared(_drawers(gaussians, field, config, background), views, background, run)
+        of_splat = (SplatConfig, SplatConfig(seed=config.seed))
+        gaussians, pictures = splat_of(
+            called(SPLAT, (source, run.root / SPLAT), of_splat, wanted, progress, {})
+        )
+        of_nerf = (NerfConfig, config)
+        field, _ = nerf_of(called(NERF, (source, run.root / NERF), of_nerf, wanted, progress, {}), pictures)
+        background = background_of(wanted, pictures)
+        run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings]))
+        views, marched = _of_field(field, KINDS[config.kind], pictures, wanted, run)
+        views = [view for view in views if not pictures.test or view.name in _rows_of(gaussians.out)]
+        splatted, files = partial(_splatted, gaussians, background), rendered_names(pictures.test or views)
+        rows = _compared(splatted, marched, views, background, files, run)
         for name, result in ((SPLAT, gaussians), (NERF, field)):
             rows[name]["train_s"] = result.summary["train_s"]
         rows[SPLAT]["num_gaussians"] = len(gaussians.cloud)
-        told = {"kind": config.kind, "held_out": bool(pictures.test), "views": len(views), **rows}
+        told: dict[str, Any] = {
+            "kind": config.kind,
+            "held_out": bool(pictures.test),
+            "views": len(views),
+            **rows,
+        }
         told["frames_ratio"] = rows[SPLAT]["frames_s"] / rows[NERF]["frames_s"]
+        told["warnings"] = run.warnings
         run.folder.write_json(FIGURES, told)
         is_interrupted = gaussians.summary["interrupted"] or field.summary["interrupted"]
-        run.warnings += [*gaussians.warnings, *field.warnings]
         run.finish(told)
-        return FieldComparison(run.root, rows, tuple(dict.fromkeys(run.warnings)), is_interrupted)
+        return FieldComparison(run.root, rows, tuple(run.warnings), is_interrupted)
 
 
-def _drawers(
-    gaussians: SplatResult, field: NerfResult, config: NerfConfig, background: np.ndarray
-) -> dict[str, Callable[[TrainingView], Drawn]]:
-    kind = KINDS[config.kind]
+@dataclass(frozen=True, slots=True, eq=False)
+class _FieldRenderer:
+    """A trained field."""
 
-    def splatted(view: TrainingView) -> Drawn:
-        drawn = draw(gaussians.cloud, view.camera, view.cam_from_world)
-        return drawn.over(background), lambda: {
-            "evaluated": drawn.tiles.num_evaluated,
-            "useful": useful_pairs(drawn),
-        }
+    background: np.ndarray
+    result: NerfResult
+    kind: Kind
 
-    def marched(view: TrainingView) -> Drawn:
-        picture, _, queries = kind.draw(field.field, view.camera, view.cam_from_world, background)
-        return picture, lambda: {"queries": queries}
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """The picture of a view, and how often the field was asked for it."""
+        drawn, _, count = self.kind.draw(self.result.field, view.camera, view.cam_from_world, self.background)
+        return drawn, count
 
-    return {SPLAT: splatted, NERF: marched}
+
+def _of_field(
+    field: NerfResult, kind: Kind, pictures: FieldPictures, wanted: FieldOptions, run: Run
+) -> tuple[list[TrainingView], Callable[[TrainingView], Shown]]:
+    """The views that are compared, and what the field shows in each.
+
+    Held-out views are those that its job has rendered, a minute each perhaps; views of the training are rendered now.
+    """
+    if pictures.test:
+        rows, files = _rows_of(field.out), rendered_names(pictures.test)
+        return [view for view in pictures.test if view.name in rows], partial(_read, field.out, files, rows)
+    renderer = _FieldRenderer(background_of(wanted, pictures), field, kind)
+    report = partial(run.report, "test")
+    shown = in_time(pictures.train, wanted, partial(_rendered, renderer), report, run.warnings)
+    by_name = {view.name: each for view, each in shown}
+    return [view for view, _ in shown], lambda view: by_name[view.name]
+
+
+def _rendered(renderer: _FieldRenderer, view: TrainingView) -> Shown:
+    picture, seconds, count = timed(renderer, view)
+    scores = scores_of(picture, view, renderer.background)
+    return Shown(picture, {**scores, "s": seconds, "queries": count / picture[..., 0].size})
+
+
+def _read(
+    folder: Path, files: Mapping[str, str], rows: Mapping[str, Mapping[str, Any]], view: TrainingView
+) -> Shown:
+    """As the job has rendered and compared it."""
+    picture, row = read_rgb(folder / "test" / files[view.name]), rows[view.name]
+    scores = {name: np.nan if row[name] is None else row[name] for name in MEANS}  # JSON has no NaN
+    told = {"s": row["render_s"], "queries": row["count"] / picture[..., 0].size}
+    return Shown(picture.astype(np.float32) / np.float32(255.0), {**scores, **told})
+
+
+def _splatted(gaussians: SplatResult, background: np.ndarray, view: TrainingView) -> Shown:
+    begin, compiled = perf_counter(), compile_seconds()
+    drawn = draw(gaussians.cloud, view.camera, view.cam_from_world)
+    picture = drawn.over(background)
+    seconds = perf_counter() - begin - (compile_seconds() - compiled)
+    pairs = {"evaluated": drawn.tiles.num_evaluated, "useful": useful_pairs(drawn)}
+    each = {name: count / picture[..., 0].size for name, count in pairs.items()}
+    return Shown(picture, {**scores_of(picture, view, background), "s": seconds, **each})
+
+
+def _rows_of(folder: Path) -> dict[str, dict[str, Any]]:
+    """What a job has written of the held-out views that it has rendered, by their names."""
+    return {row["name"]: row for row in read_json(folder / METRICS)["views"]}
 
 
 def _compared(
-    drawers: dict[str, Callable[[TrainingView], Drawn]],
+    splatted: Callable[[TrainingView], Shown],
+    marched: Callable[[TrainingView], Shown],
     views: Sequence[TrainingView],
     background: np.ndarray,
+    files: Mapping[str, str],
     run: Run,
 ) -> dict[str, dict[str, Any]]:
     """Means of all views, which are written side by side."""
-    scores: dict[str, list[dict[str, float]]] = {name: [] for name in drawers}
-    for drawer in drawers.values():
-        drawer(views[0])  # compiled, and in the caches
+    scores: dict[str, list[dict[str, float]]] = {SPLAT: [], NERF: []}
+    splatted(views[0])  # in the caches
+    run.report("compare", 0, len(views))
     with run.stage("compare"), run.folder.publish(PICTURES) as aside:
         for n, view in enumerate(views):
-            truth = view.over(background)
-            beside = [truth]
-            for name, drawer in drawers.items():
-                begin = perf_counter()
-                picture, work = drawer(view)
-                seconds = perf_counter() - begin
-                beside.append(picture)
-                told = {**scores_of(picture, view, background), "s": seconds}
-                each = {part: count / truth[..., 0].size for part, count in work().items()}
-                scores[name].append({**told, **each})
+            beside = [view.over(background)]
+            for name, shown in ((SPLAT, splatted(view)), (NERF, marched(view))):
+                beside.append(shown.picture)
+                scores[name].append(shown.row)
             whole = np.rint(255 * np.clip(np.hstack(beside), 0, 1)).astype(np.uint8)
-            write_png(aside / PICTURES / drawn_name(view.name), whole)
+            write_png(aside / PICTURES / files[view.name], whole)
             run.report("compare", n + 1, len(views))
     means = {
         name: {part: float(np.mean([one[part] for one in rows])) for part in rows[0]}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.errors import ConfigError
 
 USUAL_TIME = "5m"
@@ -48,7 +48,7 @@ class FieldOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if self.time is not None and self.steps is not None:
             raise ConfigError("time and steps are two ways to say how long: give one")
         if self.steps is not None and not 1 <= self.steps < 10**9:
@@ -70,9 +70,13 @@ class FieldOptions:
             return None
         words = (USUAL_TIME if self.time is None else self.time).strip()
         found = _DURATION.fullmatch(words)
+        if found is not None and not found[2]:
+            raise ConfigError(
+                f"time needs a unit: {words}s for seconds, {words}m for minutes or {words}h for hours, got {words!r}"
+            )
         if found is None or not 0 < float(found[1]) < 1e7:
-            raise ConfigError(f"time is told as 30s, 5m or 1h, got {words!r}")
-        return float(found[1]) * _UNITS_S[found[2] or "s"]
+            raise ConfigError(f"time is a number with its unit, such as 30s, 5m or 1h, got {words!r}")
+        return float(found[1]) * _UNITS_S[found[2]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +110,7 @@ class RenderJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if not 1 <= self.frames <= 1_000_000:
             raise ConfigError(f"frames must be from 1 to a million, got {self.frames}")
         for name in ("width", "height"):
@@ -133,6 +137,10 @@ class MeshJob:
     """Cameras that are used, spread over all."""
     around: float = 0.98
     """Share of what the field holds, along each axis, that the box takes in: the rest is far away or alone."""
+    box: tuple[float, float, float, float, float, float] | None = None
+    """Mesh this box of the world alone (x y z of its lowest corner, x y z of its highest), instead of --around."""
+    least_component: float = 0.01
+    """Remove components with fewer triangles than this fraction of the largest one; 0 keeps all."""
     width: int | None = None
     """Of the depth pictures; as the cameras' own."""
 
@@ -142,12 +150,18 @@ class MeshJob:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self, negative=("turn_deg",))
         if not 8 <= self.voxels <= 1024:
             raise ConfigError(f"voxels must be from 8 to 1024, got {self.voxels}")
         if self.most_views < 1:
             raise ConfigError(f"most_views must be 1 or more, got {self.most_views}")
         if not 0.0 < self.around <= 1.0:
             raise ConfigError(f"around must be above 0 and at most 1, got {self.around}")
+        if not 0.0 <= self.least_component <= 1.0:
+            raise ConfigError(f"least_component must be from 0 to 1, got {self.least_component}")
+        if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:])):
+            raise ConfigError(
+                f"box must be six numbers, the lowest x y z and then the highest, got {self.box}"
+            )
         if self.width is not None and not 1 <= self.width <= 16384:
             raise ConfigError(f"width must be from 1 to 16384, got {self.width}")

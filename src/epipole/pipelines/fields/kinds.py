@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from epipole._declared.tables import Table
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.fields.hash_field import HashField, Room, draw_hash, voxels_of
@@ -38,6 +39,13 @@ class FieldTrainer(Protocol):
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
 
     def state(self) -> dict[str, np.ndarray]:
         """All that the next steps depend on, besides the views."""

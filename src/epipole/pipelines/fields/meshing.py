@@ -12,11 +12,12 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.fields.tsdf import DistanceVolume, Mesh
 from epipole.io.mesh_ply import write_mesh_ply
+from epipole.io.reconstruction_losses import losses_in
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
 from epipole.pipelines.fields.surfaces import seen_from
-from epipole.runs import Progress, ProgressCallback, ignore_progress
+from epipole.runs import Progress, ProgressCallback, ignore_progress, refuse_existing, replacing_file
 
 
 def mesh(
@@ -42,31 +43,47 @@ def mesh(
         DegenerateGeometryError: no surface is seen.
         FileFormatError: the source, or the cameras, cannot be read.
         NoModelError: there is no camera.
-        WorkspaceError: the file cannot be written.
+        WorkspaceError: the file exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(MeshJob, job, options)
+    source, out = as_path(source), as_path(out)
+    wanted = options_of(MeshJob, job, options, ["job", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
     if out.suffix.lower() != ".ply" or out.is_dir():
         raise ConfigError(f"a mesh is written to a file that ends in .ply, not to {out}")
-    shots = _shots(source, wanted)
+    inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
+    refuse_existing([out], "mesh", inputs)
     see, places = seen_from(source)
-    low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
-    margin = 0.03 * float(np.max(high - low))
-    volume = DistanceVolume(low - margin, high + margin, wanted.voxels)
+    shots = _shots(source, wanted)
+    volume = DistanceVolume(*_box(places, wanted), wanted.voxels)
+    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
+        progress(Progress("fuse", 0, len(shots), loss))
     for n, shot in enumerate(shots):
         volume.add(shot.camera, shot.cam_from_world, *see(shot))
         progress(Progress("fuse", n + 1, len(shots)))
-    found = volume.mesh()
-    write_mesh_ply(out, found.vertices_in_world, found.faces, found.rgb)
+    found = volume.mesh().without_small_components(wanted.least_component)
+    with replacing_file(out, "mesh", inputs) as aside:
+        write_mesh_ply(aside, found.vertices_in_world, found.faces, found.rgb)
     return found
+
+
+def _box(places: np.ndarray, wanted: MeshJob) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest corner of what is meshed."""
+    if wanted.box is not None:
+        return np.array(wanted.box[:3]), np.array(wanted.box[3:])
+    low, high = np.quantile(places, (0.5 - 0.5 * wanted.around, 0.5 + 0.5 * wanted.around), axis=0)
+    margin = 0.03 * float(np.max(high - low))
+    return low - margin, high + margin
 
 
 def _shots(source: Path, wanted: MeshJob) -> list[Shot]:
     """Cameras that were asked for, or those of the training; spread over all where there are many."""
     cameras = wanted.cameras or (source if source.is_dir() else source.parent) / CAMERAS
-    if not cameras.exists():
-        raise NoModelError(f"{cameras} is not there: give the cameras that look at the scene (cameras)")
+    if wanted.cameras is None and not cameras.exists():
+        raise NoModelError(
+            f"the cameras of {source} are unknown, for there is no {cameras}: give the cameras that look at the scene, a "
+            "transforms.json or a COLMAP model (cameras)"
+        )
     shots = shots_of_model(cameras, RenderJob(width=wanted.width))
     rows = np.linspace(0, len(shots) - 1, min(len(shots), wanted.most_views)).astype(np.int64)
     return [shots[row] for row in rows.tolist()]

@@ -9,9 +9,11 @@ from typing import Any
 from epipole.fields.config import NerfConfig
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.held_out import compared
 from epipole.pipelines.fields.kinds import KINDS, Field
+from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import CAMERAS, FIRST_VIEW, first_view_of, write_cameras
-from epipole.pipelines.fields.training import background_of, called, compared, finished, pictures_of, train
+from epipole.pipelines.fields.training import Called, background_of, called, finished, pictures_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 
 
@@ -56,15 +58,23 @@ def nerf(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = called("nerf", (source, out), (NerfConfig, config), job, progress, options)
+    return nerf_of(called("nerf", (source, out), (NerfConfig, config), job, progress, options))[0]
+
+
+def nerf_of(
+    given: Called[NerfConfig], pictures: FieldPictures | None = None
+) -> tuple[NerfResult, FieldPictures]:
+    """The job as it was called, on pictures that were read before, or on those of its source; and the pictures."""
     source, wanted, config = given.source, given.pictures, given.config
     kind = KINDS[config.kind]
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
-            pictures = pictures_of(source, run, wanted)
+            pictures = pictures_of(source, run, wanted) if pictures is None else pictures
         run.warnings += pictures.problems
         with run.stage("start"):
+            run.report("start", 0, 1)
             trainer = kind.trainer(pictures.train, background_of(wanted, pictures), config.seed)
+            run.report("start", 1, 1)
         with run.stage("train"):
             checkpoint = Checkpoint(run.root, given.settings, pictures.train, trainer)
             trained = train(trainer, pictures, wanted, run, checkpoint=checkpoint)
@@ -76,7 +86,9 @@ def nerf(
             "kind": config.kind,
         }
         told[FIRST_VIEW] = first_view_of(kind.places(trainer.field), pictures.train)
-        summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)
+        summary = finished(
+            trainer, pictures, compared(trainer, pictures.test, wanted, run), trained, run, **told
+        )
         if not trained.is_interrupted:
             checkpoint.remove()
-        return NerfResult(run.root, trainer.field, summary, tuple(run.warnings))
+        return NerfResult(run.root, trainer.field, summary, tuple(run.warnings)), pictures

@@ -11,11 +11,12 @@ import numpy as np
 
 from epipole.fields.training_view import TrainingView
 from epipole.image import color_map
+from epipole.io.names import flat_names
 from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render
-from epipole.report.pictures import picture_uri
+from epipole.report.pictures import photograph_uri
 
 MOST_VIEWS, LARGEST_ERROR = 8, 0.25
 """Views that are shown, spread over all; and the error that has the last colour, in shares of white."""
@@ -44,16 +45,19 @@ class _View:
     """Caption and data URI of truth, drawing and error."""
 
 
-def drawn_name(name: str) -> str:
-    """The file of a held-out view's drawing."""
-    return f"{Path(name).with_suffix('')}.png".replace("/", "_")
+def rendered_names(views: Sequence[TrainingView]) -> dict[str, str]:
+    """The files of the renders of all held-out views, by the names of the views; the same where only some are rendered."""
+    names = [view.name for view in views]
+    return {name: f"{file}.png" for name, file in zip(names, flat_names(names))}
 
 
 def render_page(page: FieldPage) -> str:
     """One HTML page with everything inside it."""
     summary = page.summary
     rows = np.unique(np.linspace(0, len(page.scores) - 1, MOST_VIEWS).astype(np.int64)).tolist()
-    shown = [_view(page, page.pictures.test[row], page.scores[row]) for row in rows if page.scores]
+    views, files = {view.name: view for view in page.pictures.test}, rendered_names(page.pictures.test)
+    chosen = [page.scores[row] for row in rows if page.scores]
+    shown = [_view(page, views[score["name"]], files[score["name"]], score) for score in chosen]
     return render(
         __package__,
         "field.html.jinja",
@@ -100,11 +104,11 @@ def _curves(page: FieldPage) -> list[Any]:
     return drawn
 
 
-def _view(page: FieldPage, view: TrainingView, score: dict[str, Any]) -> _View:
+def _view(page: FieldPage, view: TrainingView, file: str, score: dict[str, Any]) -> _View:
     truth = np.rint(255 * view.over(page.background)).astype(np.uint8)
-    drawn = read_rgb(page.root / "test" / drawn_name(view.name))
+    drawn = read_rgb(page.root / "test" / file)
     error = np.abs(drawn.astype(np.float64) - truth).mean(axis=2) / 255
     heat = color_map(error, (0.0, LARGEST_ERROR))
     captions = ("picture", "drawn", "error")
-    sources = [picture_uri(one) for one in (truth, drawn, heat)]
+    sources = [photograph_uri(one) for one in (truth, drawn, heat)]
     return _View(view.name, f"{score['psnr']:.2f}", f"{score['ssim']:.3f}", list(zip(captions, sources)))

@@ -15,6 +15,7 @@ from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.contents_in_words import results_of
 from epipole.io.llff import LLFF, read_llff
 from epipole.io.model_images import ModelImage, ModelImages
 from epipole.io.names import path_inside
@@ -22,7 +23,7 @@ from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, 
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.transforms_json import read_transforms_scene
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.runs import holds_own_model
+from epipole.runs import Progress, ProgressCallback, holds_own_model, ignore_progress
 from epipole.scene import Reconstruction
 from epipole.scene.local_origin import local_origin
 
@@ -82,7 +83,10 @@ def is_model(source: Path) -> bool:
 
 
 def gather_field_pictures(
-    source: Path, options: FieldOptions, photographs: Path | None = None
+    source: Path,
+    options: FieldOptions,
+    photographs: Path | None = None,
+    progress: ProgressCallback = ignore_progress,
 ) -> FieldPictures:
     """Read cameras and pictures.
 
@@ -91,6 +95,7 @@ def gather_field_pictures(
             or of LLFF's poses_bounds.npy.
         options: which pictures are held out, and how large they may be.
         photographs: where the pictures are, if not beside the model.
+        progress: called after each picture.
 
     Raises:
         FileFormatError: there is no model, or it is damaged.
@@ -103,16 +108,17 @@ def gather_field_pictures(
         model = parts[0].model
         if any(part.splits for part in parts):
             problems.append(f"lists of splits are not used, because {' and '.join(SPLITS)} are the splits")
-        train = _views(parts[0], options, problems)
-        test = _views(parts[1], options, problems) if len(parts) > 1 else []
+        train = _views(parts[0], options, problems, progress)
+        test = _views(parts[1], options, problems, progress) if len(parts) > 1 else []
     else:
         found = _source_of(source, options.max_side_px, photographs, problems)
         model = found.model
-        train, test = _split(_views(found, options, problems), found.splits, options, problems)
+        train, test = _split(_views(found, options, problems, progress), found.splits, options, problems)
     if len(train) < 2:
         raise NoModelError(
             f"{len(train)} of the pictures can be trained on, two are needed"
             + "".join(f"; {p}" for p in problems[:3])
+            + ("; SLAM keeps no images beside its map" if results_of(source) == "slam" else "")
         )
     has_alpha = any(view.picture.shape[2] == 4 for view in train)
     return FieldPictures(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
@@ -202,7 +208,9 @@ def _source_of(source: Path, max_side_px: int, photographs: Path | None, problem
     return found if photographs is None else replace(found, folder=photographs)
 
 
-def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[TrainingView]:
+def _views(
+    source: _Source, options: FieldOptions, problems: list[str], progress: ProgressCallback
+) -> list[TrainingView]:
     """By their names; a picture that cannot be read is left out.
 
     Raises:
@@ -215,8 +223,9 @@ def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[
     rows = np.flatnonzero(model.is_registered())
     point = model.tracks.point_of_observation()
     files = ModelImages(model, source.folder, is_own=source.is_own)
+    progress(Progress("load", 0, len(rows)))
     limits = _grey_range(source.folder, [model.images.name[row] for row in rows.tolist()])
-    for row in sorted(rows.tolist(), key=lambda k: model.images.name[k]):
+    for n, row in enumerate(sorted(rows.tolist(), key=lambda k: model.images.name[k]), 1):
         name = model.images.name[row]
         try:
             image = files.find(name)
@@ -230,6 +239,7 @@ def _views(source: _Source, options: FieldOptions, problems: list[str]) -> list[
                 problems.append(f"{name} is left out: its mask leaves nothing of it")
         except EpipoleError as error:
             problems.append(f"{name} is left out: {error}")
+        progress(Progress("load", n, len(rows)))
     if options.masks is not None and not any(mask_of(options.masks, name) for name in model.images.name):
         raise ConfigError(f"no picture has a mask in {options.masks} (NAME.png beside the picture's name)")
     return out

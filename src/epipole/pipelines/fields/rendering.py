@@ -12,12 +12,12 @@ import numpy as np
 
 from epipole._checks import as_path
 from epipole.config import options_of
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.fields.normals import normals_of
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
 from epipole.image import color_map, color_range
-from epipole.io.atomic import atomic_write
+from epipole.io.reconstruction_losses import losses_in
 from epipole.io.rgba_pictures import write_png
 from epipole.io.video_files import VIDEO_SUFFIX, write_video
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
@@ -33,7 +33,16 @@ from epipole.pipelines.fields.scene import (
     told_first_view,
 )
 from epipole.pipelines.fields.surfaces import seen_from
-from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run
+from epipole.runs import (
+    Job,
+    Progress,
+    ProgressCallback,
+    ignore_progress,
+    open_run,
+    refuse_existing,
+    replacing_file,
+)
+from epipole.runs.folder import check_place
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,23 +66,29 @@ def render(
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians.
-        out: a video (.mp4), or a new folder for PNG pictures, or that of an earlier call, which they replace.
+        out: a video (.mp4), or a new folder for PNG images; the video or folder of an earlier call is replaced.
         job: from where, and how large; None for the defaults.
         progress: called with the progress.
         **options: single options by name, which override `job`.
 
     Raises:
-        ConfigError: an option is unknown or makes no sense, or the pictures of a video would differ in size.
+        ConfigError: an option is unknown or makes no sense, the images of a video would differ in size, or `out` ends
+            like a file that is no .mp4.
         FileFormatError: the source, or the cameras, cannot be read.
         NoModelError: there is no camera with a pose.
-        WorkspaceError: the output cannot be written.
+        WorkspaceError: the output exists and no earlier call wrote it, or it cannot be written.
     """
-    source, out, wanted = as_path(source), as_path(out), options_of(RenderJob, job, options)
+    source, out = as_path(source), as_path(out)
+    wanted = options_of(RenderJob, job, options, ["job", "progress"])
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
+    inputs = (source,) if wanted.cameras is None else (source, wanted.cameras)
+    _check_target(out, inputs)
     colour = np.full(3, _background(source, wanted), np.float32)
     picture_of, first_view = _drawer(source, wanted, colour)
     shots = orbit(*first_view, wanted) if wanted.cameras is None else shots_of_model(wanted.cameras, wanted)
+    for loss in [] if wanted.cameras is None else losses_in(wanted.cameras):
+        progress(Progress("draw", 0, len(shots), loss))
     if wanted.output != "colour":
         picture_of = _surface_drawer(source, wanted.output, shots[0])
     spent = [0.0]
@@ -87,7 +102,7 @@ def render(
             progress(Progress("draw", n + 1, len(shots)))
 
     if out.suffix.lower() == VIDEO_SUFFIX:
-        with atomic_write(out) as aside:
+        with replacing_file(out, "render", inputs) as aside:
             write_video(aside, (picture for _, picture in pictures()), wanted.fps)
     else:
         settings = {**asdict(wanted), "cameras": None if wanted.cameras is None else str(wanted.cameras)}
@@ -98,6 +113,25 @@ def render(
                     write_png(aside / f"{shot.name}.png", picture)
             run.finish()
     return Drawn(out, len(shots), len(shots) / max(spent[0], 1e-9))
+
+
+def _check_target(out: Path, inputs: tuple[Path, ...]) -> None:
+    """Before any work: the output is a video or a folder, and may be written.
+
+    Raises:
+        ConfigError: it ends like a file of another kind.
+        WorkspaceError: it is there, and not ours.
+    """
+    if out.suffix.lower() == VIDEO_SUFFIX:
+        refuse_existing([out], "render", inputs)
+        return
+    is_file_name = bool(out.suffix) and not out.suffix[1:].isdecimal()  # views_0.5 is a folder's name
+    if is_file_name and not out.is_dir():
+        raise ConfigError(
+            f"render writes a video that ends in {VIDEO_SUFFIX}, or a folder of PNG images: {out} is neither, as it ends "
+            f"in {out.suffix}"
+        )
+    check_place(out, "render", inputs[:1])
 
 
 def _drawer(

@@ -14,6 +14,7 @@ from epipole.io.gaussian_ply import write_gaussian_ply
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians
+from epipole.pipelines.fields.held_out import compared
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import (
     ANTIALIASED,
@@ -23,7 +24,7 @@ from epipole.pipelines.fields.scene import (
     first_view_of,
     write_cameras,
 )
-from epipole.pipelines.fields.training import background_of, called, compared, finished, pictures_of, train
+from epipole.pipelines.fields.training import Called, background_of, called, finished, pictures_of, train
 from epipole.runs import ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.local_origin import ORIGIN
@@ -77,7 +78,11 @@ def splat(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = called("splat", (source, out), (SplatConfig, config), job, progress, options)
+    return splat_of(called("splat", (source, out), (SplatConfig, config), job, progress, options))[0]
+
+
+def splat_of(given: Called[SplatConfig]) -> tuple[SplatResult, FieldPictures]:
+    """The job as it was called, and the pictures that it read."""
     source, wanted, config = given.source, given.pictures, given.config
     with open_run(given.task, given.out) as run:
         with run.stage("read"):
@@ -103,10 +108,12 @@ def splat(
         told[FIRST_VIEW] = first_view_of(cloud.means_in_world, pictures.train, pictures.origin_in_world)
         if pictures.origin_in_world.any():
             told[ORIGIN] = pictures.origin_in_world.tolist()
-        summary = finished(trainer, pictures, compared(trainer, pictures, run), trained, run, **told)
+        summary = finished(
+            trainer, pictures, compared(trainer, pictures.test, wanted, run), trained, run, **told
+        )
         if not trained.is_interrupted:
             checkpoint.remove()
-        return SplatResult(run.root, cloud, summary, tuple(run.warnings))
+        return SplatResult(run.root, cloud, summary, tuple(run.warnings)), pictures
 
 
 def _memory(pictures: FieldPictures, count: int, sh_degree: int) -> float:

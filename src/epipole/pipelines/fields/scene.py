@@ -14,7 +14,8 @@ from epipole.fields.training_view import TrainingView
 from epipole.fields.voxel_field import gaussians_of
 from epipole.geometry import Rigid3
 from epipole.io.files import read_json
-from epipole.io.gaussian_files import META, is_unpacked_sog, read_gaussians
+from epipole.io.gaussian_files import META, gaussians_file, is_unpacked_sog, read_gaussians
+from epipole.io.gaussian_files import SPLAT as SPLAT
 from epipole.io.transforms_json import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
@@ -25,7 +26,7 @@ from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
 from epipole.scene import Points
 from epipole.scene.gaussian_cloud import GaussianCloud
 
-SPLAT, SUMMARY, CAMERAS = "splat.ply", "summary.json", "cameras.json"
+SUMMARY, CAMERAS = "summary.json", "cameras.json"
 FIRST_VIEW, ANTIALIASED = "first_view", "antialiased"
 """Names in the summary."""
 MOST_SHOWN = 800_000
@@ -127,16 +128,8 @@ def _gaussians_in(path: Path, most: int) -> tuple[GaussianCloud, Path]:
     if found is not None:
         kind, file = found
         return gaussians_of(kind.voxels(kind.read(file)), most), file
-    file = file_of_gaussians(path)
+    file = gaussians_file(path)
     return read_gaussians(file), file
-
-
-def file_of_gaussians(source: Path) -> Path:
-    """The file of a folder: `splat.ply`, or the meta.json of an unpacked SOG; a file is its own."""
-    if source.is_file():
-        return source
-    is_sog_folder = not (source / SPLAT).is_file() and is_unpacked_sog(source / META)
-    return source / (META if is_sog_folder else SPLAT)
 
 
 def looked_at(places: np.ndarray) -> list[np.ndarray]:

@@ -11,10 +11,10 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.fields.rasterizer import RenderOptions
 from epipole.fields.rasterizer import render as draw
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussian_files import gaussians_file, read_gaussians
 from epipole.pipelines.fields.cameras import Shot
 from epipole.pipelines.fields.kinds import Kind, kind_in
-from epipole.pipelines.fields.scene import SUMMARY, file_of_gaussians, told_antialiased
+from epipole.pipelines.fields.scene import SUMMARY, told_antialiased
 
 LEAST_OPACITY, LEAST_COVERAGE = 0.1, 0.5
 """Of Gaussians that tell how large the scene is, and of pixels that show a surface."""
@@ -47,7 +47,7 @@ def seen_from(source: Path) -> tuple[Callable[[Shot], Seen], np.ndarray]:
         kind, file = found
         field = kind.read(file)
         return lambda shot: _marched(kind, field, shot), kind.places(field)
-    file = file_of_gaussians(source)
+    file = gaussians_file(source)
     cloud, options = (
         read_gaussians(file),
         RenderOptions(antialiased=told_antialiased(file.with_name(SUMMARY))),

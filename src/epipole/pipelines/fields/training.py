@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
@@ -15,22 +15,23 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.training_view import TrainingView
-from epipole.io.rgba_pictures import write_png
+from epipole.io.reconstruction_losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
-from epipole.pipelines.fields.page import FieldPage, drawn_name, render_page
+from epipole.pipelines.fields.held_out import probed
+from epipole.pipelines.fields.page import FieldPage, render_page
 from epipole.pipelines.fields.pictures import FieldPictures, gather_field_pictures, is_model
-from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.runs import Job, ProgressCallback, Run, heeded_interrupts
+from epipole.runs.earlier import note_on_poorer
 
 METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
 MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
-PROBES, PROBED, PROBE_SHARE = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 3, 0.1
-"""At these shares of the training so many held-out views are drawn and compared; their time is not counted, but where it is more than
+PROBES, PROBE_SHARE = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85), 0.1
+"""At these shares of the training some held-out views are drawn and compared; their time is not counted, but where it is more than
 this share of the training's the comparison is left out: fog is slow to draw."""
 
 
@@ -46,6 +47,9 @@ class Trainer(Protocol):
 
     def draw(self, view: TrainingView) -> np.ndarray:
         """(h, w, 3) the picture of a view."""
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """The picture of a view, and how often the field was asked for it."""
 
     def __len__(self) -> int:
         """Gaussians, or voxels."""
@@ -85,8 +89,10 @@ def called(
         ConfigError: an option is unknown or makes no sense.
         FileFormatError: there is no source.
     """
-    own = {field.name: options.pop(field.name) for field in fields(FieldOptions) if field.name in options}
-    pictures, config = options_of(FieldOptions, job, own), options_of(*configs, options)
+    names: list[str] = [field.name for field in fields(FieldOptions)]
+    own = {name: options.pop(name) for name in names if name in options}
+    pictures = options_of(FieldOptions, job, own)
+    config = options_of(*configs, options, [*names, "config", "job", "progress"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, "there is no such file or folder")
@@ -108,13 +114,20 @@ class Trained(NamedTuple):
 
 
 def pictures_of(source: Path, run: Run, wanted: FieldOptions) -> FieldPictures:
-    """Cameras and pictures of a source; those of photographs are found first, in a folder beside."""
+    """Cameras and pictures of a source; those of photographs are found first, in a folder beside.
+
+    What is lost on the way stands among their problems.
+    """
+    model, photographs = source, None
     if is_model(source):
-        return gather_field_pictures(source, wanted)
-    model = run.root / MODEL
-    reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
-    pictures = source if source.is_dir() else model / "images"
-    return gather_field_pictures(model, wanted, pictures)
+        losses = losses_in(source)
+    else:
+        model = run.root / MODEL
+        found = reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
+        losses = losses_of(found.summary, model)
+        photographs = source if source.is_dir() else model / "images"
+    pictures = gather_field_pictures(model, wanted, photographs, run.job.progress)
+    return replace(pictures, problems=[*losses, *pictures.problems])
 
 
 def background_of(wanted: FieldOptions, pictures: FieldPictures) -> np.ndarray:
@@ -158,7 +171,7 @@ def train(
             if num_due < len(PROBES) and share >= PROBES[num_due]:
                 num_due += 1
                 at, paused, compiled = seconds(), perf_counter(), compile_seconds()
-                likeness_then = _probed(trainer, pictures, PROBE_SHARE * at - aside)
+                likeness_then = probed(trainer, pictures.test, PROBE_SHARE * at - aside)
                 aside += perf_counter() - paused - (compile_seconds() - compiled)
                 if likeness_then is not None:
                     probes.append([at, trainer.num_steps, likeness_then])
@@ -178,17 +191,6 @@ def train(
     return Trained(curve, probes, is_over)
 
 
-def _probed(trainer: Trainer, pictures: FieldPictures, most_s: float) -> float | None:
-    """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
-    rows = np.unique(np.linspace(0, len(pictures.test) - 1, PROBED).astype(np.int64)).tolist()
-    begin, scores = perf_counter(), list[float]()
-    for view in [pictures.test[row] for row in rows] if pictures.test else []:
-        if perf_counter() - begin > most_s:
-            return None
-        scores.append(scores_of(trainer.draw(view), view, trainer.background)["psnr"])
-    return float(np.mean(scores)) if scores else None
-
-
 def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run: Run) -> None:
     """Write the state; where that fails the training goes on, for what is learnt is worth more."""
     try:
@@ -196,20 +198,6 @@ def _keep(checkpoint: Checkpoint, seconds: float, curve: list[list[float]], run:
     except WorkspaceError as error:
         note = f"the training cannot be gone on with later: {error}"
         run.warnings += [] if note in run.warnings else [note]
-
-
-def compared(trainer: Trainer, pictures: FieldPictures, run: Run) -> list[dict[str, Any]]:
-    """Draw the held-out views into `test`, and say how like they are."""
-    scores = []
-    with run.stage("test"), run.folder.publish("test") as aside:
-        for n, view in enumerate(pictures.test):
-            drawn = trainer.draw(view)
-            write_png(
-                aside / "test" / drawn_name(view.name), np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8)
-            )
-            scores.append({"name": view.name, **scores_of(drawn, view, trainer.background)})
-            run.report("test", n + 1, len(pictures.test))
-    return scores
 
 
 def finished(
@@ -221,15 +209,18 @@ def finished(
     **more: Any,
 ) -> dict[str, Any]:
     """Write `metrics.json` and `report.html` and end the run; the summary."""
+    run.warnings += note_on_poorer(run.root, "steps", trainer.num_steps, "steps of training")
     summary: dict[str, Any] = {
         **more,
         "interrupted": trained.is_interrupted,
         "num_train": len(pictures.train),
         "num_test": len(pictures.test),
+        "num_compared": len(scores),
         "steps": trainer.num_steps,
         "train_s": trained.curve[-1][0] if trained.curve else 0.0,
         **{name: float(np.mean([one[name] for one in scores])) if scores else None for name in MEANS},
         "background": "white" if trainer.background[0] else "black",
+        "warnings": run.warnings,
         "timings_s": run.timings_s,
     }
     tables: dict[str, dict[str, list[Any]]] = {

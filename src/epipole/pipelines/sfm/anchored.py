@@ -25,13 +25,21 @@ from epipole.pipelines.sfm.gps.alignment import gps_distances
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.pipeline import Solution
+from epipole.runs import Progress, ProgressCallback
 from epipole.scene import Reconstruction
 
 UP_TO_SCALE = "up to scale: pictures alone cannot tell lengths"
 
 
-def with_scale(solution: Solution, config: ReconstructConfig) -> tuple[Mapped, list[str]]:
+def with_scale(
+    solution: Solution, config: ReconstructConfig, progress: ProgressCallback
+) -> tuple[Mapped, list[str]]:
     """The models, the largest of them in metres where something tells its scale; and what does not tell it, in words.
+
+    Args:
+        solution: the models.
+        config: what is known.
+        progress: called with each image that is searched for objects of known size.
 
     Raises:
         FileFormatError: a file that was named cannot be read.
@@ -41,7 +49,13 @@ def with_scale(solution: Solution, config: ReconstructConfig) -> tuple[Mapped, l
     if config.anchors.is_empty:
         return replace(mapped, scale=_of_gps(gps)), []
 
+    searched: set[int] = set()
+    num_images = int(model.is_registered().sum())
+    progress(Progress("anchor", 0, num_images))
+
     def grey(row: int) -> np.ndarray | None:
+        searched.add(row)
+        progress(Progress("anchor", min(len(searched), num_images - 1), num_images))
         try:
             return read_grey(images.folder / images.names[row])
         except EpipoleError:
@@ -54,6 +68,7 @@ def with_scale(solution: Solution, config: ReconstructConfig) -> tuple[Mapped, l
         words = "the model stays up to scale" if gps is None else "the scale stays that of GPS"
         return replace(mapped, scale=_of_gps(gps)), [f"{words}: {error}"]
     model, alignment = _moved(model, found, config), mapped.gps[0]
+    progress(Progress("anchor", num_images, num_images))
     if alignment is not None:
         positions = gps_to_enu(images.lat_lon_alt)
         residuals_m = gps_distances(model.camera_centers_in_world(), positions)

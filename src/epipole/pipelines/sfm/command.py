@@ -8,20 +8,27 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from epipole._terminal import one_line
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 if TYPE_CHECKING:
     from epipole.pipelines.sfm.run import ReconstructionResult
 
 DEFAULTS = ReconstructConfig()
+REASONS_SHOWN = 10
 STAGES = {
     "video": "Taking frames",
     "read": "Reading headers",
+    "digest": "Comparing files",
     "features": "Finding features",
     "compile": "Compiling kernels",
+    "pair": "Choosing pairs",
     "match": "Matching pairs",
     "verify": "Verifying pairs",
     "map": "Placing images",
+    "adjust": "Adjusting the model",
+    "anchor": "Looking for the scale",
+    "write": "Writing images",
 }
 
 
@@ -48,12 +55,11 @@ def reconstruct(
 
 def show_reconstruction(result: ReconstructionResult) -> None:
     """Print what was made and where it is."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    console, model, summary = Console(), result.model, result.summary
+    console, model, summary = open_console(), result.model, result.summary
     table = Table(box=None, show_header=False)
     table.add_row("images placed", f"{summary['num_registered']} of {summary['num_images']}")
     table.add_row("points", f"{len(model.points):,} ({len(model.tracks.image):,} observations)")
@@ -71,8 +77,10 @@ def show_reconstruction(result: ReconstructionResult) -> None:
         )
     console.print(table)
     print_warnings(console, result.warnings)
-    for name, reason in list(result.reasons.items())[:10]:
-        console.print(f"  {name}: {reason}", highlight=False, markup=False)
+    for name, reason in list(result.reasons.items())[:REASONS_SHOWN]:
+        console.print(one_line(f"  {name}: {reason}"), highlight=False, markup=False)
+    if (more := len(result.reasons) - REASONS_SHOWN) > 0:
+        console.print(f"  and {more} more, in the report", highlight=False, markup=False)
     console.print(
         f"model   {result.out / 'sparse' / '0'}\nreport  {result.out / 'report.html'}",
         highlight=False,

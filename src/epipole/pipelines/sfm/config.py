@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_fields
-from epipole.config import AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
+from epipole._declared import check_options
+from epipole.config import ANCHOR_FILES, AnchorOptions, FeatureConfig, MatchConfig, RansacConfig
 from epipole.errors import ConfigError
 
 MAX_SEED = 2**32 - 1
@@ -36,7 +36,7 @@ class PairingConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if min(self.neighbours, self.overlap, self.exhaustive_limit) < 1:
             raise ConfigError("neighbours, overlap and exhaustive_limit must be at least 1")
 
@@ -106,7 +106,7 @@ class MapperConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         for name, value in vars(self).items():
             if isinstance(value, float) and math.isinf(value):
                 raise ConfigError(f"{name} must be finite, got {value}")
@@ -172,7 +172,7 @@ class ReconstructConfig:
         """
         if isinstance(self.include, str) or isinstance(self.exclude, str):
             raise ConfigError("include and exclude are tuples of patterns, not one string")
-        check_fields(self)
+        check_options(self)
         self.known_params()
         if self.calibration is not None and (self.camera_params or self.camera_model):
             raise ConfigError(
@@ -184,6 +184,12 @@ class ReconstructConfig:
             raise ConfigError(f"max_frames must be at least 2, got {self.max_frames}")
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
+
+    def named_files(self) -> list[Path]:
+        """Files that options name."""
+        mine = (self.calibration, self.pairs, self.database)
+        anchors = (getattr(self.anchors, name) for name in ANCHOR_FILES)
+        return [path for path in (*mine, *anchors) if path is not None]
 
     @property
     def has_known_camera(self) -> bool:

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole._declared.tables import Arrays
 from epipole.errors import ConfigError
 from epipole.io.colmap_database import DatabaseContents, read_database
 from epipole.io.photographs import read_header
 from epipole.pipelines.sfm.feature_stage import as_unit_arrays, read_picture
-from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, block_units, filled
+from epipole.pipelines.sfm.pair_blocks import PairBlock, block_units, filled
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.unit_tables import MATCHES
 from epipole.runs import Unit, digest, holds_own_model
 
 FORMAT = 2
@@ -141,7 +143,7 @@ def match_units(matches: Matches, folder: Path) -> list[Unit]:
     pairs = sorted(matches)
     keys = [digest("database matches", FORMAT, matches[pair]) for pair in pairs]
     return block_units(
-        pairs, keys, folder, given_matches, lambda block: [matches[pair] for pair in pairs[block]]
+        pairs, keys, folder, given_matches, MATCHES, lambda block: [matches[pair] for pair in pairs[block]]
     )
 
 

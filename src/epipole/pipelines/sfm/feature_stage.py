@@ -12,8 +12,10 @@ import numpy as np
 from epipole.config import FeatureConfig
 from epipole.errors import FileFormatError, MissingDependencyError
 from epipole.features import Features, detect_features
+from epipole.image.encoding import encoded_image
 from epipole.io.photographs import read_header, read_mask, read_rgb
 from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Unit, digest, load
 
 FORMAT = 4
@@ -94,7 +96,7 @@ def as_unit_arrays(
     factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    _, jpeg = cv2.imencode(".jpg", small[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
+    jpeg = np.frombuffer(encoded_image(".jpg", small[..., ::-1], jpeg_quality=80), np.uint8)
     return {
         "pixels": pixels,
         "scale_px": scale_px,
@@ -113,4 +115,4 @@ def load_features(path: Path) -> Features:
 
 @lru_cache(maxsize=64)
 def _remembered(path: Path, _mtime_ns: int) -> Features:
-    return Features(**load(path, "pixels", "scale_px", "angle_rad", "descriptors"))
+    return Features(**load(path, FEATURES, "pixels", "scale_px", "angle_rad", "descriptors"))

@@ -29,6 +29,11 @@ MAX_PROBES = 8
 """Largest number of initial pairs whose models are grown."""
 
 Progress = Callable[[int, int], None]
+"""Called with what is done and what there is to do."""
+
+
+def _ignored(done: int, total: int) -> None:
+    """Nobody wants to know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +64,29 @@ class IncrementalMapper:
         )
         self._angle = np.deg2rad(config.min_angle_deg)
 
-    def run(self, usable: np.ndarray, progress: Progress | None = None) -> bool:
+    def run(self, usable: np.ndarray, progress: Progress = _ignored, adjusting: Progress = _ignored) -> bool:
         """Map the usable images (mask); False if no pair of them can start a model.
 
         A finished model that disagrees with its own matches grew from a poor start (unknown focal lengths,
         nearly parallel views): others are tried, and the model that explains most matches is kept.
+
+        Args:
+            usable: the images.
+            progress: called with the images placed so far, and those that may be; 0 where it starts again.
+            adjusting: called with the rounds of the adjustment of a grown model.
         """
         best: tuple[int, Snapshot] | None = None
+        num_rounds = self.config.final_rounds + 1
         for _ in range(1 + self.config.restarts):
+            progress(0, int(usable.sum()))
             if not self.start(usable):
                 break
             self.grow(usable, int(usable.sum()), progress)
-            self.adjust_globally(rounds=self.config.final_rounds)
+            adjusting(0, num_rounds)
+            self.adjust_globally(self.config.final_rounds, lambda done: adjusting(done, num_rounds))
+            adjusting(num_rounds - 1, num_rounds)
             self.finish()
+            adjusting(num_rounds, num_rounds)
             explained = self.consistency.num_explained(self.model)
             if best is None or explained > best[0]:
                 best = (explained, self.model.snapshot())
@@ -97,7 +112,7 @@ class IncrementalMapper:
             adjust_all(self.model, last, self._freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
 
-    def grow(self, usable: np.ndarray, limit: int, progress: Progress | None = None) -> None:
+    def grow(self, usable: np.ndarray, limit: int, progress: Progress = _ignored) -> None:
         """Place images one by one until `limit` are registered or none fits any more."""
         size_at_global = int(self.model.registered.sum())
         while self.model.registered.sum() < limit and (image := self.register_next(usable)) is not None:
@@ -112,8 +127,7 @@ class IncrementalMapper:
                 )
                 self.model.filter(self.config.max_error_px, self._angle)
             self._take_out_if_wrong(image)
-            if progress is not None:
-                progress(int(self.model.registered.sum()), int(usable.sum()))
+            progress(int(self.model.registered.sum()), int(usable.sum()))
 
     def start(self, usable: np.ndarray) -> bool:
         """Start from the pair whose model, grown to a few images, agrees with the matches.
@@ -255,14 +269,20 @@ class IncrementalMapper:
         self.model.extend(components, self.config.max_error_px)
         self.model.triangulate(components, self.config.max_error_px, self._angle)
 
-    def adjust_globally(self, rounds: int) -> None:
-        """Adjust everything, filter, triangulate again; repeat until little changes, `rounds` times at most."""
+    def adjust_globally(self, rounds: int, done: Callable[[int], None] = lambda _: None) -> None:
+        """Adjust everything, filter, triangulate again; repeat until little changes, `rounds` times at most.
+
+        Args:
+            rounds: their largest number.
+            done: called after each with their number so far.
+        """
         model, config = self.model, self.config
         everything = np.arange(len(model.components))
         for turn in range(max(rounds, 1)):
             adjust_all(model, self._global_bundle(), self._freedom(), self.priors)
             dropped = model.filter(config.max_error_px, self._angle)
             self._drop_lost_images()
+            done(min(turn + 1, rounds))
             if turn == rounds - 1 or rounds == 0:
                 break
             added = model.extend(everything, config.max_error_px)

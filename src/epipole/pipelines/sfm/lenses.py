@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Int32
@@ -19,8 +18,7 @@ from epipole.cameras.image_fit import (
     with_likely_principal_point,
 )
 from epipole.errors import ConfigError
-from epipole.io.calibration_files import read_calibration
-from epipole.io.camera_params import camera_of_images, refuse_impossible
+from epipole.io.camera_params import camera_of_calibration, camera_of_images, refuse_impossible
 from epipole.io.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
@@ -106,20 +104,11 @@ def _known_camera(config: ReconstructConfig, shapes: Sequence[ImageShape]) -> tu
     """The camera as it is given, where it comes from, and what holds it."""
     if config.calibration is not None:
         what = f"calibration {config.calibration}"
-        camera = _calibrated_camera(config.calibration, shapes[0].size(ImagePixels.STORED))
+        camera = camera_of_calibration(config.calibration, shapes[0].size(ImagePixels.STORED))
         refuse_impossible(camera, str(config.calibration))
         return camera, f"given by {config.calibration.name}", what
     found = camera_of_images(config.camera_model, shapes, config.camera_params or "")
     return found, "given", "the camera of camera_params"
-
-
-def _calibrated_camera(path: Path, size: tuple[int, int]) -> Camera:
-    found = read_calibration(path, size=size).cameras
-    if len(found) != 1:
-        raise ConfigError(
-            f"calibration {path} holds {len(found)} cameras; one that took all pictures is needed"
-        )
-    return found[0]
 
 
 def _shape_of(header: PhotographHeader) -> ImageShape:

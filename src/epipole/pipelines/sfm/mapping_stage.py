@@ -72,9 +72,9 @@ def map_images(
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config)
-        if not mapper.run(remaining, _counting(progress, remaining)):
+        if not mapper.run(remaining, _counting(progress, remaining), _adjusting(progress)):
             break
-        gps = _put_in_place(mapper, positions, images.up_in_cams, config)
+        gps = _put_in_place(mapper, positions, images.up_in_cams, config, _adjusting(progress))
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -88,19 +88,31 @@ def map_images(
 
 
 def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[int, int], None]:
-    """Progress over all pictures: those of earlier models, and of the best attempt at this one."""
-    earlier, best = int((~remaining).sum()), 0
+    """Progress over all pictures: those of earlier models, and of this attempt at this one."""
+    earlier, best, num_attempts = int((~remaining).sum()), 0, 0
 
     def report(done: int, _: int) -> None:
-        nonlocal best
+        nonlocal best, num_attempts
+        note = ""
+        if done == 0:
+            note = "starts again from another initial pair" if num_attempts else ""
+            best, num_attempts = 0, num_attempts + 1
         best = max(best, done)
-        progress(Progress("map", earlier + best, len(remaining)))
+        progress(Progress("map", earlier + best, len(remaining), note))
 
     return report
 
 
+def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
+    return lambda done, total: progress(Progress("adjust", done, total))
+
+
 def _put_in_place(
-    mapper: IncrementalMapper, positions_enu: np.ndarray, up_in_cams: np.ndarray, config: MapperConfig
+    mapper: IncrementalMapper,
+    positions_enu: np.ndarray,
+    up_in_cams: np.ndarray,
+    config: MapperConfig,
+    adjusting: Callable[[int, int], None],
 ) -> GpsAlignment | None:
     """Rotate the model upright; where GPS agrees, also to metres, east-north-up, and adjust it with the GPS."""
     model = mapper.model
@@ -117,13 +129,16 @@ def _put_in_place(
     expected[has_no_altitude, 2] = model.center[has_no_altitude, 2]
     sigma[has_no_altitude, 2] = UNKNOWN_ALTITUDE_SIGMA_M
     mapper.priors = PositionPriors(expected, sigma)
-    mapper.adjust_globally(rounds=2)
+    adjusting(0, 3)
+    mapper.adjust_globally(2, lambda done: adjusting(done, 3))
+    adjusting(2, 3)
     mapper.finish()
+    adjusting(3, 3)
     return replace(aligned, residuals_m=gps_distances(model.center, positions_enu))
 
 
 def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[str]:
-    """What is to be said of GPS: why the largest model is not in metres, or which positions it contradicts."""
+    """What is to be said of GPS: why it has not made the largest model metric, or which positions it contradicts."""
     has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
     if not (config.use_gps and mapped.models and has_gps.any()):
         return []
@@ -131,16 +146,17 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
     registered = model.is_registered()
     if gps is not None:
         return _notes_on_positions(images, gps, config)
+    unknown = "the scale is unknown" if mapped.scale is None else "GPS is not used"
     fixes = gps_to_enu(images.lat_lon_alt[has_gps & registered])
     if len(fixes) < MIN_POSITIONS:
         verb = "carries" if len(fixes) == 1 else "carry"
         counts = f"{len(fixes) or 'none'} of the model's images {verb} GPS"
-        return [f"the scale is unknown: {counts}, at least {MIN_POSITIONS} are needed for metres"]
+        return [f"{unknown}: {counts}, at least {MIN_POSITIONS} are needed for metres"]
     reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
     if not is_wide_enough(fixes, reach_m):
         extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
         return [
-            f"the scale is unknown: the GPS positions lie within {extent_m:.0f} m, and may be off by {reach_m:.0f} m"
+            f"{unknown}: the GPS positions lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
         ]
     found = evidence_of(
         model.camera_centers_in_world(),
@@ -148,7 +164,7 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
         gps_to_enu(images.lat_lon_alt),
         config.seed,
     )
-    return [f"the scale is unknown: the GPS positions do not fit the model: {found.in_words()}"]
+    return [f"{unknown}: the GPS positions do not fit the model: {found.in_words()}"]
 
 
 def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfig) -> list[str]:

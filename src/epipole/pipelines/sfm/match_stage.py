@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int32
 
+from epipole._declared.tables import Arrays
 from epipole.cameras import Camera
 from epipole.config import MatchConfig, RansacConfig
 from epipole.features import Features, match_along_epipolar_lines, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.pipelines.sfm.feature_stage import load_features
-from epipole.pipelines.sfm.pair_blocks import Arrays, PairBlock, PairResult, block_units, filled, result_of
+from epipole.pipelines.sfm.pair_blocks import PairBlock, PairResult, block_units, filled, result_of
+from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES, check_matches
 from epipole.robust import PairKind, PairMatches, fundamental_for_guided_matching, verify_pairs
 from epipole.runs import Unit, digest, load
 from epipole.scene import Cameras, ViewGraph
@@ -89,7 +91,7 @@ def _units(
 
     file_of = {pair: unit.path for unit in matches or () for pair in unit.payload.pairs}
     keys = [digest(*key) for key in zip(_pair_keys(todo, pairs, work.__name__), matched)]
-    return block_units(pairs, keys, folder, work, task_of)
+    return block_units(pairs, keys, folder, work, MATCHES if matches is None else GEOMETRIES, task_of)
 
 
 def _pair_keys(todo: PairWork, pairs: Sequence[tuple[int, int]], what: str) -> Iterator[str]:
@@ -159,10 +161,12 @@ def verify_block(block: PairBlock) -> Arrays:
 def _verified(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
     task: MatchTask = block.task
     assert task.match_file is not None
-    stored = load(task.match_file)
+    stored = load(task.match_file, MATCHES, p=len(block.pairs))
     putative = [result_of(stored, n)["matches"] for n in places]
     in_use = sorted({i for n in places for i in block.pairs[n]})
     pixels = {i: load_features(task.feature_files[i]).pixels for i in in_use}
+    for n, matches in zip(places, putative):
+        check_matches(task.match_file, matches, [len(pixels[i]) for i in block.pairs[n]])
     pairs = [
         PairMatches(
             pixels[i][matches[:, 0]].astype(np.float64),
@@ -191,21 +195,33 @@ def _verified(block: PairBlock, places: Sequence[int]) -> list[PairResult]:
     ]
 
 
-def load_putative(units: Sequence[Unit]) -> dict[tuple[int, int], np.ndarray]:
-    """Putative matches of every pair that has any."""
+def load_putative(units: Sequence[Unit], num_features: Sequence[int]) -> dict[tuple[int, int], np.ndarray]:
+    """Putative matches of every pair that has any, between images with so many features.
+
+    Raises:
+        WorkspaceError: a file is damaged, or a match has no feature.
+    """
     out = {}
     for unit in units:
-        stored = load(unit.path, "offsets", "matches")
+        stored = load(unit.path, MATCHES, "offsets", "matches", p=len(unit.payload.pairs))
         for n, pair in enumerate(unit.payload.pairs):
             matches = result_of(stored, n)["matches"]
+            check_matches(unit.path, matches, [num_features[i] for i in pair])
             if len(matches):
                 out[pair] = matches
     return out
 
 
-def load_view_graph(units: Sequence[Unit]) -> ViewGraph:
-    """All verified pairs, without the degenerate ones."""
-    blocks = [load(unit.path) for unit in units]
+def load_view_graph(units: Sequence[Unit], num_features: Sequence[int]) -> ViewGraph:
+    """All verified pairs, without the degenerate ones, between images with so many features.
+
+    Raises:
+        WorkspaceError: a file is damaged, or a match has no feature.
+    """
+    blocks = [load(unit.path, GEOMETRIES, p=len(unit.payload.pairs)) for unit in units]
+    for unit, stored in zip(units, blocks):
+        for n, pair in enumerate(unit.payload.pairs):
+            check_matches(unit.path, result_of(stored, n)["matches"], [num_features[i] for i in pair])
     pairs = np.array([pair for unit in units for pair in unit.payload.pairs], np.int32).reshape(-1, 2)
 
     def column(name: str, empty: tuple[int, ...], dtype: type = np.float64) -> np.ndarray:

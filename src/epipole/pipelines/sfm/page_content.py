@@ -13,6 +13,7 @@ from epipole._jit import compile_seconds
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.notes import focal_source, focal_verdict, pictures_of_camera, title_of
 from epipole.pipelines.sfm.pipeline import Solution
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
 
@@ -96,7 +97,7 @@ def page_content(
                 "" if placed else reasons.get(name, ""),
             )
         )
-        thumbnails[name] = load(solution.features[i].path, "thumbnail")["thumbnail"].tobytes()
+        thumbnails[name] = load(solution.features[i].path, FEATURES, "thumbnail")["thumbnail"].tobytes()
         camera = model.cameras[int(model.camera_of_image[i])]
         own = models[shown].tracks.keypoint[models[shown].tracks.image == i]
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]

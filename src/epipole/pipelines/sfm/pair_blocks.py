@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared.tables import Arrays, Table
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, is_done, load, stored_key
 
-Arrays = dict[str, np.ndarray]
 PairResult = Arrays
 """What was found for one pair: `matches` (m, 2), and further arrays or numbers."""
 
@@ -33,6 +33,8 @@ class PairBlock:
     """Of each pair: a digest of everything that its result depends on."""
     held: dict[int, tuple[Path, int]]
     """Pairs of the block whose results are there already: file and place in it."""
+    table: Table
+    """What the file of the block holds, and those that hold its pairs."""
     task: Any
     """What the work on the other pairs needs."""
 
@@ -48,6 +50,7 @@ def block_units(
     keys: Sequence[str],
     folder: Path,
     work: Callable[[PairBlock], Arrays],
+    table: Table,
     task_of: Callable[[slice], Any],
 ) -> list[Unit]:
     """Units of the blocks of pairs.
@@ -57,28 +60,29 @@ def block_units(
         keys: a digest of everything that the result of each pair depends on.
         folder: where the files go; those there already may hold results.
         work: makes the file of a block.
+        table: what this file holds.
         task_of: what the work needs for the pairs of a slice.
     """
     slices = block_slices(len(pairs))
     names = [f"{digest(list(keys[block]))}.npz" for block in slices]
-    held = _held_in(folder, {*names}) if not all((folder / name).exists() for name in names) else {}
+    held = _held_in(folder, {*names}, table) if not all((folder / name).exists() for name in names) else {}
     units = []
     for block, name in zip(slices, names):
         places = {n: held[key] for n, key in enumerate(keys[block]) if key in held}
-        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), places, task_of(block))
+        payload = PairBlock(tuple(pairs[block]), tuple(keys[block]), places, table, task_of(block))
         units.append(Unit(folder / name, Path(name).stem, work, payload, len(payload.pairs)))
     return units
 
 
-def _held_in(folder: Path, planned: set[str]) -> dict[str, tuple[Path, int]]:
+def _held_in(folder: Path, planned: set[str], table: Table) -> dict[str, tuple[Path, int]]:
     """Where the results of pairs are, by key, in the files of earlier lists of pairs."""
     held: dict[str, tuple[Path, int]] = {}
     for path in sorted(folder.glob("*.npz")):
         if path.name in planned or not is_done(path, stored_key(path)):
             continue
         try:
-            keys = load(path, "pair_keys")["pair_keys"]
-        except WorkspaceError:  # of another kind
+            keys = load(path, table)["pair_keys"]
+        except WorkspaceError:  # of another kind, or not to be used
             continue
         held.update({str(key): (path, n) for n, key in enumerate(keys)})
     return held
@@ -93,7 +97,7 @@ def filled(block: PairBlock, make: Callable[[list[int]], Sequence[PairResult]]) 
     """
     results: dict[int, PairResult] = {}
     for path in {path: None for path, _ in block.held.values()}:
-        stored = load(path)
+        stored = load(path, block.table)
         results.update({n: result_of(stored, row) for n, (at, row) in block.held.items() if at == path})
     missing = [n for n in range(len(block.pairs)) if n not in results]
     if missing:

@@ -98,26 +98,27 @@ def read_image_set(
         NoModelError: there are no pictures that can be read.
         ConfigError: the camera options do not fit, or patterns or masks fit no picture.
     """
-    listed = list_photographs(folder, ignore=ignore)
+    listed = list_photographs(folder, ignore=[*ignore, *config.named_files()])
     if not listed.names:
-        hints = [listed.advice, *(f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN])]
+        unusable = [f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN]]
         what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
-        raise NoModelError(" ".join([what, *filter(None, hints)]))
+        raise NoModelError(" ".join([what, *filter(None, [listed.advice, *unusable, *listed.passed_over])]))
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress, video_orientation)
-    unreadable = [name for name in listed.unreadable if _is_wanted(name, config)]
-    left_out = {**listed.unusable, **dict.fromkeys(unreadable, listed.advice), **left_out}
+    unreadable = {name: listed.advice for name in listed.unreadable if _is_wanted(name, config)}
+    left_out = {**listed.unusable, **unreadable, **left_out}
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
         notes.append(note)
     if listed.unusable:
         notes.append(f"{_counted(len(listed.unusable), 'file')} left out: {_some(listed.unusable)}")
+    if timestamps_s is None:  # beside the frames of a video lies nothing of the user's
+        notes += listed.passed_over
     if not headers:
         reasons = "; ".join(f"{n}: {why}" for n, why in list(left_out.items())[:NAMES_SHOWN])
         raise NoModelError(f"none of the pictures in {folder} can be used ({reasons})")
-    times = timestamps_s or {}
     grouped = group_cameras(headers, config)
     masks, mask_note = _masks_of(tuple(headers), config.masks)
-    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory)
+    digests = content_digests([*(folder / name for name in headers), *masks.values()], memory, progress)
     return ImageSet(
         folder,
         tuple(headers),
@@ -126,11 +127,11 @@ def read_image_set(
         grouped.sources,
         np.array([_gps_row(h) for h in headers.values()]),
         np.array([h.up_in_camera or (np.nan,) * 3 for h in headers.values()]),
-        np.array([times.get(n, np.nan) for n in headers]),
+        np.array([(timestamps_s or {}).get(n, np.nan) for n in headers]),
         tuple(digests[folder / n] for n in headers),
         tuple(digests[masks[n]] if n in masks else "" for n in headers),
         left_out,
-        bool(times),
+        bool(timestamps_s),
         tuple(filter(None, [*notes, *grouped.notes, mask_note])),
     )
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.video import extract_frames, frame_orientation, is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
@@ -28,6 +29,7 @@ from epipole.pipelines.sfm.match_stage import PairWork, load_view_graph, match_u
 from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph
@@ -107,7 +109,9 @@ def solve(source: Path, run: Run, config: ReconstructConfig) -> Solution:
         _wait_for(compiling, run)
     with run.stage("match"):
         given = database.matches(images.names) if database is not None else {}
+        run.report("pair", 0, 1)
         pairs = _choose_pairs(images, features, config, given)
+        run.report("pair", 1, 1)
     detected = _Detected(features, keypoints, colors, database, given, pairs)
     solution = _match_and_map(images, detected, run, config)
     if (corrected := _corrected_cameras(solution)) is not None:
@@ -130,15 +134,16 @@ def _match_and_map(
     with run.stage("match"):
         matches = _matches(todo, detected, run.root / UNITS / f"matches{suffix}")
         run.do(matches, "match")
+    num_features = [len(pixels) for pixels in detected.keypoints]
     with run.stage("verify"):
         folder = run.root / UNITS / f"geometry{suffix}"
-        view_graph = _verify(todo, matches, folder, run)
+        view_graph = _verify(todo, matches, folder, run, num_features)
         images = _without_contradictions(images, view_graph, config)
         todo = replace(todo, cameras=images.cameras, camera_of_image=images.camera_of_image)
         cameras, found = estimate_focals(todo.cameras, todo.camera_of_image, view_graph)
         if found:  # focal lengths were guessed: repeat with those that the pairs agree on
             again = folder.with_name(f"{folder.name}-calibrated")
-            view_graph = _verify(replace(todo, cameras=cameras), matches, again, run)
+            view_graph = _verify(replace(todo, cameras=cameras), matches, again, run, num_features)
     with run.stage("map"):
         mapped = map_images(
             images,
@@ -190,10 +195,12 @@ def _matches(todo: PairWork, detected: _Detected, folder: Path) -> list[Unit]:
     return given_match_units(asked, folder)
 
 
-def _verify(todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run) -> ViewGraph:
+def _verify(
+    todo: PairWork, matches: Sequence[Unit], folder: Path, run: Run, num_features: Sequence[int]
+) -> ViewGraph:
     units = verification_units(todo, folder, matches)
     run.do(units, "verify")
-    return load_view_graph(units)
+    return load_view_graph(units, num_features)
 
 
 def _wait_for(compiling: threading.Thread, run: Run) -> None:
@@ -244,9 +251,8 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
             progress=run.job.progress,
         )
     if not source.is_dir():
-        raise NoModelError(
-            f"{source} is neither a video nor a folder: give the folder that holds the photographs"
-        )
+        problem = f"{source} is neither a video nor a folder"
+        raise NoModelError(with_what_it_is(problem, source, "give the folder that holds the photographs"))
     ignore = (run.root, *((config.masks,) if config.masks else ()))
     return read_image_set(source, config, memory, ignore=ignore, progress=run.job.progress)
 
@@ -274,7 +280,7 @@ def _detect(
     run.do(units, "features")
     failures = {}
     for i, unit in enumerate(units):
-        if why := str(load(unit.path, "failure")["failure"]):
+        if why := str(load(unit.path, FEATURES, "failure")["failure"]):
             failures[i] = why
     images = images.without(failures)
     if len(images) == 0:
@@ -287,7 +293,7 @@ def _detect(
 
 
 def _keypoints(features: Sequence[Unit]) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    stored = [load(unit.path, "pixels", "colors") for unit in features]
+    stored = [load(unit.path, FEATURES, "pixels", "colors") for unit in features]
     return tuple(s["pixels"].astype(np.float64) for s in stored), tuple(s["colors"] for s in stored)
 
 
@@ -322,4 +328,4 @@ class _Descriptors(Sequence[np.ndarray]):
         return len(self._paths)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        return load(self._paths[index], "descriptors")["descriptors"]
+        return load(self._paths[index], FEATURES, "descriptors")["descriptors"]

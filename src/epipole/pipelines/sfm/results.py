@@ -17,6 +17,7 @@ from epipole.io.ply import write_scene_ply
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.match_stage import load_putative
 from epipole.pipelines.sfm.pipeline import DATABASE, UNITS, Solution
+from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
 
@@ -54,10 +55,12 @@ def _write_pictures(solution: Solution, run: Run) -> None:
     before = _read_record(record)
     record.unlink(missing_ok=True)  # a stopped run leaves no record that is half true
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
-        for name, fingerprint in copied.items():
+        run.report("write", 0, len(copied))
+        for n, (name, fingerprint) in enumerate(copied.items(), 1):
             target = run.root / "images" / name
             if not target.is_file() or before.get(name) != fingerprint:
                 copy_or_rotate(images.folder / name, target)
+            run.report("write", n, len(copied))
     with atomic_write(record) as aside:
         aside.write_text(json_text(copied, indent=1), encoding="utf-8")
 
@@ -78,14 +81,14 @@ def database_contents(solution: Solution) -> DatabaseContents:
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     stacked = np.concatenate(keypoints).reshape(-1, 2)
     rows = np.arange(n, dtype=np.int32)
-    stored = [load(unit.path, "descriptors")["descriptors"] for unit in solution.features]
+    stored = [load(unit.path, FEATURES, "descriptors")["descriptors"] for unit in solution.features]
     return DatabaseContents(
         cameras,
         Rigs.of_single_cameras(len(cameras)),
         Frames(images.camera_of_image, unregistered(n), images.timestamps_s),
         Images(images.names, rows, images.camera_of_image, offsets, stacked),
         [descriptors if descriptors.shape[1] == 128 else None for descriptors in stored],
-        load_putative(solution.matches),
+        load_putative(solution.matches, [len(k) for k in keypoints]),
         solution.view_graph,
         np.where(_lacks_altitude(images.lat_lon_alt), 0.0, images.lat_lon_alt),
     )

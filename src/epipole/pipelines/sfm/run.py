@@ -21,6 +21,7 @@ from epipole.pipelines.sfm.page_content import page_content
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
 from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress, open_run
+from epipole.runs.earlier import note_on_poorer
 from epipole.scene import Reconstruction
 
 
@@ -73,7 +74,8 @@ def reconstruct(
         ConfigError: an option is unknown, or does not fit the pictures.
         FileFormatError: a file that was named is missing or cannot be read.
     """
-    config, out, source = options_of(ReconstructConfig, config, options), as_path(out), as_path(images)
+    config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"])
+    out, source = as_path(out), as_path(images)
     _check_inputs(source, config)
     settings = asdict(config)
     job = Job(
@@ -89,13 +91,14 @@ def reconstruct(
         solution = solve(source, run, config)
         if solution.mapped.models:
             with run.stage("anchor"):
-                mapped, notes = with_scale(solution, config)
+                mapped, notes = with_scale(solution, config, progress)
             run.warnings += notes
             with run.stage("check"):
                 solution = replace(solution, mapped=mapped).with_focals()
         reasons = _reasons(solution, config)
         with run.stage("write"):
             write_results(solution, run)
+        run.warnings += _note_on_fewer(solution, out)
         run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
             content = page_content(solution, reasons, run, settings)
@@ -123,6 +126,12 @@ def _check_inputs(source: Path, config: ReconstructConfig) -> None:
         if path is not None and not path.exists():
             raise FileFormatError(path, f"no such file ({name})")
     check_anchor_files(config.anchors)
+
+
+def _note_on_fewer(solution: Solution, out: Path) -> list[str]:
+    """A warning where the earlier result has more registered images."""
+    num_registered = int(solution.mapped.models[0].is_registered().sum())
+    return note_on_poorer(out, "num_registered", num_registered, "registered images")
 
 
 def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:

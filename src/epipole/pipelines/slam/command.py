@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from epipole._terminal import say
 from epipole.pipelines.sfm.command import STAGES
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
@@ -40,7 +41,12 @@ def slam(
     """
     from epipole.screen import progress_on_screen
 
-    words = {**STAGES, "track": "Following the camera", "adjust": "Adjusting the map"}
+    words = {
+        **STAGES,
+        "choose": "Choosing images",
+        "track": "Following the camera",
+        "adjust": "Adjusting the map",
+    }
     with progress_on_screen(words) as progress:
         from epipole.pipelines.slam.run import slam as run
 
@@ -54,12 +60,11 @@ def slam(
 
 def show_slam(result: SlamResult) -> None:
     """Print how much of the path is known, and where it is."""
-    from rich.console import Console
     from rich.table import Table
 
-    from epipole.screen import print_warnings
+    from epipole.screen import open_console, print_warnings
 
-    summary, console = result.summary, Console()
+    summary, console = result.summary, open_console()
     table = Table(box=None, show_header=False)
     causal = summary["num_placed_causal"]
     table.add_row(
@@ -97,7 +102,7 @@ def show_slam(result: SlamResult) -> None:
             highlight=False,
             markup=False,
         )
-    print_warnings(console, result.warnings[:10])
+    print_warnings(console, result.warnings, rest_in=str(result.out / "summary.json"))
     console.print(f"path    {result.out / 'trajectory.txt'}", highlight=False, markup=False)
     console.print(f"report  {result.out / 'report.html'}", highlight=False, markup=False)
     console.print(f"look    epipole view {quote(str(result.out))}", highlight=False, markup=False)
@@ -136,9 +141,9 @@ def _stay(out: Path, job: JobOptions) -> None:
     try:
         handle = view_scene(scene(out), port=job.port, host=job.host, block=False)
     except FileFormatError as error:
-        print(f"epipole: {error}", file=sys.stderr)
+        say(f"epipole: {error}", to_stderr=True)
         return
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
+    say(f"Viewer at {handle.url} (Ctrl-C stops it)")
     try:
         threading.Event().wait()
     except KeyboardInterrupt:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from epipole._declared import check_fields
+from epipole._declared import check_options
 from epipole.config import AnchorOptions, FlowConfig
 from epipole.errors import ConfigError
 
@@ -69,7 +69,7 @@ class SlamConfig:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.num_features < 50 or self.min_distance_px < 2 or self.window < 2 or self.max_fixed < 1:
             raise ConfigError(
                 "num_features must be at least 50, min_distance_px and window at least 2, max_fixed at least 1"
@@ -103,7 +103,7 @@ class CameraOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.depth_scale is not None and not 0 < self.depth_scale < 1e6:
             raise ConfigError(f"depth_scale must be positive and below a million, got {self.depth_scale}")
         if not 0 <= self.readout_s < 1:
@@ -135,14 +135,13 @@ class CameraOptions:
             fit_notes,
             with_likely_principal_point,
         )
-        from epipole.io.calibration_files import read_calibration
-        from epipole.io.camera_params import camera_of_images
+        from epipole.io.camera_params import camera_of_calibration, camera_of_images
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
                 raise ConfigError("calibration tells model and parameters: give it, or camera_params")
             what = f"calibration {self.calibration}"
-            found = read_calibration(self.calibration, size=shape.size(ImagePixels.STORED)).cameras[0]
+            found = camera_of_calibration(self.calibration, shape.size(ImagePixels.STORED))
         elif self.camera_params is not None:
             what = "the camera of camera_params"
             found = camera_of_images(self.camera_model, [shape], self.camera_params)
@@ -216,7 +215,7 @@ class JobOptions:
         Raises:
             ConfigError: a value makes no sense.
         """
-        check_fields(self)
+        check_options(self)
         if self.max_frames is not None and self.max_frames < 1:
             raise ConfigError(f"max_frames must be at least 1, got {self.max_frames}")
         if self.start < 0 or self.stride < 1:

@@ -46,7 +46,7 @@ class Feed:
     def __iter__(self) -> Iterator[QueuedFrame]:
         source = self.source.frames()
         frames = self._wanted(source)
-        count, last = 0, -1
+        count, last = 0, self.job.start - self.job.stride
         try:
             for frame in self._in_real_time(frames) if self._waits else frames:
                 if self._is_stopped():

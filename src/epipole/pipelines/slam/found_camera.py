@@ -18,10 +18,12 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.features.flow import follow_points
 from epipole.geometry import Rigid3
+from epipole.image.encoding import encoded_image
 from epipole.io.bags import is_bag
 from epipole.io.calibration_files import CalibrationFile, write_calibration
 from epipole.io.camera_params import text_of_camera
 from epipole.io.photographs import read_grey, read_header
+from epipole.io.reconstruction_losses import losses_of
 from epipole.io.sequences import read_sequence
 from epipole.io.video import count_frames, is_video, opened_video
 from epipole.mapping import bundle_problem_of
@@ -31,7 +33,7 @@ from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.map_files import camera_of_map
 from epipole.pipelines.slam.moving_sources import camera_index
-from epipole.runs import ProgressCallback
+from epipole.runs import Progress, ProgressCallback
 
 MOST_PICTURES, LEAST_PICTURES = 30, 8
 MOST_FRAMES = 1500
@@ -54,15 +56,18 @@ class FoundCamera:
     """0 where it is that of the map that is gone on in."""
     sigma_px: float
     """Standard deviation of its focal length."""
+    losses: tuple[str, ...] = ()
+    """Warnings of the reconstruction that it was found by."""
 
-    def note(self) -> str:
+    def notes(self) -> list[str]:
         """What a user should know."""
         if not self.num_pictures:
-            return "nothing tells the camera: it is taken to be that which made the map"
-        return (
+            return ["nothing tells the camera: it is taken to be that which made the map"]
+        return [
             f"nothing tells the camera: it was found from {self.num_pictures} of the pictures ({self.camera}; focal length "
-            f"+- {self.sigma_px:.1f} px). A calibration is more accurate"
-        )
+            f"+- {self.sigma_px:.1f} px). A calibration is more accurate",
+            *(f"estimating the camera: {loss}" for loss in self.losses),
+        ]
 
     @property
     def source(self) -> str:
@@ -73,7 +78,12 @@ class FoundCamera:
 
     def summary(self) -> dict[str, Any]:
         """For the run's summary."""
-        return {"camera": repr(self.camera), "pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
+        return {
+            "camera": repr(self.camera),
+            "pictures": self.num_pictures,
+            "focal_sigma_px": self.sigma_px,
+            "warnings": list(self.losses),
+        }
 
     def write(self, path: Path) -> None:
         """Write a calibration, for the next run."""
@@ -153,15 +163,17 @@ def _of_files(files: Iterable[Path]) -> Generator[_Picture, None, None]:
 def _camera_of(
     pictures: _Pictures, job: JobOptions, given: CameraOptions, progress: ProgressCallback
 ) -> FoundCamera:
-    num = min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride)
+    num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride))
     wanted = islice(pictures.each, job.start, job.start + num * job.stride, job.stride)
     with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(pictures.each):
         folder = Path(name) / "pictures"
         folder.mkdir()
-        count = _select(wanted, max(1, num // MOST_PICTURES), folder)
-        if count < LEAST_PICTURES:
+        selected = _select(_counted(wanted, num, progress), max(1, num // MOST_PICTURES), folder)
+        progress(Progress("choose", num, num))
+        if len(selected) < LEAST_PICTURES:
             raise ConfigError(
-                f"nothing tells the camera, and {count} pictures are too few to find it ({LEAST_PICTURES} are needed): {ADVICE}"
+                f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_PICTURES} are needed): "
+                f"{ADVICE}"
             )
         model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
         try:
@@ -170,26 +182,44 @@ def _camera_of(
             raise ConfigError(
                 f"nothing tells the camera, and the pictures give no model: {error}: {ADVICE}"
             ) from error
-        return _judged(found)
+        losses = []
+        for loss in losses_of(found.summary, None):
+            for copy, name_in_source in selected.items():
+                loss = loss.replace(copy, name_in_source)
+            losses.append(loss)
+        return _judged(found, losses)
 
 
-def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> int:
-    """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width."""
-    view, count, since = _View(), 0, 0
-    for grey, file in pictures:
+def _counted(
+    pictures: Iterable[_Picture], num: int, progress: ProgressCallback
+) -> Generator[_Picture, None, None]:
+    for n, picture in enumerate(pictures):
+        progress(Progress("choose", min(n, num - 1), num))
+        yield picture
+
+
+def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str, str]:
+    """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width.
+
+    Returns:
+        The name in the source (of a video: the number of the picture, of those looked at) of each file that is written.
+    """
+    view, since = _View(), 0
+    selected: dict[str, str] = {}
+    for number, (grey, file) in enumerate(pictures):
         since += 1
-        if not view.is_apart(grey) and count and since < usual:
+        if not view.is_apart(grey) and selected and since < usual:
             continue
-        name = folder / f"{count:06d}{'.png' if file is None else file.suffix}"
+        name = folder / f"{len(selected):06d}{'.png' if file is None else file.suffix}"
         if file is None:
-            cv2.imwrite(str(name), grey)
+            name.write_bytes(encoded_image(".png", grey))
         else:
             copyfile(file, name)  # with what it says of its lens
         view.begin(grey)
-        count, since = count + 1, 0
-        if count == MOST_PICTURES:
+        selected[name.name], since = f"image {number}" if file is None else file.name, 0
+        if len(selected) == MOST_PICTURES:
             break
-    return count
+    return selected
 
 
 class _View:
@@ -214,7 +244,7 @@ class _View:
         return len(shift) < LEAST_FOLLOWED or float(np.median(shift)) > APART * grey.shape[1]
 
 
-def _judged(found: ReconstructionResult) -> FoundCamera:
+def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
     """The camera, where the pictures tell its focal length.
 
     Raises:
@@ -236,7 +266,7 @@ def _judged(found: ReconstructionResult) -> FoundCamera:
             f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
             f"--camera-model {lens.model.name} --camera-params {text_of_camera(lens)}"
         )
-    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px))
+    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px), tuple(losses))
 
 
 def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:

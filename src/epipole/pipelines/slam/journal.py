@@ -12,6 +12,7 @@ from pathlib import Path
 
 from epipole.io.atomic import reporting
 from epipole.io.files import file_bytes
+from epipole.io.json_files import json_values
 from epipole.pipelines.slam.growing_path import write_all
 from epipole.pipelines.slam.loop_closing import LoopCandidate
 from epipole.pipelines.slam.record import FrameRecord
@@ -80,7 +81,7 @@ class Journal:
 
 
 def read_journal(path: Path) -> list[Entry]:
-    """The frames of a journal up to the first line that is damaged: a killed process, or a full disk, cuts the last one.
+    """The frames of a journal up to the first line that is damaged or of an earlier frame: a killed process, or a full disk, cuts the last one.
 
     Raises:
         FileFormatError: there is no such file.
@@ -89,20 +90,22 @@ def read_journal(path: Path) -> list[Entry]:
     end = before = 0
     for line in file_bytes(path).splitlines(keepends=True):
         try:
-            entry = _entry_of(line, end + len(line), before)
+            entry = _entry_of(path, line, end + len(line), before)
         except (BadState, ValueError):
+            break
+        if out and entry.record.number <= out[-1].record.number:
             break
         out.append(entry)
         end, before = entry.end, entry.sum
     return out
 
 
-def _entry_of(line: bytes, end: int, before: int) -> Entry:
+def _entry_of(path: Path, line: bytes, end: int, before: int) -> Entry:
     told, _, text = line.rstrip(b"\n").partition(b" ")
     if not line.endswith(b"\n") or int(told, 16) != zlib.crc32(text, before):
         raise BadState("it is cut off")
     try:
-        structure, rows = json.loads(text)
+        structure, rows = json_values(path, text.decode(), allow_nan=True)
         arrays = [array_of(row, base64.b64decode(data, validate=True)) for row, data in rows]
     except (TypeError, RecursionError) as error:
         raise BadState(str(error)) from error

@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared.tables import TEXT, Arrays, Expected, Table
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import ConfigError, EpipoleError, FileFormatError, WorkspaceError
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
@@ -19,7 +21,29 @@ from epipole.runs.units import is_done, load, store, stored_key
 
 MAP_FILE = Path("map") / "map.npz"
 VERSION = "epipole map 1"
-ROTATION_TOLERANCE = 1e-6
+TABLE: Table = {
+    "camera_model": Expected("int64"),
+    "camera_params": Expected("float64", "_"),
+    "size": Expected("int64", "2", least=1),
+    "is_metric": Expected("bool"),
+    "scale": Expected(TEXT, is_optional=True),  # older files lack it
+    "right_shift_px": Expected("float64"),
+    "number": Expected("int64", "k", least=0, most=1 << 53),
+    "name": Expected(TEXT, "k"),
+    "timestamp_s": Expected("float64", "k"),
+    "rotation": Expected("float64", "k 3 3", is_rotation=True),
+    "translation": Expected("float64", "k 3"),
+    "grey": Expected("uint8", "k h w"),
+    "offsets": Expected("int64", "k+1", rises_to="n"),
+    "pixels": Expected("float64", "n 2"),
+    "disparity_px": Expected("float64", "n", may_be_nan=True),
+    "point": Expected("int64", "n", below="p"),
+    "xyz": Expected("float64", "p 3", may_be_nan=True),
+    "anchor": Expected("int64", "p", least=-1, below="k"),
+    "anchor_px": Expected("float64", "p 2"),
+    "num_agreed": Expected("int64", "p", least=0),
+}
+"""What the file holds: k keyframes, n observations, p points."""
 
 
 class KnownMap(NamedTuple):
@@ -104,15 +128,14 @@ def sketch_of_map(path: str | Path) -> MapSketch:
     Raises:
         FileFormatError: it is no map, or damaged.
     """
-    camera = camera_of_map(path)
     arrays = _arrays(_file_of(as_path(path)))
     placed = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
     return MapSketch(
-        camera,
+        _camera_of(arrays),
         tuple(str(n) for n in arrays["name"]),
         Rigid3(arrays["rotation"], arrays["translation"]),
         arrays["grey"],
-        arrays["xyz"][placed].astype(np.float64),
+        arrays["xyz"][placed],
         arrays["num_agreed"][placed],
         bool(arrays["is_metric"]),
     )
@@ -127,14 +150,18 @@ def camera_of_map(path: str | Path) -> Camera:
     Raises:
         FileFormatError: it is no map, or damaged.
     """
+    return _camera_of(_arrays(_file_of(as_path(path))))
+
+
+def require_map(path: Path) -> None:
+    """Check that a path is a map, or holds one.
+
+    Raises:
+        FileFormatError: it is none, of another version, or damaged.
+    """
     file = _file_of(as_path(path))
-    arrays = _arrays(file)
-    try:
-        model = CameraModel(int(arrays["camera_model"]))
-        width, height = (int(side) for side in arrays["size"])
-        return Camera(model, width, height, arrays["camera_params"])
-    except (ValueError, EpipoleError) as error:
-        raise FileFormatError(file, f"its camera is none: {error}") from error
+    if not is_done(file, VERSION):
+        _arrays(file)
 
 
 def _file_of(path: Path) -> Path:
@@ -164,7 +191,7 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
         raise ConfigError(f"{path} is the map of another camera: {params} against {lens.params}")
     if sensor.tells_depth and not arrays["is_metric"]:
         raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
-    scale = arrays.get("scale")  # older files lack it
+    scale = arrays.get("scale")
     return KnownMap(
         _model_of(arrays),
         tuple(str(n) for n in arrays["name"]),
@@ -174,53 +201,51 @@ def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
     )
 
 
-def _arrays(path: Path) -> dict[str, np.ndarray]:
+def _arrays(path: Path) -> Arrays:
+    """What the file of a map holds, checked.
+
+    Raises:
+        FileFormatError: it is no map, damaged, or its arrays do not fit each other.
+    """
     if not is_done(path, VERSION):
         key = stored_key(path) if path.is_file() else ""
         why = f"it is of another version ({key})" if key not in ("", VERSION) else "it is no map, or damaged"
-        raise FileFormatError(path, why if path.exists() else "no such file")
+        if not path.is_file():
+            why = f"holds no map of SLAM ({MAP_FILE})"
+        advice = "give the output folder of an earlier `epipole slam`"
+        raise FileFormatError(path, with_what_it_is(why, path, advice))
     try:
-        arrays = load(path)
+        arrays = load(path, TABLE)
         _check(arrays)
-    except (WorkspaceError, KeyError, ValueError, IndexError, TypeError) as error:
+        _camera_of(arrays)
+    except (EpipoleError, ValueError) as error:
         raise FileFormatError(path, f"its arrays are no map's: {error}") from error
     return arrays
 
 
-def _check(arrays: dict[str, np.ndarray]) -> None:
-    """Check that the arrays fit each other.
+def _camera_of(arrays: Arrays) -> Camera:
+    width, height = (int(side) for side in arrays["size"])
+    return Camera(CameraModel(int(arrays["camera_model"])), width, height, arrays["camera_params"])
+
+
+def _check(arrays: Arrays) -> None:
+    """Check what the table does not say.
 
     Raises:
-        ValueError: they do not.
+        ShapeError: the pictures are not of the camera's size, or a keypoint is outside its picture.
     """
-    k, p, n = len(arrays["number"]), len(arrays["xyz"]), len(arrays["point"])
-    width, height = (int(v) for v in arrays["size"])
-    shapes = {
-        **dict.fromkeys(("number", "name", "timestamp_s"), (k,)),
-        **dict.fromkeys(("anchor", "num_agreed"), (p,)),
-        **{"rotation": (k, 3, 3), "translation": (k, 3), "grey": (k, height, width), "offsets": (k + 1,)},
-        **{"pixels": (n, 2), "disparity_px": (n,), "point": (n,), "xyz": (p, 3), "anchor_px": (p, 2)},
-    }
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape:
-            raise ValueError(f"{name} is {arrays[name].shape}, not {shape}")
-    turned = arrays["rotation"] @ np.swapaxes(arrays["rotation"], 1, 2)
-    if k and not np.abs(turned - np.eye(3)).max() < ROTATION_TOLERANCE:
-        raise ValueError("a rotation is none")
-    for name in ("timestamp_s", "translation", "pixels", "anchor_px", "camera_params"):
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} is not finite")
-    offsets, point, anchor = arrays["offsets"], arrays["point"], arrays["anchor"]
-    if offsets[0] != 0 or offsets[-1] != n or (np.diff(offsets) < 0).any():
-        raise ValueError("offsets do not rise to the number of observations")
-    if (n and not 0 <= point.min() <= point.max() < p) or (p and not -1 <= anchor.min() <= anchor.max() < k):
-        raise ValueError("an index has no place")
+    width, height = arrays["size"].tolist()
+    if arrays["grey"].shape[1:] != (height, width):
+        raise ShapeError(f"grey must be pictures of {width} x {height}, got {arrays['grey'].shape}")
+    for name in ("pixels", "anchor_px"):
+        if not ((arrays[name] > -1.0) & (arrays[name] < arrays["size"])).all():
+            raise ShapeError(f"{name} must be within the picture")
 
 
-def _model_of(arrays: dict[str, np.ndarray]) -> SlamMap:
+def _model_of(arrays: Arrays) -> SlamMap:
     model, offsets = SlamMap(), arrays["offsets"]
     # Points that were first seen in a keyframe that is not there are of no use.
-    xyz = np.where(arrays["anchor"][:, None] >= 0, arrays["xyz"].astype(np.float64), np.nan)
+    xyz = np.where(arrays["anchor"][:, None] >= 0, arrays["xyz"], np.nan)
     rows = model.add_points(xyz, arrays["anchor_px"], np.maximum(arrays["anchor"], 0))
     model.num_agreed[rows] = arrays["num_agreed"]
     model.right_shift_px = float(arrays["right_shift_px"])

@@ -13,7 +13,7 @@ from epipole.scene import Trajectory
 
 BLOCK = 512
 """Frames in one array: those of full arrays are replaced, not written to."""
-_TIME, _KEYFRAME, _UNIT = 0, 1, 2
+_TIME, KEYFRAME, _UNIT = 0, 1, 2
 _ROTATION, _TRANSLATION, _COVARIANCE = slice(3, 12), slice(12, 15), slice(15, 51)
 _COLUMNS = 51
 _NONE = -1.0
@@ -39,7 +39,7 @@ class Path:
         """A frame's cam_from_world, told from a keyframe."""
         relative = place @ keyframe.cam_from_world.inverse()
         row = np.empty(_COLUMNS)
-        row[_TIME], row[_KEYFRAME], row[_UNIT] = timestamp_s, self._number_of(keyframe), keyframe.unit
+        row[_TIME], row[KEYFRAME], row[_UNIT] = timestamp_s, self._number_of(keyframe), keyframe.unit
         row[_ROTATION], row[_TRANSLATION] = relative.rotation.ravel(), relative.translation
         row[_COVARIANCE] = covariance.ravel()
         block, place_in_block = divmod(number - self.first, BLOCK)
@@ -58,7 +58,7 @@ class Path:
         if not 0 <= block <= len(self._full):
             return None
         row = (self._full[block] if block < len(self._full) else self._open)[place_in_block]
-        keyframe = self._keyframes[int(row[_KEYFRAME])] if row[_KEYFRAME] >= 0 else None
+        keyframe = self._keyframes[int(row[KEYFRAME])] if row[KEYFRAME] >= 0 else None
         if keyframe is None:
             return None
         grown = keyframe.unit / row[_UNIT]
@@ -73,14 +73,14 @@ class Path:
         new = self._number_of(heir)
         between = gone.cam_from_world @ heir.cam_from_world.inverse()
         for rows in self._blocks_of(old):
-            mask = rows[:, _KEYFRAME] == old
+            mask = rows[:, KEYFRAME] == old
             own = rows[mask]
             grown = gone.unit / own[:, _UNIT]
             relative = Rigid3(
                 own[:, _ROTATION].reshape(-1, 3, 3), own[:, _TRANSLATION] * grown[:, None]
             ) @ Rigid3(between.rotation[None], between.translation[None])
             covariance = _scaled(own[:, _COVARIANCE].reshape(-1, 6, 6), grown)
-            own[:, _KEYFRAME], own[:, _UNIT] = new, heir.unit
+            own[:, KEYFRAME], own[:, _UNIT] = new, heir.unit
             own[:, _ROTATION] = relative.rotation.reshape(-1, 9)
             own[:, _TRANSLATION], own[:, _COVARIANCE] = relative.translation, covariance.reshape(-1, 36)
             rows[mask] = own
@@ -92,7 +92,7 @@ class Path:
         for number, one in enumerate(self._keyframes):
             if one is not None and id(one) in gone:
                 for rows in self._blocks_of(number):
-                    rows[rows[:, _KEYFRAME] == number, _KEYFRAME] = _NONE
+                    rows[rows[:, KEYFRAME] == number, KEYFRAME] = _NONE
                 self._keyframes[number] = None
 
     def trajectory(self, keyframes: Sequence[Keyframe]) -> Trajectory:
@@ -100,11 +100,11 @@ class Path:
         known = {id(k) for k in keyframes}
         used = [n for n, k in enumerate(self._keyframes) if k is not None and id(k) in known]
         rows = np.concatenate([*self._full, self._open])
-        rows = rows[np.isin(rows[:, _KEYFRAME], used)]
+        rows = rows[np.isin(rows[:, KEYFRAME], used)]
         if not len(rows):
             return Trajectory(np.zeros(0), Rigid3.identity(0), np.zeros((0, 6, 6)))
         keys = [k for k in (self._keyframes[n] for n in used) if k is not None]
-        which = np.searchsorted(used, rows[:, _KEYFRAME])
+        which = np.searchsorted(used, rows[:, KEYFRAME])
         grown = np.array([k.unit for k in keys])[which] / rows[:, _UNIT]
         relative = Rigid3(rows[:, _ROTATION].reshape(-1, 3, 3).copy(), rows[:, _TRANSLATION] * grown[:, None])
         there = Rigid3(
@@ -128,7 +128,7 @@ class Path:
         """The blocks with frames that are told from a keyframe, to be written to."""
         out = []
         for n, rows in enumerate(self._full):
-            if (rows[:, _KEYFRAME] == keyframe).any():
+            if (rows[:, KEYFRAME] == keyframe).any():
                 self._full[n] = rows.copy()
                 out.append(self._full[n])
         return [*out, self._open]

@@ -60,6 +60,11 @@ def _words() -> np.ndarray:
     return np.load(WORDS).astype(np.float32)
 
 
+def look_size() -> int:
+    """Numbers of the vector that a picture is compared by."""
+    return _words().size
+
+
 def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
     """A picture described at its corners."""
     descriptors = describe_upright(grey, pixels)

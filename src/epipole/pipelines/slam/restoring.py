@@ -40,13 +40,14 @@ def read_state(system: Slam, files: StateFiles) -> Restored:
     held, facts = files.read(known_to(system))
     if not isinstance(held, dict) or set(held) != set(vars(system)):
         raise FileFormatError(path, "is of another version")
-    problem = problem_of_state(held, system.camera.camera)
+    try:
+        num_lines, num_bytes = int(facts["num_lines"]), int(facts["num_bytes"])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FileFormatError(path, "is damaged: it does not tell its frames") from error
+    problem = problem_of_state(held, system, num_lines)
     if problem:
         raise FileFormatError(path, f"is damaged: {problem}")
-    try:
-        return Restored(held, int(facts["num_lines"]), int(facts["num_bytes"]))
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileFormatError(path, "is damaged: it does not tell its frames") from error
+    return Restored(held, num_lines, num_bytes)
 
 
 def go_on_after(state: State, missed: Sequence[TrackedFrame]) -> None:

@@ -37,10 +37,13 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource
 from epipole.pipelines.slam.truth import truth_at_frames, truth_summary
 from epipole.runs import Run
+from epipole.runs.earlier import note_on_poorer, refuse_poorer
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
 CAMERA = "camera.json"
+PLACED, PLACED_WORDS = "num_placed", "localized frames"
+"""What `summary.json` calls their number."""
 
 WARM = 2
 """Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
@@ -138,6 +141,19 @@ def write_results(
     return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
 
 
+def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
+    """Refuse to replace a result that has more frames; frames that cannot be read again are written, with a warning.
+
+    Raises:
+        WorkspaceError: an earlier result has more frames, and these can be read again.
+    """
+    num_placed = len(system.trajectory())
+    if num_placed and can_repeat:
+        refuse_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+    else:
+        run.warnings += note_on_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+
+
 def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
     """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
     with run.stage("check"):
@@ -226,7 +242,7 @@ def _summary(
     placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
     return {
         "num_frames": len(records),
-        "num_placed": placed,
+        PLACED: placed,
         "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.maps[0].keyframes),

@@ -46,7 +46,7 @@ class TakenUp(NamedTuple):
     source: FrameSource
     """With the frames that are left."""
     job: JobOptions
-    """With as many frames as are left to be followed."""
+    """With as many frames as are left to be followed, and as many skipped before the next of them as `stride` says."""
     first_number: int
     """Of the source's frames, where they are counted anew."""
     num_dropped: int
@@ -140,14 +140,19 @@ def take_up(folder: Path, key: Key, system: Slam, source: FrameSource, job: JobO
     for entry in kept:
         system.loops.extend(entry.loops)
     records = [entry.record for entry in kept]
-    left, num_before = _left(source, records, system, can_repeat=can_repeat)
+    left = _left(source, records, system, can_repeat=can_repeat)
+    first = num_dropped = 0
+    if records:
+        last = records[-1].number
+        num_dropped = max(0, (last - job.start) // job.stride + 1 - len(records))
+        first = last + 1 if source.is_live else 0
+        job = replace(job, start=job.stride - 1)
     checkpoint.begin(system, records, source.body_from_camera, kept[-1] if kept else None)
     if job.max_frames is not None:
         wanted = job.max_frames - len(records)
         left = left if wanted > 0 else replace(left, num_frames=0, frames=_nothing)
         job = replace(job, max_frames=max(wanted, 1))
-    first = num_before if source.is_live else 0
-    return TakenUp(checkpoint, records, left, job, first, num_before - len(records))
+    return TakenUp(checkpoint, records, left, job, first, num_dropped)
 
 
 @contextmanager
@@ -264,21 +269,19 @@ def _read(folder: Path, system: Slam) -> _Found | None:
 
 def _left(
     source: FrameSource, records: Sequence[FrameRecord], system: Slam, *, can_repeat: bool
-) -> tuple[FrameSource, int]:
-    """The source from where it was left, and the number of its next frame.
+) -> FrameSource:
+    """The source from where it was left: after the last frame that was followed.
 
     Raises:
         ConfigError: its frames are not those that were followed.
     """
-    if not records:
-        return source, 0
+    if not records or source.is_live:
+        return source
     last = records[-1].number
-    if source.is_live:
-        return source, last + 1
     frames = source.frames()
     newest = next((r.number for r in reversed(records) if r.answer is not None), -1)
     for record in records if can_repeat else ():
-        queued = next(frames, None)
+        queued = next((each for each in frames if each.number >= record.number), None)
         if queued is None or (queued.number, queued.name) != (record.number, record.name):
             raise ConfigError(f"frame {record.number} of the source is not {record.name}, which was followed")
         if record.number == newest and not _is_same(queued.read(), system):
@@ -288,7 +291,7 @@ def _left(
             if queued.number == last:
                 break
     num_left = max(source.num_frames - last - 1, 0)
-    return replace(source, num_frames=num_left, frames=lambda: frames), last + 1
+    return replace(source, num_frames=num_left, frames=lambda: frames)
 
 
 def _is_same(frame: Frame, system: Slam) -> bool:

@@ -26,7 +26,7 @@ from epipole.pipelines.slam.feeding import Feed
 from epipole.pipelines.slam.found_camera import FoundCamera, find_camera
 from epipole.pipelines.slam.live import LiveView, open_live
 from epipole.pipelines.slam.local_mapping import LAST_STEPS
-from epipole.pipelines.slam.map_files import KnownMap, read_slam_map
+from epipole.pipelines.slam.map_files import KnownMap, read_slam_map, require_map
 from epipole.pipelines.slam.moving_sources import (
     camera_index,
     open_bag_frames,
@@ -34,7 +34,15 @@ from epipole.pipelines.slam.moving_sources import (
     open_video_frames,
 )
 from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import Given, SlamResult, keyframe_names, write_results
+from epipole.pipelines.slam.results import (
+    PLACED,
+    PLACED_WORDS,
+    Given,
+    SlamResult,
+    keep_better,
+    keyframe_names,
+    write_results,
+)
 from epipole.pipelines.slam.resuming import (
     CHECKPOINT,
     TakenUp,
@@ -46,6 +54,10 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
+from epipole.runs.earlier import refuse_poorer
+from epipole.runs.folder import check_place
+
+ARGUMENTS = ("config", "job", "camera", "progress")
 
 
 def slam(
@@ -75,18 +87,16 @@ def slam(
         NoModelError: no frame got a place; the message says why.
         ConfigError: options do not fit the frames.
         FileFormatError: the source, or a file that is named, cannot be read.
-        WorkspaceError: the output folder cannot be used.
+        WorkspaceError: the output folder cannot be used, or holds an earlier result with more frames.
     """
-    wanted = _job_of(job, options)
-    config, source, out = options_of(SlamConfig, config, options), as_path(str(source)), as_path(out)
-    given = options_of(CameraOptions, camera)
+    wanted, given = _job_of(job, options), options_of(CameraOptions, camera)
+    config = options_of(SlamConfig, config, options, [*_names_of_job(), *ARGUMENTS])
+    source, out = as_path(str(source)), as_path(out)
     _check_source(source, wanted, given)
-    check_anchor_files(wanted.anchors)
+    _check_target(source, out, wanted)
     truth = None if wanted.truth is None else true_path_at(wanted.truth)
     found = find_camera(source, wanted, given, progress)
     frames = _open(source, wanted, given, found)
-    if given.readout_s:
-        frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
     known = None if wanted.map is None else read_slam_map(wanted.map, frames.camera)
     model = None if known is None else known.model
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
@@ -107,12 +117,24 @@ def slam(
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
+            keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
 
 
 def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
     """What is odd about what was known besides the frames."""
-    return [*([] if found is None else [found.note()]), *(() if system.imu is None else system.imu.log.notes)]
+    return [*([] if found is None else found.notes()), *(() if system.imu is None else system.imu.log.notes)]
+
+
+def _check_target(source: Path, out: Path, job: JobOptions) -> None:
+    """Before any work: the output folder may be written, and its result is not replaced by fewer frames.
+
+    Raises:
+        WorkspaceError: it is not ours, or its result has more frames than are asked for.
+    """
+    check_place(out, "slam", (_input(source),))
+    if job.max_frames is not None:
+        refuse_poorer(out, PLACED, job.max_frames, PLACED_WORDS)
 
 
 def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
@@ -145,10 +167,13 @@ def _anchored(
     return found
 
 
+def _names_of_job() -> list[str]:
+    return [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
+
+
 def _job_of(job: JobOptions | None, options: dict[str, Any]) -> JobOptions:
     """With the single options that are not the config's, taken out."""
-    names = [field.name for kind in (JobOptions, AnchorOptions) for field in fields(kind)]
-    own = {name: options.pop(name) for name in names if name in options}
+    own = {name: options.pop(name) for name in _names_of_job() if name in options}
     for name in ("truth", "map", "masks", *ANCHOR_FILES):
         if own.get(name) is not None:
             own[name] = as_path(own[name])
@@ -160,7 +185,11 @@ def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
 
     Raises:
         ConfigError: one is not.
+        FileFormatError: what is given as a map is none.
     """
+    if job.map is not None:
+        require_map(job.map)
+    check_anchor_files(job.anchors)
     if job.topics and not is_bag(source):
         raise ConfigError("topics are of recordings of ROS (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
     if job.masks is not None and not source.is_dir():
@@ -175,6 +204,15 @@ def _check_source(source: Path, job: JobOptions, given: CameraOptions) -> None:
 
 
 def _open(source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None) -> FrameSource:
+    frames = _open_without_readout(source, job, given, found)
+    if given.readout_s:
+        frames = replace(frames, camera=replace(frames.camera, readout_s=given.readout_s))
+    return frames
+
+
+def _open_without_readout(
+    source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None
+) -> FrameSource:
     if is_bag(source):
         return open_bag_frames(source, job, given)
     index = camera_index(source)

@@ -32,6 +32,7 @@ from epipole.pipelines.slam import (
     tracking,
     turning,
 )
+from epipole.pipelines.slam.state_tables import attributes_of, problem_of_objects
 
 Json = Any
 _MODULES: tuple[ModuleType, ...] = (
@@ -98,9 +99,14 @@ def decode(coded: Coded, known: Mapping[str, object]) -> Any:
         BadState: it is not what `encode` returned, or `known` lacks something.
     """
     try:
-        return _Decoder(coded.arrays, known).value(coded.structure)
+        decoder = _Decoder(coded.arrays, known)
+        value = decoder.value(coded.structure)
+        problem = problem_of_objects(decoder.made())
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise BadState(f"its objects do not fit ({error or type(error).__name__})") from error
+    if problem:
+        raise BadState(f"its objects do not fit ({problem})")
+    return value
 
 
 def table_of(arrays: Sequence[np.ndarray]) -> list[Json]:
@@ -117,10 +123,10 @@ def num_bytes_of(row: Json) -> int:
     try:
         kind, shape, order = row
         kind = np.dtype(kind)
-        count = math.prod(int(side) for side in shape)
-    except (TypeError, ValueError) as error:
+        count = math.prod(_natural(side) for side in shape)
+    except (TypeError, ValueError, LookupError, SyntaxError) as error:
         raise BadState("an array's kind or shape is none") from error
-    if kind.kind not in "biuf" or order not in ("C", "F") or any(int(side) < 0 for side in shape):
+    if kind.kind not in "biuf" or order not in ("C", "F"):
         raise BadState("an array's kind or shape is none")
     return int(kind.itemsize * count)
 
@@ -199,6 +205,11 @@ class _Encoder:
 class _Decoder:
     def __init__(self, arrays: Sequence[np.ndarray], known: Mapping[str, object]) -> None:
         self.arrays, self.known, self._made = arrays, known, list[object]()
+        self._rows: list[object] = []
+
+    def made(self) -> list[object]:
+        """All objects, and named tuples."""
+        return [*self._made, *self._rows]
 
     def value(self, code: Json) -> Any:
         if code is None or type(code) in (bool, int, float, str):
@@ -215,10 +226,15 @@ class _Decoder:
             "set": lambda rest: {self.value(one) for one in rest},
             "dict": lambda rest: {self.value(key): self.value(one) for key, one in rest},
             "enum": lambda rest: _of_kind(rest[0], Enum)(rest[1]),
-            "named": lambda rest: _of_kind(rest[0], tuple)(*(self.value(one) for one in rest[1:])),
+            "named": self._named,
             "again": lambda rest: self._made[_natural(rest[0])],
             "object": self._object,
         }
+
+    def _named(self, rest: list[Any]) -> object:
+        made = _of_kind(rest[0], tuple)(*(self.value(one) for one in rest[1:]))
+        self._rows.append(made)
+        return made
 
     def _object(self, rest: list[Any]) -> object:
         kind = _of_kind(rest[0], object)
@@ -227,12 +243,9 @@ class _Decoder:
         made = object.__new__(kind)
         self._made.append(made)
         held = {name: self.value(one) for name, one in rest[1].items()}
-        if is_dataclass(kind) and {field.name for field in fields(kind)} != set(held):
-            raise TypeError(f"{rest[0]} has other fields")
+        if set(attributes_of(kind)) != set(held):
+            raise TypeError(f"{rest[0]} has other attributes")
         for name, one in held.items():
-            of_kind = getattr(kind, name, None)
-            if not is_dataclass(kind) and (callable(of_kind) or isinstance(of_kind, property)):
-                raise TypeError(f"{rest[0]} has no {name}")
             object.__setattr__(made, name, one)
         return made
 

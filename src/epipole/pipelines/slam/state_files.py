@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from epipole._declared.tables import Expected, Table
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.atomic import reporting
+from epipole.io.files import file_bytes
+from epipole.io.json_files import json_values
 from epipole.pipelines.slam.growing_path import write_all
 from epipole.pipelines.slam.state_codec import (
     BadState,
@@ -34,6 +37,7 @@ LEAST_BYTES = 512
 SPARE_BYTES = 64_000_000
 """Of arrays that are of no use any more, before those in use are written anew."""
 _INLINE = -1
+_TABLE: Table = {"text": Expected("uint8", "n"), "inline": Expected("uint8", "m")}
 
 
 class StateFiles:
@@ -81,8 +85,8 @@ class StateFiles:
             why = f"is of another version ({key})" if key not in ("", VERSION) else "is missing or damaged"
             raise FileFormatError(path, why)
         try:
-            held = load(path, "text", "inline")
-            content = json.loads(held["text"].tobytes())
+            held = load(path, _TABLE)
+            content = json_values(path, held["text"].tobytes().decode(), allow_nan=True)
             arrays = self._arrays(content, held["inline"].tobytes())
             return decode(Coded(content["structure"], arrays), known), dict(content["facts"])
         except (BadState, WorkspaceError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
@@ -144,9 +148,11 @@ class StateFiles:
     def _arrays(self, content: Any, inline: bytes) -> list[np.ndarray]:
         self._number, self._end = int(content["file"]), int(content["end"])
         path = self.folder / ARRAYS.format(self._number)
-        data = path.read_bytes() if self._end else b""
+        data = file_bytes(path) if self._end else b""
         if not 0 <= self._end <= len(data):
             raise BadState(f"{path.name} is cut off")
+        if sum(num_bytes_of(row) for row, _, _ in content["arrays"]) > len(inline) + len(data):
+            raise BadState("its arrays are larger than their files")
         out, self._stored, self._seen = [], {}, {}
         for row, at, told in content["arrays"]:
             source = memoryview(inline if told == _INLINE else data)

@@ -96,9 +96,9 @@ def _exit_with(answer: bool) -> None:
 
 def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> bool:
     """Examine and print; whether nothing is wrong."""
-    from epipole.screen import waiting_for_kernels
+    from epipole.screen import working
 
-    with waiting_for_kernels():
+    with working():
         from epipole.pipelines.stereo.rigs import rig_of
         from epipole.pipelines.stereo.run import examine_stereo
 
@@ -116,10 +116,10 @@ def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> boo
 def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: RigOptions) -> bool:
     """One pair, or many; whether all were measured."""
     from epipole.io.video import is_video
-    from epipole.screen import progress_on_screen, waiting_for_kernels
+    from epipole.screen import progress_on_screen, working
 
     if not (left.is_dir() or right.is_dir() or is_video(left) or is_video(right)):
-        with waiting_for_kernels():
+        with working():
             from epipole.pipelines.stereo.rigs import rig_of
             from epipole.pipelines.stereo.run import stereo as run
 
@@ -128,7 +128,7 @@ def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: 
 
         show_stereo(result)
         return True
-    with progress_on_screen({"pairs": "Measuring pairs"}) as progress:
+    with progress_on_screen({"video": "Taking frames", "pairs": "Measuring pairs"}) as progress:
         from epipole.pipelines.stereo.rigs import rig_of
         from epipole.pipelines.stereo.run import stereo_many
 
@@ -142,9 +142,9 @@ def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: 
 
 
 def _measure_of_model(workspace: Path, pair: tuple[str, str], out: Path, config: StereoConfig) -> None:
-    from epipole.screen import waiting_for_kernels
+    from epipole.screen import working
 
-    with waiting_for_kernels():
+    with working():
         from epipole.pipelines.stereo.run import stereo_of_model
 
         result = stereo_of_model(workspace, pair[0], pair[1], out, config)

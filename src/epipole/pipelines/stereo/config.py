@@ -7,6 +7,7 @@ from pathlib import Path
 
 import tyro
 
+from epipole._declared import check_options
 from epipole.disparity_search.config import DisparityConfig
 
 
@@ -47,6 +48,14 @@ class RigOptions:
     """Standard deviation of the baseline."""
     principal_offset_sigma_px: float = 0.0
     """Standard deviation of principal_offset_px."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            ConfigError: one cannot be calculated with.
+        """
+        check_options(self, negative=("principal_offset_px",))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from epipole.disparity_search.rectification import Rectification
 from epipole.errors import FileFormatError
+from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
 from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
 from epipole.io.files import read_json
@@ -70,9 +70,9 @@ def write_picture(path: Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     Raises:
         WorkspaceError: the file cannot be written.
     """
-    _, data = cv2.imencode(".png", rgb[..., ::-1])
+    data = encoded_image(".png", rgb[..., ::-1])
     with atomic_write(path) as aside:
-        aside.write_bytes(data.tobytes())
+        aside.write_bytes(data)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.files import read_json
+from epipole.io.names import flat_names
 from epipole.io.stereo_folders import pair_folders
 from epipole.io.stereo_video import extract_pairs
 from epipole.io.video import is_video
@@ -28,7 +30,7 @@ class StereoBatch:
     problems: dict[str, str]
     """Why the others were not measured."""
     warnings: dict[str, tuple[str, ...]]
-    """Warnings of those that were measured now."""
+    """Warnings of those that were measured, now or by an earlier run."""
     known: dict[str, float]
     """Share of known pixels of each."""
 
@@ -41,14 +43,22 @@ def is_many(left: Path, right: Path) -> bool:
     return left.is_dir() or right.is_dir() or is_video(left) or is_video(right)
 
 
-def list_pairs(left: Path, right: Path, out: Path, max_frames: int) -> dict[str, tuple[Path, Path]]:
+def list_pairs(
+    left: Path, right: Path, out: Path, max_frames: int, progress: ProgressCallback = ignore_progress
+) -> dict[str, tuple[Path, Path]]:
     """Pairs of two folders, by name where the names agree, else by order; or of stereo video. A file may not exist.
 
     Raises:
         FileFormatError: there are none, or the folders do not fit.
     """
     if is_video(left) or is_video(right):
-        pairs = extract_pairs(left, right, out / "frames", max_frames)
+        pairs = extract_pairs(
+            left,
+            right,
+            out / "frames",
+            max_frames,
+            lambda done, total: progress(Progress("video", done, total)),
+        )
         return {a.stem: (a, b) for a, b in pairs}
     for folder in (left, right):
         if not folder.is_dir():
@@ -104,10 +114,11 @@ def summary_of(
         part: {n: v for n, v in before.get(part, {}).items() if n in batch.earlier}
         for part in ("known", "warnings")
     }
+    warned = {n: tuple(map(str, words)) for n, words in kept["warnings"].items() if isinstance(words, list)}
     return {
         "done": [*batch.earlier, *batch.done],
         "known": kept["known"] | batch.known,
-        "warnings": kept["warnings"] | batch.warnings,
+        "warnings": warned | batch.warnings,
         "problems": batch.problems,
         "pictures": {name: [str(a), str(b)] for name, (a, b) in pairs.items()},
     }
@@ -125,6 +136,11 @@ def read_summary(out: Path) -> dict[str, Any]:
 
 
 def _by_folder(pairs: Sequence[tuple[Path, Path]], names: Sequence[str]) -> dict[str, tuple[Path, Path]]:
-    """Names without suffix, unless two names differ in the suffix alone."""
+    """By names without suffix; folders stay folders, and no two pairs have one name."""
     short = [Path(name).with_suffix("").as_posix() for name in names]
-    return {a if short.count(a) == 1 else name: pair for a, name, pair in zip(short, names, pairs)}
+    count = Counter(own.casefold() for own in short)
+    keys = [
+        own if count[own.casefold()] == 1 else flat
+        for own, flat in zip(short, flat_names(names), strict=True)
+    ]
+    return dict(zip(keys, pairs, strict=True))

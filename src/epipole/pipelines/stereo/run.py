@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap import find_model, read_colmap_model
 from epipole.io.model_images import ModelImages
+from epipole.io.photographs import list_photographs
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo
@@ -30,6 +32,7 @@ from epipole.pipelines.stereo.pairs import (
     summary_of,
 )
 from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
+from epipole.runs.folder import refuse_folder_of
 from epipole.scene import RectifiedRig, StereoRig
 
 
@@ -59,7 +62,8 @@ def stereo(
         DegenerateGeometryError: the pair cannot be rectified.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig"])
+    left, right = as_path(left), as_path(right)
     settings = _settings(config, rig, left, right)
     return _measured(files_of_pair(left, right, rig), as_path(out), config, settings)
 
@@ -95,17 +99,22 @@ def stereo_many(
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
-    config, left, right = options_of(StereoConfig, config, options), as_path(left), as_path(right)
+    config = options_of(StereoConfig, config, options, ["config", "rig", "progress"])
+    left, right = as_path(left), as_path(right)
     job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
     with open_run(job, as_path(out)) as run:
-        pairs = list_pairs(left, right, run.root, config.max_frames)
+        pairs = list_pairs(left, right, run.root, config.max_frames, progress)
         batch = run_batch(
             *(pairs, run.root, lambda one, two: _settings(config, rig, one, two)),
             lambda one, two, folder: stereo(one, two, folder, config, rig),
             progress,
         )
-        run.finish(summary_of(batch, pairs, read_summary(run.root)))
-        return batch
+        for folder in dict.fromkeys((left, right)):
+            if folder.is_dir() and (notes := list_photographs(folder, ignore=[run.root]).notes):
+                batch.warnings[str(folder)] = tuple(notes)
+        summary = summary_of(batch, pairs, read_summary(run.root))
+        run.finish(summary)
+        return replace(batch, warnings=summary["warnings"])
 
 
 def stereo_of_model(
@@ -130,8 +139,10 @@ def stereo_of_model(
         FileFormatError: there is no model.
         ConfigError: a picture has no place in it.
         DegenerateGeometryError: the two pictures cannot be rectified.
+        WorkspaceError: the output folder cannot be used.
     """
-    config, workspace = options_of(StereoConfig, config, options), as_path(workspace)
+    config, workspace = options_of(StereoConfig, config, options, ["config"]), as_path(workspace)
+    refuse_folder_of(as_path(out), (workspace,))
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
     registered, places = model.is_registered(), model.cams_from_world()
@@ -154,6 +165,7 @@ def stereo_of_model(
     return replace(_measured(pair, as_path(out), config, settings), unit="the model's unit")
 
 
+@checked
 def examine_stereo(
     left: str | Path, right: str | Path, rig: RectifiedRig | StereoRig | None = None, max_frames: int = 8
 ) -> Diagnosis:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from shlex import quote
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from epipole.pipelines.stereo.doctor import Diagnosis
 from epipole.pipelines.stereo.pair import StereoResult
 from epipole.pipelines.stereo.pairs import StereoBatch
 from epipole.scene import StereoReason
-from epipole.screen import print_warnings
+from epipole.screen import open_console, print_warnings
 
 
 def show_stereo(result: StereoResult) -> None:
@@ -32,7 +31,7 @@ def show_stereo(result: StereoResult) -> None:
         near, far = np.nanpercentile(result.depths.depth, (1, 99))
         table.add_row(f"depths, in {result.unit}", f"{near:.3g} to {far:.3g}")
         table.add_row("points", f"{result.num_points}")
-    console = Console()
+    console = open_console()
     console.print(table)
     print_warnings(console, result.warnings)
     if result.out is not None:
@@ -43,7 +42,7 @@ def show_stereo(result: StereoResult) -> None:
 
 def show_batch(batch: StereoBatch) -> None:
     """Print how many pairs were measured, and why others were not."""
-    console = Console()
+    console = open_console()
     earlier = f", {len(batch.earlier)} by an earlier run" if batch.earlier else ""
     console.print(f"{len(batch.done)} pairs measured{earlier}; in {batch.out}", highlight=False)
     if batch.known:
@@ -55,7 +54,7 @@ def show_batch(batch: StereoBatch) -> None:
 
 def show_diagnosis(found: Diagnosis) -> None:
     """Print what is wrong, or that nothing is; rows and the depth error to expect."""
-    console = Console()
+    console = open_console()
     if found.is_healthy:
         console.print("healthy: nothing wrong was found", style="green")
     print_warnings(console, found.problems, "problem")

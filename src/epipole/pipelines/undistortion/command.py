@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from epipole._terminal import say
+
 
 def undistort(
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
@@ -26,4 +28,4 @@ def undistort(
         from epipole.pipelines.undistortion.run import undistort as run
 
         folder = run(out, progress, target=target, model=model)
-    print(f"Undistorted pictures and model in {folder}")
+    say(f"Undistorted pictures and model in {folder}")

@@ -9,17 +9,21 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
 from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.io.model_images import ModelImage, ModelImages
 from epipole.io.photograph_writing import write_photograph
 from epipole.io.photographs import common_range
+from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 
 
+@checked
 def undistort(
     out: str | Path,
     progress: ProgressCallback = ignore_progress,
@@ -46,6 +50,8 @@ def undistort(
     given = as_path(out)
     folder = find_model(given) if model is None else _model_numbered(given, model)
     workspace = _workspace_of(folder, given)
+    if not (workspace / "images").is_dir():
+        raise FileFormatError(workspace, with_what_it_is("has no folder images beside its model", workspace))
     found = read_colmap_model(folder)
     registered = np.flatnonzero(found.is_registered())
     names = [found.images.name[image] for image in registered]
@@ -57,6 +63,9 @@ def undistort(
     limits = common_range([image.path for image in images])
     job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
     with open_run(job, usual if target is None else as_path(target)) as run:
+        run.warnings += [] if model is not None else losses_in(given)
+        for warning in run.warnings:
+            run.report("undistort", 0, len(names), warning)
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
             for n, (row, name, image) in enumerate(zip(registered, names, images), 1):
                 pinhole = pinholes[int(found.camera_of_image[row])]
@@ -65,7 +74,7 @@ def undistort(
                 run.report("undistort", n, len(names))
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
-        run.finish()
+        run.finish({"num_images": len(names), "warnings": run.warnings})
         return run.root
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from epipole._terminal import say
 from epipole.pipelines.viewing.config import USUAL_SHARED
 
 
@@ -25,21 +25,24 @@ def view(
         port: The port to listen on; None: 8080, or the next free one if it is in use.
         host: The address to listen on; 0.0.0.0 lets other machines in.
         share: Write one .html file that shows it in any browser instead, and start no server.
-        share_max: At most so many points, drawn evenly, and Gaussians, the most visible, are in that file.
+        share_max: Most points (sampled evenly) and Gaussians (merged) in that file.
     """
     import threading
 
     from epipole.pipelines.viewing.run import share as write_page
     from epipole.pipelines.viewing.run import view as run
+    from epipole.screen import working
 
     if share is not None:
-        page = write_page(out, share, share_max=share_max)
-        print(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
+        with working():
+            page = write_page(out, share, share_max=share_max)
+        say(f"Written {page.file} ({page.num_bytes / 1e6:.1f} MB): {page.shown}")
         return
-    handle = run(out, port=port, host=host, block=False)
+    with working():
+        handle = run(out, port=port, host=host, block=False)
     if handle.note:
-        print(f"epipole: {handle.note}", file=sys.stderr)
-    print(f"Viewer at {handle.url} (Ctrl-C stops it)", flush=True)
+        say(f"epipole: {handle.note}", to_stderr=True)
+    say(f"Viewer at {handle.url} (Ctrl-C stops it)")
     try:
         threading.Event().wait()
     finally:

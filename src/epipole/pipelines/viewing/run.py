@@ -8,8 +8,8 @@ from pathlib import Path
 
 from epipole._checks import as_path
 from epipole._declared import checked
-from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.io.atomic import atomic_write
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
 from epipole.pipelines.sfm import scene as sfm
@@ -17,8 +17,8 @@ from epipole.pipelines.slam import scene as slam
 from epipole.pipelines.stereo import scene as stereo
 from epipole.pipelines.viewing import files
 from epipole.pipelines.viewing.config import MOST_SHARED, USUAL_SHARED
-from epipole.report.frame import GENERATOR
 from epipole.report.space_scene import SpaceScene
+from epipole.runs import refuse_existing, replacing_file
 from epipole.viewer import ViewerHandle, view_scene
 from epipole.viewer.scene_page import scene_page
 
@@ -47,6 +47,7 @@ class SharedPage:
     num_bytes: int
 
 
+@checked
 def view(
     out: str | Path, *, port: int | None = None, host: str = "127.0.0.1", block: bool = True
 ) -> ViewerHandle:
@@ -73,13 +74,13 @@ def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -
 
     Args:
         out: as of `view`.
-        file: the page; one of ours that is there is replaced.
-        share_max: at most so many points, drawn evenly, and Gaussians, the most visible, are in it.
+        file: the page; one that an earlier call wrote is replaced.
+        share_max: the page holds at most this many points, sampled evenly, and Gaussians, into which the others are merged.
 
     Raises:
         FileFormatError: the path holds nothing that can be shown, is damaged, or is not there.
         ConfigError: the page's name does not end in .html.
-        WorkspaceError: the page cannot be written, or another file of yours has its name.
+        WorkspaceError: the page cannot be written, or exists and no earlier call wrote it.
     """
     path, page_file = as_path(out), as_path(file)
     if page_file.suffix.lower() not in PAGE_SUFFIXES:
@@ -87,22 +88,13 @@ def share(out: str | Path, file: str | Path, *, share_max: int = USUAL_SHARED) -
     if not 1 <= share_max <= MOST_SHARED:
         raise ConfigError(f"share_max must be from 1 to {MOST_SHARED}, got {share_max}")
     scene = scene_of(path)
-    _refuse_other_page(page_file)
+    refuse_existing([page_file], "view", (path,))
     page = scene_page(scene, share_max)
     data = page.html.encode("utf-8")
-    with atomic_write(page_file) as part:
+    with replacing_file(page_file, "view", (path,)) as part:
         part.write_bytes(data)
-    return SharedPage(page_file, page.shown, len(data))
-
-
-def _refuse_other_page(page_file: Path) -> None:
-    """A page that was not written here may be somebody's work: it is not replaced."""
-    if not page_file.is_file() or not page_file.stat().st_size:
-        return
-    with page_file.open("rb") as stream:
-        head = stream.read(4096)
-    if GENERATOR.encode() not in head:
-        raise WorkspaceError(f"{page_file} is there and was not written by epipole: give another name")
+    num_bytes = page_file.stat().st_size if page_file.is_file() else len(data)
+    return SharedPage(page_file, page.shown, num_bytes)
 
 
 def scene_of(path: Path) -> SpaceScene:
@@ -115,5 +107,6 @@ def scene_of(path: Path) -> SpaceScene:
         raise FileFormatError(path, "there is no such file or folder")
     make = next((make for is_mine, make in KINDS if is_mine(path)), None)
     if make is None and path.is_file() and path.suffix.lower() != ".json":
-        raise FileFormatError(path, "is no file that can be shown: `epipole view --help` lists what is")
+        advice = "`epipole view --help` lists what can be shown"
+        raise FileFormatError(path, with_what_it_is("is no file that can be shown", path, advice))
     return (make or sfm.scene)(path)

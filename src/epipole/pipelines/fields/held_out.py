@@ -1,0 +1,140 @@
+"""Held-out views of a trained field: rendered, as many as the time allows, written and compared with their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from time import perf_counter
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from epipole._jit import compile_seconds
+from epipole._parallel import num_threads
+from epipole.fields.training_view import TrainingView
+from epipole.io.rgba_pictures import write_png
+from epipole.pipelines.fields.config import FieldOptions
+from epipole.pipelines.fields.page import rendered_names
+from epipole.pipelines.fields.scores import scores_of
+from epipole.runs import Run
+
+Found = TypeVar("Found")
+
+RENDER_SHARE = 0.25
+"""Of the time of the training: rendering views afterwards takes no more, but for a single view."""
+PROBED = 3
+"""Held-out views that are rendered along the way."""
+RAYS_OF_THREAD = 2048
+"""Pixels, for each thread, of the small picture that shows how long a view takes: all threads have work."""
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """A field that is being trained."""
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) the colour behind it."""
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+
+
+def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
+    """About how long it takes to render a view, by two that are smaller; compilation is not counted."""
+    pixels = view.camera.width * view.camera.height
+    most = min(view.camera.width, view.camera.height)
+    factor = min(max(1, int((pixels / (RAYS_OF_THREAD * num_threads())) ** 0.5)), most)
+    small, smaller = view.smaller(factor), view.smaller(min(2 * factor, most))
+    timed(renderer, smaller)  # in the caches
+    (_, small_s, _), (_, smaller_s, _) = timed(renderer, small), timed(renderer, smaller)
+    small_px, smaller_px = (each.camera.width * each.camera.height for each in (small, smaller))
+    if small_px == smaller_px:
+        return small_s * pixels / small_px
+    pixel_s = max(0.0, small_s - smaller_s) / (small_px - smaller_px)
+    return small_s + pixel_s * (pixels - small_px)
+
+
+def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
+    """The picture, the seconds without compilation, and how often the field was asked."""
+    begin, compiled = perf_counter(), compile_seconds()
+    picture, count = renderer.draw_counted(view)
+    return picture, max(perf_counter() - begin - (compile_seconds() - compiled), 1e-9), count
+
+
+def rows_in_halves(count: int) -> list[int]:
+    """All rows in an order of which every beginning is spread over them: the ends, then the middles of what lies between."""
+    order, gaps = [0, count - 1][:count], [(0, count - 1)]
+    while gaps:
+        halved = [(low, (low + high) // 2, high) for low, high in gaps if high - low > 1]
+        order += [middle for _, middle, _ in halved]
+        gaps = [gap for low, middle, high in halved for gap in ((low, middle), (middle, high))]
+    return order
+
+
+def in_time(
+    views: Sequence[TrainingView],
+    wanted: FieldOptions,
+    render: Callable[[TrainingView], Found],
+    report: Callable[[int, int], None],
+    warnings: list[str],
+) -> list[tuple[TrainingView, Found]]:
+    """Render the views, or as many of them, spread over all, as a share of the training's time is enough for; one at least.
+
+    A training of a number of steps has no time that could be kept: all its views are rendered.
+
+    Args:
+        views: the views.
+        wanted: the time.
+        render: what is to be done with a view.
+        report: called with the number that is done and that of all.
+        warnings: given one where not all are rendered.
+    """
+    budget_s = np.inf if wanted.seconds is None else RENDER_SHARE * wanted.seconds
+    found: dict[int, Found] = {}
+    spent_s = 0.0
+    report(0, len(views))
+    for row in rows_in_halves(len(views)):
+        if found and spent_s * (len(found) + 1) / len(found) > budget_s:
+            warnings.append(
+                f"{len(found)} of {len(views)} views are rendered and compared: a view takes about "
+                f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training's time. A "
+                "longer time, a smaller max_side_px, or steps instead of a time compare more"
+            )
+            report(len(found), len(found))
+            break
+        begin, compiled = perf_counter(), compile_seconds()
+        found[row] = render(views[row])
+        spent_s += perf_counter() - begin - (compile_seconds() - compiled)
+        report(len(found), len(views))
+    return [(views[row], found[row]) for row in sorted(found)]
+
+
+def compared(
+    renderer: Renderer, test: Sequence[TrainingView], wanted: FieldOptions, run: Run
+) -> list[dict[str, Any]]:
+    """Render the held-out views into `test`, as many as the time allows, and say how like they are."""
+    files = rendered_names(test)
+    with run.stage("test"), run.folder.publish("test") as aside:
+
+        def render(view: TrainingView) -> dict[str, Any]:
+            drawn, seconds, count = timed(renderer, view)
+            write_png(aside / "test" / files[view.name], np.rint(255 * np.clip(drawn, 0, 1)).astype(np.uint8))
+            told = {"name": view.name, **scores_of(drawn, view, renderer.background)}
+            return {**told, "render_s": seconds, "count": count}
+
+        rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings)
+    return [row for _, row in rows]
+
+
+def probed(renderer: Renderer, test: Sequence[TrainingView], most_s: float) -> float | None:
+    """Mean PSNR of some held-out views, spread over them; None where there are none, or it would take longer than that."""
+    views = [test[row] for row in rows_in_halves(len(test))[:PROBED]]
+    if not views or most_s <= 0 or len(views) * seconds_of_view(renderer, views[0]) > most_s:
+        return None
+    begin, scores = perf_counter(), list[float]()
+    for view in views:
+        if perf_counter() - begin > most_s:
+            return None
+        scores.append(scores_of(renderer.draw_counted(view)[0], view, renderer.background)["psnr"])
+    return float(np.mean(scores))

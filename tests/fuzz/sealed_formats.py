@@ -1,0 +1,213 @@
+"""Files of ours whose digest is made anew after the damage: what they hold meets the checks of contents, and then the work that goes on in them."""
+
+import copy
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from fields_scenes import WHITE
+from fields_scenes import views as field_views
+from slam_rides import STEREO, ride
+
+from epipole.cameras import Camera
+from epipole.features import Features
+from epipole.fields.config import SplatConfig
+from epipole.fields.hash_trainer import HashTrainer
+from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.voxel_trainer import VoxelTrainer
+from epipole.pipelines.fields.checkpoints import CHECKPOINT, Checkpoint
+from epipole.pipelines.sfm.feature_stage import load_features
+from epipole.pipelines.sfm.match_stage import load_putative, load_view_graph
+from epipole.pipelines.sfm.pair_blocks import PairBlock, filled
+from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES
+from epipole.pipelines.slam.checkpoint import known_to
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map_files import read_slam_map, sketch_of_map, write_slam_map
+from epipole.pipelines.slam.restoring import read_state
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.state_files import STATE, StateFiles
+from epipole.runs.contents import content_digests
+from epipole.runs.units import Unit, store
+
+SMALL = Camera("PINHOLE", 160, 120, [130.0, 130.0, 79.5, 59.5])
+SENSORS = {"stereo": SlamCamera(SMALL, STEREO.baseline), "mono": SlamCamera(SMALL)}
+VIEWS = 4
+
+
+@cache
+def trainer_of(kind: str) -> SplatTrainer | HashTrainer | VoxelTrainer:
+    """Before its first step."""
+    views = field_views()[:VIEWS]
+    if kind == "splat":
+        start = cloud_of_points(*points_in_silhouettes(views, 60, seed=1))
+        options = SplatConfig(max_gaussians=80, exposure=True, refine_poses=True, sh_degree=1)
+        made: SplatTrainer | HashTrainer | VoxelTrainer = SplatTrainer(views, start, options, WHITE)
+    else:
+        made = (HashTrainer if kind == "hash" else VoxelTrainer)(views, WHITE)
+    return made
+
+
+def checkpoint_of(kind: str, folder: Path) -> Checkpoint:
+    """Of a trainer that may be changed."""
+    return Checkpoint(folder, {"kind": kind}, field_views()[:VIEWS], copy.deepcopy(trainer_of(kind)))
+
+
+def put_checkpoint(kind: str) -> Callable[[Path], None]:
+    """What a training that was stopped after two steps leaves."""
+
+    def write(folder: Path) -> None:
+        checkpoint = checkpoint_of(kind, folder)
+        checkpoint._trainer.restore({name: part.copy() for name, part in trainer_of(kind).state().items()})
+        for _ in range(2):
+            checkpoint._trainer.step(0.1)
+        checkpoint.save(1.5, [[0.5, 1.0, 0.1, 60.0]])
+
+    return write
+
+
+def go_on_training(kind: str) -> Callable[[Path], None]:
+    """Restore it, and go on."""
+
+    def read(folder: Path) -> None:
+        checkpoint = checkpoint_of(kind, folder)
+        seconds, curve = checkpoint.restore()
+        assert seconds >= 0 and all(len(row) == 4 for row in curve)
+        for progress in (0.2, 0.6):
+            checkpoint._trainer.step(progress)
+
+    return read
+
+
+@cache
+def frames_of(kind: str) -> list[Frame]:
+    """Small pictures of a ride."""
+    out = []
+    for n, frame in enumerate(ride("arc", 6).frames("stereo")):
+        left, right = frame.grey[::2, ::2].copy(), frame.right_grey[::2, ::2].copy()
+        out.append(Frame(0.1 * n, left, right if kind == "stereo" else None))
+    return out
+
+
+def put_state(kind: str) -> Callable[[Path], None]:
+    """SLAM after four frames: in a map, or before the start of one."""
+
+    def write(folder: Path) -> None:
+        system, files = Slam(SENSORS[kind]), StateFiles(folder)
+        for frame in frames_of(kind)[:4]:
+            system.track(frame)
+        for _ in range(2):
+            files.write(vars(system), known_to(system), {"num_lines": 4, "num_bytes": 9})
+        files.close()
+
+    return write
+
+
+def go_on_tracking(kind: str) -> Callable[[Path], None]:
+    """Restore it, and track two frames."""
+
+    def read(folder: Path) -> None:
+        system = Slam(SENSORS[kind])
+        vars(system).update(read_state(system, StateFiles(folder)).state)
+        for frame in frames_of(kind)[4:]:
+            if system._before is not None and system._before.timestamp_s >= frame.timestamp_s:
+                return  # refused, as a frame that is not later
+            system.track(frame)
+
+    return read
+
+
+def put_map(folder: Path) -> None:
+    """Of a pair of cameras."""
+    system = Slam(SENSORS["stereo"])
+    for frame in frames_of("stereo")[:4]:
+        system.track(frame)
+    names = [f"{n}.png" for n in range(len(system.map.keyframes))]
+    write_slam_map(folder / "map.npz", system.map, names, system.camera)
+
+
+def go_on_in_map(folder: Path) -> None:
+    """Draw it, and track two frames in it."""
+    sketch_of_map(folder / "map.npz")
+    known = read_slam_map(folder / "map.npz", SENSORS["stereo"])
+    system = Slam(SENSORS["stereo"], known=known.model)
+    for frame in frames_of("stereo")[4:]:
+        system.track(frame)
+
+
+FEATURES = {"pixels": np.arange(12, dtype=np.float32).reshape(6, 2), "scale_px": np.ones(6, np.float32)}
+FEATURES |= {"angle_rad": np.ones(6, np.float32), "descriptors": np.ones((6, 128), np.uint8)}
+
+
+def put_features(folder: Path) -> None:
+    """Of one picture."""
+    others = {
+        "colors": np.zeros((6, 3), np.uint8),
+        "thumbnail": np.zeros(9, np.uint8),
+        "failure": np.array(""),
+    }
+    store(folder / "a.npz", "key", FEATURES | others)
+
+
+def use_features(folder: Path) -> None:
+    """Read them."""
+    found = load_features(folder / "a.npz")
+    assert isinstance(found, Features) and np.isfinite(found.pixels).all()
+
+
+def _block(table: object) -> PairBlock:
+    return PairBlock(((0, 1), (1, 2)), ("a", "b"), {}, table, None)
+
+
+def put_matches(folder: Path) -> None:
+    """Of two pairs of pictures."""
+    rows = np.array([[0, 1], [2, 3]], np.int32)
+    store(folder / "a.npz", "key", filled(_block(MATCHES), lambda places: [{"matches": rows}] * len(places)))
+
+
+def use_matches(folder: Path) -> None:
+    """Read them."""
+    found = load_putative([Unit(folder / "a.npz", "key", use_matches, _block(MATCHES))], [6, 5, 4])
+    assert all((rows >= 0).all() and (rows < 6).all() for rows in found.values())
+
+
+def put_geometries(folder: Path) -> None:
+    """Of two pairs of pictures."""
+    one = {"matches": np.array([[0, 1], [2, 3]], np.int32), "median_angle_rad": np.array(0.1)}
+    one |= {"kind": np.array(1, np.int32), "num_putative": np.array(3, np.int32), "translation": np.ones(3)}
+    one |= {name: np.eye(3) for name in ("rotation", "essential", "fundamental", "homography")}
+    store(folder / "a.npz", "key", filled(_block(GEOMETRIES), lambda places: [one] * len(places)))
+
+
+def use_geometries(folder: Path) -> None:
+    """Read them, and the block that takes them over."""
+    found = load_view_graph([Unit(folder / "a.npz", "key", use_geometries, _block(GEOMETRIES))], [6, 5, 4])
+    assert (found.keypoint1 >= 0).all() and (found.keypoint1 < 6).all() and (found.keypoint2 < 5).all()
+
+
+def put_contents(folder: Path) -> None:
+    """Digests that are remembered."""
+    (folder / "a.txt").write_text("a")
+    content_digests([folder / "a.txt"], folder / "contents.npz")
+
+
+def use_contents(folder: Path) -> None:
+    """Ask for them again: what is remembered wrongly is found anew."""
+    found = content_digests([folder / "a.txt"], folder / "contents.npz")
+    assert all(isinstance(one, str) for one in found.values())
+
+
+SEALED: dict[str, tuple[Callable[[Path], None], str, Callable[[Path], None], float]] = {
+    **{
+        f"checkpoint-{kind}": (put_checkpoint(kind), CHECKPOINT, go_on_training(kind), weight)
+        for kind, weight in (("splat", 1.0), ("hash", 0.1), ("grid", 0.3))
+    },
+    **{f"slam-{kind}-going-on": (put_state(kind), STATE, go_on_tracking(kind), 1.0) for kind in SENSORS},
+    "slam-map-going-on": (put_map, "map.npz", go_on_in_map, 0.7),
+    "unit-features": (put_features, "a.npz", use_features, 1.0),
+    "unit-matches": (put_matches, "a.npz", use_matches, 1.0),
+    "unit-geometries": (put_geometries, "a.npz", use_geometries, 1.0),
+    "contents": (put_contents, "contents.npz", use_contents, 0.5),
+}
+"""What writes the file, its name, what reads it and goes on, and its share of the cases."""

@@ -1,0 +1,86 @@
+"""A video replaces nothing unless it reads back as it was written."""
+
+import resource
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from epipole.errors import ConfigError, WorkspaceError
+from epipole.io import video_files
+from epipole.io.atomic import atomic_write
+from epipole.io.video_files import write_video
+
+
+def frames(count: int, seed: int = 0) -> list[np.ndarray]:
+    return list(np.random.default_rng(seed).integers(0, 255, (count, 240, 320, 3), np.uint8))
+
+
+def lengths(path: Path) -> int:
+    video, count = cv2.VideoCapture(str(path)), 0
+    while video.grab():
+        count += 1
+    return count
+
+
+@pytest.fixture
+def earlier(tmp_path: Path) -> Path:
+    with atomic_write(tmp_path / "a.mp4") as part:
+        write_video(part, frames(3), 30.0)
+    assert lengths(tmp_path / "a.mp4") == 3
+    return tmp_path / "a.mp4"
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.9, 0.999])
+def test_a_full_disk_is_an_error_and_keeps_the_earlier_video(earlier: Path, share: float) -> None:
+    before = earlier.read_bytes()
+    write_video(earlier.with_name("whole.mp4"), frames(12, 1), 30.0)
+    room = int(share * earlier.with_name("whole.mp4").stat().st_size)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))  # writing beyond fails, as on a full disk
+    try:
+        with pytest.raises(WorkspaceError, match="is the disk full"), atomic_write(earlier) as part:
+            write_video(part, frames(12, 1), 30.0)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert earlier.read_bytes() == before
+    assert sorted(path.name for path in earlier.parent.iterdir()) == ["a.mp4", "whole.mp4"]
+
+
+class Writer:
+    """An encoder that loses, repeats or spoils frames, and says nothing."""
+
+    def __init__(self, inner: cv2.VideoWriter, fault: str) -> None:
+        self.inner, self.fault, self.count = inner, fault, 0
+
+    def write(self, frame: np.ndarray) -> None:
+        self.count += 1
+        if self.fault == "lost" and self.count == 2:
+            return
+        for _ in range(1 + (self.fault == "repeated" and self.count == 2)):
+            self.inner.write(frame * 0 if self.fault == f"black {self.count}" else frame)
+
+    def release(self) -> None:
+        self.inner.release()
+
+
+@pytest.mark.parametrize("fault", ["lost", "repeated", "black 1", "black 5"])
+def test_frames_are_counted_and_looked_at(fault: str, earlier: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = video_files._opened
+    monkeypatch.setattr(video_files, "_opened", lambda *args: Writer(opened(*args), fault))
+    before = earlier.read_bytes()
+    with pytest.raises(WorkspaceError, match=r"frames? "), atomic_write(earlier) as part:
+        write_video(part, frames(5, 2), 30.0)
+    assert earlier.read_bytes() == before
+
+
+@pytest.mark.parametrize("size", [(16, 16), (17, 33), (2, 2), (481, 270)])
+def test_sizes(size: tuple[int, int], tmp_path: Path) -> None:
+    picture = np.full((size[1], size[0], 3), (200, 30, 90), np.uint8)
+    write_video(tmp_path / "a.mp4", [picture], 25.0)
+    read, frame = cv2.VideoCapture(str(tmp_path / "a.mp4")).read()
+    assert read and lengths(tmp_path / "a.mp4") == 1
+    assert frame.shape == (size[1] & ~1, size[0] & ~1, 3)
+    with pytest.raises(ConfigError, match="needs a picture"):
+        write_video(tmp_path / "b.mp4", [], 25.0)

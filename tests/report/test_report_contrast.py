@@ -1,0 +1,130 @@
+"""Every page that epipole writes can be read in both themes: contrast of its text, also of the text in charts."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import epipole
+from epipole import api, export_lesson, splat
+from epipole.pipelines.sfm.page import render_report
+from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.slam.run import slam as run_slam
+from epipole.scene import RectifiedRig
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "calibration"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "slam"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "stereo"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "viewer"))
+from fields_scenes import frames_of, lens, views
+from slam_rides import write_pairs
+from test_calibration_page import page as calibration_page
+from test_stereo_page import page_of
+from test_viewer_kinds import workspace
+
+PAGES = {
+    "reconstruction": 2,
+    "nothing-reconstructed": 0,
+    "slam": 4,
+    "stereo": 0,
+    "calibration": 0,
+    "field": 3,
+    "scene": 0,
+}
+"""Of every kind of report: the least number of texts in its charts."""
+TEMPLATES = {
+    "reconstruction": ("reconstruction", "nothing-reconstructed"),
+    **{name: (name,) for name in ("slam", "stereo", "calibration", "field", "scene")},
+}
+SCRIPT = (Path(__file__).parent / "text_contrast.js").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def reports(
+    tmp_path_factory: pytest.TempPathFactory, content: ReportContent, empty_content: ReportContent
+) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("pages")
+    ride = write_pairs(root / "ride", 12)
+    run_slam(ride, root / "slam", truth=ride)
+    (root / "photos").mkdir()
+    transforms = lens() | {"frames": frames_of(views(8), root / "photos")}
+    (root / "photos" / "transforms.json").write_text(json.dumps(transforms))
+    splat(root / "photos", root / "splat", steps=12, max_gaussians=200, sh_degree=0, test_every=3)
+    (root / "workspace").mkdir()
+    api.share(workspace(root / "workspace"), root / "scene.html")
+    pages = {
+        "reconstruction": render_report(content),
+        "nothing-reconstructed": render_report(empty_content),
+        "stereo": page_of(("something is wrong",), RectifiedRig(40.0, 20.0, 15.0, 0.1)),
+        "calibration": calibration_page.__wrapped__(),
+    }
+    for name, html in pages.items():
+        (root / f"{name}.html").write_text(html, encoding="utf-8", errors="replace")
+    found = {"slam": root / "slam" / "report.html", "field": root / "splat" / "report.html"}
+    return {name: found.get(name, root / f"{name}.html") for name in PAGES}
+
+
+@pytest.fixture(scope="module")
+def lesson_pages(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    done = export_lesson(tmp_path_factory.mktemp("lesson"))
+    return [done.folder / name for name in done.pages]
+
+
+@pytest.fixture(params=["light", "dark"])
+def tab(request: pytest.FixtureRequest, browser: Any) -> Iterator[Any]:
+    page = browser.new_page(viewport={"width": 1200, "height": 900}, color_scheme=request.param)
+    page.set_default_timeout(60_000)
+    yield page
+    page.close()
+
+
+def check(tab: Any, file: Path, least_in_charts: int) -> None:
+    tab.goto(file.as_uri())
+    tab.wait_for_timeout(150)
+    texts = tab.evaluate(SCRIPT)
+    known = [text for text in texts if text["isKnown"]]
+    poor = [text for text in known if text["contrast"] < text["needed"]]
+    assert not poor, (file.name, poor)
+    assert len(known) >= 0.6 * len(texts) and len(known) >= 8, (file.name, len(known), len(texts))
+    in_charts = [text for text in known if text["isSvg"]]
+    assert len(in_charts) >= least_in_charts, file.name
+    unknown = [text for text in texts if text["isSvg"] and not (text["isKnown"] or text["isOverPicture"])]
+    assert len(unknown) <= len(in_charts), (file.name, unknown)
+
+
+def test_every_template_of_a_page_is_here() -> None:
+    source = Path(epipole.__file__).parent
+    extending = [p for p in source.rglob("*.html.jinja") if "{% extends" in p.read_text(encoding="utf-8")]
+    names = {path.name.removesuffix(".html.jinja") for path in extending if path.parts[-3] != "lesson"}
+    assert names == set(TEMPLATES) and {name for all_of in TEMPLATES.values() for name in all_of} == set(
+        PAGES
+    )
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_reports(name: str, reports: dict[str, Path], tab: Any) -> None:
+    check(tab, reports[name], PAGES[name])
+
+
+def test_the_lesson(lesson_pages: list[Path], tab: Any) -> None:
+    for file in lesson_pages:
+        check(tab, file, 0)
+
+
+BROKEN = """<!doctype html><body style="background:#fff;color:#222">
+<p>readable</p><p style="color:#bbb">pale</p><div style="background:#111"><svg width="200" height="60">
+<rect width="100" height="60" fill="#eee"/><text id="good" x="5" y="30" fill="#222">on light</text>
+<text x="110" y="30" fill="#222">on dark</text><text x="110" y="55" fill="#fff" fill-opacity="0.2">faint</text></svg></div>"""
+
+
+def test_the_check_finds_text_that_cannot_be_read(tmp_path: Path, tab: Any) -> None:
+    (tmp_path / "broken.html").write_text(BROKEN)
+    tab.goto((tmp_path / "broken.html").as_uri())
+    poor = [text["text"] for text in tab.evaluate(SCRIPT) if text["contrast"] < text["needed"]]
+    assert poor == ["pale", "on dark", "faint"]

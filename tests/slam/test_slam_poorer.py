@@ -1,0 +1,31 @@
+"""A run with fewer frames does not replace a better result unnoticed."""
+
+import pytest
+from slam_rides import write_pairs
+
+from epipole.errors import WorkspaceError
+from epipole.pipelines.slam import run
+from epipole.pipelines.slam.run import slam as run_slam
+from epipole.runs import overwriting
+
+
+def contents(out):
+    return {path.name: path.read_bytes() for path in out.glob("*.*")}
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_fewer_frames_keep_the_earlier_result(tmp_path, monkeypatch):
+    folder, out = write_pairs(tmp_path / "ride", 12), tmp_path / "out"
+    assert run_slam(folder, out).summary["num_placed"] == 12
+    before = {n: c for n, c in contents(out).items() if n != "epipole.json"}
+    with monkeypatch.context() as patched:
+        patched.setattr(run, "find_camera", lambda *_: pytest.fail("no work is done"))
+        with pytest.raises(WorkspaceError, match=r"12 localized frames, more than the 5 .*--overwrite"):
+            run_slam(folder, out, max_frames=5)
+    with pytest.raises(WorkspaceError, match="12 localized frames, more than the 6 of this run"):
+        run_slam(folder, out, stride=2)
+    assert {n: c for n, c in contents(out).items() if n != "epipole.json"} == before
+    assert run_slam(folder, out).summary["num_placed"] == 12  # as many are fine
+    with overwriting():
+        assert run_slam(folder, out, stride=2).summary["num_placed"] == 6
+    assert run_slam(folder, out, max_frames=8).summary["num_placed"] == 8
