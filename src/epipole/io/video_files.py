@@ -31,12 +31,14 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
         WorkspaceError: the file cannot be written.
     """
     path, fps = _target(path, fps)
-    if not isinstance(pictures, Iterable):
-        raise ConfigError(f"pictures must be images, got {pictures!r:.60}")
+    try:
+        each = iter(pictures)
+    except TypeError as error:  # an array without axes is an Iterable, too
+        raise ConfigError(f"pictures must be images, got {pictures!r:.60}") from error
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
     writer, size = None, (0, 0)
     try:
-        for picture in map(_frame, pictures):  # one after the other: all may not fit into the memory
+        for picture in map(_frame, each):  # one after the other: all may not fit into the memory
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
                 writer = _opened(aside, fps, size)
