@@ -223,6 +223,7 @@ def read_grey(
         orientation: applied in place of the file's EXIF orientation; 1: the pixels as they are stored. None: the file's.
 
     Raises:
+        ConfigError: the limits are no range.
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
@@ -246,6 +247,7 @@ def read_rgb(
         orientation: the same.
 
     Raises:
+        ConfigError: the limits are no range.
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """

@@ -48,7 +48,7 @@ def write_transforms(
     reconstruction: Reconstruction,
     path: str | Path,
     image_folder: str = "images",
-    origin_in_world: Float64[np.ndarray, 3] | None = None,
+    origin_in_world: Float64[np.ndarray, " 3"] | None = None,
 ) -> None:
     """Write the registered cameras, and the points (if any) as a PLY file beside.
 
@@ -143,7 +143,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
     """
     scene = read_transforms_scene(path, image_folder)
     for warning in scene.warnings:
-        warnings.warn(f"epipole: {path}: {warning}", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"epipole: {path}: {warning}", RuntimeWarning, stacklevel=3)
     return scene.reconstruction
 
 
