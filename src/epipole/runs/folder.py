@@ -345,14 +345,16 @@ def _is_bare(root: Path, held: OutputFolder) -> bool:
 
 def _whose(held: OutputFolder) -> str:
     what = "results" if set(held.files) - BY_PRODUCTS else "work"
-    advice = "choose another output folder, or pass --overwrite"
-    if held.source.is_gone():
-        advice += ", or, if that is these files under an earlier name, rename them back"
-    return f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}; {advice}"
+    back = (
+        ", or, if that is these files under an earlier name, rename them back"
+        if held.source.is_gone()
+        else ""
+    )
+    of = f"{held.root} holds the {what} of `epipole {held.kind}` of {held.source}"
+    return f"{of}; choose another output folder, or pass --overwrite{back}"
 
 
-MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})
-"""Jobs that write models; these are of upright images."""
+MODEL_KINDS = frozenset({"reconstruct", "slam", "undistort"})  # their models are of upright images
 
 
 def holds_own_model(root: Path) -> bool:
