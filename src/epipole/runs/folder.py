@@ -21,9 +21,10 @@ from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts_
 from epipole.io.contents_in_words import MARK as MARK
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
-from epipole.io.names import is_inside_name, path_inside
+from epipole.io.names import is_inside_name
 from epipole.runs.guard import is_overwriting
 from epipole.runs.lock import LOCK, remove_free_locks
+from epipole.runs.marks import inside_name_of_mark, texts_of_mark
 from epipole.runs.source import Source
 
 FORMAT = 3
@@ -204,7 +205,7 @@ class OutputFolder:
             parent = name.rpartition("/")[0]
             if parent not in parents or not is_inside_name(name):
                 try:
-                    path_inside(self.root, name)
+                    pathinside_name_of_mark(self.root, name)
                 except FileFormatError as error:
                     raise WorkspaceError(str(error)) from None
                 parents.add(parent)
@@ -227,7 +228,7 @@ class OutputFolder:
         """Remove results, and folders that they leave empty; what is no file any more is not ours."""
         for name in names:
             try:
-                path = path_inside(self.root, name)
+                path = pathinside_name_of_mark(self.root, name)
                 if stat.S_ISREG(path.lstat().st_mode):
                     path.unlink()
             except (FileNotFoundError, FileFormatError):
@@ -379,9 +380,11 @@ def read_mark(root: Path) -> OutputFolder | None:
         content = read_json(mark)
         number, files, timings = content["format"], content.get("files", {}), content.get("timings_s", {})
         if number == FORMAT:
-            source = Source(_texts(content["source"]), _texts(content["sketch"]))
+            source = Source(texts_of_mark(content["source"]), texts_of_mark(content["sketch"]))
             folder = OutputFolder(root, str(content["kind"]), source)
-            folder.files = {str(group): [_inside(name) for name in names] for group, names in files.items()}
+            folder.files = {
+                str(group): [inside_name_of_mark(name) for name in names] for group, names in files.items()
+            }
             folder.finished = str(content["finished"])
             folder.has_failed = content.get("has_failed", False) is True
             folder.timings_s = {str(stage): float(seconds or 0.0) for stage, seconds in timings.items()}
@@ -389,16 +392,3 @@ def read_mark(root: Path) -> OutputFolder | None:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         raise WorkspaceError(f"{mark} is damaged; delete {root} or choose another output folder") from None
     raise WorkspaceError(f"{root} was made by another version of epipole; choose another output folder")
-
-
-def _texts(values: object) -> tuple[str, ...]:
-    if not isinstance(values, list):
-        raise TypeError
-    return tuple(str(value) for value in values)
-
-
-def _inside(name: object) -> str:
-    """The name of a result, which may be removed one day: a mark may come from anyone."""
-    if not isinstance(name, str) or not is_inside_name(name):
-        raise ValueError
-    return name
