@@ -178,6 +178,9 @@ class FlowConfig:
             raise ConfigError("max_return_px must be positive and min_eigenvalue not negative")
 
 
+MIN_ON_LINES, MIN_BEYOND_SAMPLE = 15, 4
+
+
 @dataclass(frozen=True, kw_only=True)
 class RansacConfig:
     """Options of robust estimation (RANSAC)."""
@@ -190,8 +193,8 @@ class RansacConfig:
     """Samples drawn at least."""
     max_iterations: int = 10_000
     """Samples drawn at most."""
-    min_inliers: int = 15
-    """Fewer inliers count as failure."""
+    min_inliers: int | None = None
+    """Fewer inliers count as failure. None: as many as chance hardly gives, see `needed_inliers`."""
     min_inlier_ratio: float = 0.0
     """Stop once this share of inliers would have been found; a smaller share may be missed, which saves time
     where it would be a failure anyway."""
@@ -213,10 +216,24 @@ class RansacConfig:
             raise ConfigError(f"confidence must be between 0 and 1, got {self.confidence}")
         if not 0 <= self.min_inlier_ratio <= 1:
             raise ConfigError(f"min_inlier_ratio must be between 0 and 1, got {self.min_inlier_ratio}")
-        if min(self.min_iterations, self.max_iterations, self.min_inliers) < 1:
+        if min(self.min_iterations, self.max_iterations, self.needed_inliers(1, 1)) < 1:
             raise ConfigError("min_iterations, max_iterations and min_inliers must be at least 1")
         if self.seed < 0:
             raise ConfigError(f"seed must not be negative, got {self.seed}")
+
+    def needed_inliers(self, sample_size: int, residual_size: int) -> int:
+        """Inliers without which an estimate fails.
+
+        A wrong match lies within 4 px of an epipolar line once in a hundred times, and within 4 px of a point once in ten
+        thousand. By default a model that predicts lines needs 15, one that predicts points its sample and 4 more.
+
+        Args:
+            sample_size: items that determine the model.
+            residual_size: numbers that an item's residual has: 1 for a distance from a line.
+        """
+        if self.min_inliers is not None:
+            return self.min_inliers
+        return MIN_ON_LINES if residual_size == 1 else sample_size + MIN_BEYOND_SAMPLE
 
 
 def check_dictionary(name: str) -> None:

@@ -156,6 +156,7 @@ def run_loop(
     if m < problem.sample_size():
         return failed(Reason.TOO_FEW, n, int(problem.degrees_of_freedom()))
     ranking = None if quality is None else np.argsort(-quality[order], kind="stable")
+    needed = config.needed_inliers(int(problem.sample_size()), int(problem.residual_size()))
     raw, residuals = np.zeros(MODEL_SIZE), np.full(m, np.inf)
     information = np.zeros((MOST_FREEDOM, MOST_FREEDOM))
     score, iterations = loop.ransac(
@@ -164,7 +165,7 @@ def run_loop(
         config.confidence,
         config.min_iterations,
         config.max_iterations,
-        min(1.0, max(config.min_inlier_ratio, config.min_inliers / m)),
+        min(1.0, max(config.min_inlier_ratio, needed / m)),
         np.uint64(config.seed % 2**64),
         ranking,
         raw,
@@ -210,7 +211,9 @@ def found_by_loop(problem: Any, answer: LoopAnswer, scale_px: float, config: Ran
     covariance, determined = invert_information(
         information[:freedom, :freedom], noise / scale_px, of_order_one=problem.has_unit_steps
     )
-    if int(inlier_mask.sum()) < config.min_inliers:
+    if int(inlier_mask.sum()) < config.needed_inliers(
+        int(problem.sample_size()), int(problem.residual_size())
+    ):
         reason = Reason.TOO_FEW_INLIERS
     else:
         reason = Reason.OK if determined else Reason.DEGENERATE

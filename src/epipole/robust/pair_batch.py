@@ -83,7 +83,7 @@ def search_for(
         float(config.confidence),
         min(config.min_iterations, most),
         most,
-        config.min_inliers,
+        config.needed_inliers(5, 1),
         float(config.min_inlier_ratio if share is None else share),
     )
 

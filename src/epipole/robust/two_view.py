@@ -295,7 +295,7 @@ def _at_its_noise(
     residuals[use] = np.where(fitted.is_in_front, np.abs(fitted.residuals_px), np.inf)
     inlier_mask = residuals < config.max_error_px
     reason = REASON_OF_VERDICT[fitted.verdict]
-    if inlier_mask.sum() < config.min_inliers:
+    if inlier_mask.sum() < config.needed_inliers(5, 1):
         reason = Reason.TOO_FEW_INLIERS
     raw = found.raw.copy()
     raw[:9], raw[9:12] = fitted.rotation.ravel(), fitted.translation

@@ -148,7 +148,7 @@ def fundamental_for_guided_matching(
     packed = _packed([pair], config)
     epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
     inliers = epipolar.residuals_px < config.max_error_px
-    if not np.isfinite(epipolar.best_score[0]) or inliers.sum() < config.min_inliers:
+    if not np.isfinite(epipolar.best_score[0]) or inliers.sum() < config.needed_inliers(5, 1):
         return None
     shift = packed.pixels[2:, inliers] - packed.pixels[:2, inliers]
     if np.median(np.hypot(shift[0], shift[1])) < STILL_PX:

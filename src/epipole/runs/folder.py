@@ -21,7 +21,7 @@ from epipole.io.atomic import atomic_write, part_beside, remove_abandoned_parts_
 from epipole.io.contents_in_words import MARK as MARK
 from epipole.io.files import read_json
 from epipole.io.json_files import json_text
-from epipole.io.names import is_inside_name
+from epipole.io.names import is_inside_name, path_inside
 from epipole.runs.guard import is_overwriting
 from epipole.runs.lock import LOCK, remove_free_locks
 from epipole.runs.marks import inside_name_of_mark, texts_of_mark
@@ -205,7 +205,7 @@ class OutputFolder:
             parent = name.rpartition("/")[0]
             if parent not in parents or not is_inside_name(name):
                 try:
-                    pathinside_name_of_mark(self.root, name)
+                    path_inside(self.root, name)
                 except FileFormatError as error:
                     raise WorkspaceError(str(error)) from None
                 parents.add(parent)
@@ -228,7 +228,7 @@ class OutputFolder:
         """Remove results, and folders that they leave empty; what is no file any more is not ours."""
         for name in names:
             try:
-                path = pathinside_name_of_mark(self.root, name)
+                path = path_inside(self.root, name)
                 if stat.S_ISREG(path.lstat().st_mode):
                     path.unlink()
             except (FileNotFoundError, FileFormatError):
