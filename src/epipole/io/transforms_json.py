@@ -48,7 +48,7 @@ def write_transforms(
     reconstruction: Reconstruction,
     path: str | Path,
     image_folder: str = "images",
-    origin_in_world: Float64[np.ndarray, "3"] | None = None,
+    origin_in_world: Float64[np.ndarray, " 3"] | None = None,
 ) -> None:
     """Write the registered cameras, and the points (if any) as a PLY file beside.
 
