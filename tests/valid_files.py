@@ -130,7 +130,13 @@ def _models() -> Iterator[Row]:
     for function in (io.params_to_colmap, io.params_from_colmap):
         yield _row(function, model=int(LENS.model), params=LENS.params)
     database = io.DatabaseContents(
-        model.cameras, model.rigs, model.frames, model.images, None, {(0, 1): np.array([[0, 1]])}, None
+        model.cameras,
+        model.rigs,
+        model.frames,
+        model.images,
+        None,
+        {(0, 1): np.array([[0, 1]], np.int32)},
+        None,
     )
     io.write_database(at / "database.db", database)
     yield _row(io.write_database, path=at / "other.db", contents=database)

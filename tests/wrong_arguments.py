@@ -47,7 +47,16 @@ def wrong_values(valid: Any, random: Random) -> list[Any]:
     if isinstance(valid, tuple) and hasattr(valid, "_fields"):
         return others + [_replaced(valid, random) for _ in range(12)]
     if isinstance(valid, Path):
-        return [*others, str(valid), "", "\0", "a" * 1000, valid / "none", valid.parent, Path("/dev/null")]
+        return [
+            *others,
+            str(valid),
+            "",
+            "\0",
+            "a" * 1000,
+            (valid if valid.is_file() else valid.with_name("none")) / "none",
+            valid.parent,
+            Path("/dev/null"),
+        ]
     if isinstance(valid, (list, tuple)):
         return others + _sequences(valid, random)
     if is_dataclass(valid) and not isinstance(valid, type):

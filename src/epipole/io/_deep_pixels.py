@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL.ImageFile import ImageFile
 
+from epipole.errors import ConfigError
+
 SENSOR_BITS = (8, 10, 12, 14, 16)
 """Bits of a sensor whose values are stored in 16 bits."""
 FEWEST_LEVELS = 64
@@ -82,10 +84,21 @@ def range_of(sample: np.ndarray, dtype: np.dtype) -> GreyRange:
     return GreyRange(float(low), float(high))
 
 
+def check_range(limits: GreyRange | None) -> None:
+    """Check a range that is given.
+
+    Raises:
+        ConfigError: it is empty, or infinite.
+    """
+    if limits is not None and not 0.0 < limits.high - limits.low < float("inf"):
+        raise ConfigError(f"limits must be a finite range of grey, got {limits.low:g} to {limits.high:g}")
+
+
 def stretched(deep: np.ndarray, limits: GreyRange | None = None) -> UInt8[np.ndarray, "h w *channels"]:
     """Grey whose range becomes 0 to 255, its own if none is given."""
     low, high = range_of(sample_of(deep), deep.dtype) if limits is None else limits
-    scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
+    with np.errstate(over="ignore", invalid="ignore"):  # float images hold any numbers
+        scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
     return np.clip(np.rint(np.nan_to_num(scaled, nan=0.0)), 0, 255).astype(np.uint8)
 
 

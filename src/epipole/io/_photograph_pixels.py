@@ -24,7 +24,15 @@ from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from epipole.errors import EpipoleError, FileFormatError, MissingDependencyError
-from epipole.io._deep_pixels import GreyRange, colour_16, has_16_bits, range_of, sample_of, stretched
+from epipole.io._deep_pixels import (
+    GreyRange,
+    check_range,
+    colour_16,
+    has_16_bits,
+    range_of,
+    sample_of,
+    stretched,
+)
 from epipole.io._image_formats import AVIF_SUFFIXES, FORMAT_OF_SUFFIX, HEIF_SUFFIXES, format_of
 from epipole.io._spherical import refuse_panorama
 from epipole.io.exif import EXIF_ERRORS, orientation_of
@@ -203,7 +211,13 @@ def decode(
 def decode_bytes(
     path: Path, data: bytes, grey: bool, max_size_px: int | None, limits: GreyRange | None = None
 ) -> UInt8[np.ndarray, "h w *channels"]:
-    """As `decode`, of bytes that stand in some file."""
+    """As `decode`, of bytes that stand in some file.
+
+    Raises:
+        ConfigError: the limits are no range.
+        FileFormatError: the image cannot be decoded.
+    """
+    check_range(limits)
     image = open_with_pillow(path, io.BytesIO(data), format_of(path, data[:64]))
     refuse_huge(path, image, data)
     refuse_panorama(path, image)

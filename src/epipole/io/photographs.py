@@ -218,6 +218,7 @@ def read_grey(
         limits: values of deep greyscale that become 0 and 255 (`common_range`); None: its own percentiles.
 
     Raises:
+        ConfigError: the limits are no range.
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """
@@ -236,6 +237,7 @@ def read_rgb(
         limits: as in `read_grey`.
 
     Raises:
+        ConfigError: the limits are no range.
         FileFormatError: it is damaged, truncated, too large or not a picture.
         MissingDependencyError: it is HEIC and pillow-heif is not installed.
     """

@@ -143,7 +143,7 @@ def read_transforms(path: str | Path, image_folder: str = "images") -> Reconstru
     """
     scene = read_transforms_scene(path, image_folder)
     for warning in scene.warnings:
-        warnings.warn(f"epipole: {path}: {warning}", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"epipole: {path}: {warning}", RuntimeWarning, stacklevel=3)
     return scene.reconstruction
 
 

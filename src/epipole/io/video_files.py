@@ -37,13 +37,15 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
         WorkspaceError: the file cannot be written, or does not read back as it was written (the disk is full).
     """
     path, fps = _target(path, fps)
-    if not isinstance(pictures, Iterable):
-        raise ConfigError(f"pictures must be images, got {pictures!r:.60}")
+    try:
+        each = iter(pictures)
+    except TypeError as error:  # an array without axes is an Iterable, too
+        raise ConfigError(f"pictures must be images, got {pictures!r:.60}") from error
     aside = path.with_name(path.name + VIDEO_SUFFIX)  # OpenCV takes the container from the ending
     writer, size, count = None, (0, 0), 0
     first = last = np.zeros((1, 1, 3), np.uint8)
     try:
-        for picture in map(_frame, pictures):  # one after the other: all may not fit into the memory
+        for picture in map(_frame, each):  # one after the other: all may not fit into the memory
             if writer is None:
                 size = picture.shape[1], picture.shape[0]
                 writer, first = _opened(aside, fps, size), picture
