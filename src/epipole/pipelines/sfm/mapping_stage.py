@@ -18,6 +18,7 @@ from epipole.pipelines.sfm.gps.alignment import (
     gps_distances,
     is_wide_enough,
 )
+from epipole.pipelines.sfm.gps.evidence import metres_in_words
 from epipole.pipelines.sfm.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
@@ -156,7 +157,8 @@ def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[st
     if not is_wide_enough(fixes, reach_m):
         extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
         return [
-            f"{unknown}: the GPS positions lie within {extent_m:.2g} m, and may be off by {reach_m:.2g} m"
+            f"{unknown}: the GPS positions lie within {metres_in_words(extent_m)}, "
+            f"and may be off by {metres_in_words(reach_m)}"
         ]
     found = evidence_of(
         model.camera_centers_in_world(),
@@ -188,7 +190,7 @@ def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfi
 
 
 def _distance_in_words(distance_m: float) -> str:
-    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else f"{distance_m:.0f} m"
+    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else metres_in_words(distance_m)
 
 
 def reasons_in_words(

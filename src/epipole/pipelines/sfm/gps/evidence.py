@@ -61,15 +61,15 @@ class GpsEvidence:
     def in_words(self) -> str:
         """What was found, for a reader who learns that the GPS positions are not used."""
         words = (
-            f"after the best fit about half of the {self.num_positions} images lie {_metres(self.residual_m)} or more "
-            f"from their GPS positions, which spread over {_metres(self.spread_m)}"
+            f"after the best fit about half of the {self.num_positions} images lie {metres_in_words(self.residual_m)} or more "
+            f"from their GPS positions, which spread over {metres_in_words(self.spread_m)}"
         )
         if self.deviations < MIN_DEVIATIONS:
             words += "; positions shuffled among the images fit about as well"
         return words
 
 
-def _metres(length_m: float) -> str:
+def metres_in_words(length_m: float) -> str:
     """To two digits, for lengths below ten metres too."""
     return f"{length_m:.0f} m" if length_m >= 10.0 else f"{length_m:.2g} m"
 
