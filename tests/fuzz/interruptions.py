@@ -85,7 +85,7 @@ def _pairs(folder: Path) -> None:
     for side, picture in (("left", room.left), ("right", room.right)):
         (folder / side).mkdir(parents=True)
         for name in ("a.jpg", "b.jpg"):
-            write_jpeg_with_exif(folder / side / name, picture)
+            write_jpeg_with_exif(folder / side / name, np.stack([picture] * 3, axis=2))
 
 
 def _stereo(folder: Path) -> object:
