@@ -103,5 +103,7 @@ def test_broken_files_are_refused(tmp_path: Path, name: str, content: str, messa
 def test_nothing_there(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="no such file or folder"):
         read_truth(tmp_path / "nothing")
-    with pytest.raises(FileFormatError, match="no known cameras; readable are a folder with a COLMAP model"):
+    with pytest.raises(
+        FileFormatError, match="no known cameras; it is empty; readable are a folder with a COLMAP model"
+    ):
         read_truth(tmp_path)

@@ -100,7 +100,20 @@ def images_of(tmp_path, num_images, *, is_video=False):
     names = tuple(f"{n}.jpg" for n in range(num_images))
     rows, empty = np.zeros(num_images, np.int32), ("",) * num_images
     return ImageSet(
-        *(tmp_path, names, ONE, rows, ("assumed",), nothing, nothing[:, 0], empty, empty, {}, is_video)
+        *(
+            tmp_path,
+            names,
+            ONE,
+            rows,
+            ("assumed",),
+            nothing,
+            nothing,
+            nothing[:, 0],
+            empty,
+            empty,
+            {},
+            is_video,
+        )
     )
 
 

@@ -108,7 +108,7 @@ def test_videos_whole_and_cut_off(tmp_path):
     assert result.summary["num_placed"] == 30 and not result.warnings
     assert np.allclose(np.diff(result.trajectory.timestamp_s), 0.1, atol=1e-6)
     path.write_bytes(path.read_bytes()[: int(0.6 * path.stat().st_size)])
-    result = run_slam(path, tmp_path / "out", camera=KNOWN)
+    result = run_slam(path, tmp_path / "cut", camera=KNOWN)
     assert 10 < result.summary["num_placed"] < 25
     assert error_m(result.trajectory, "similarity") < 0.03
     assert any("ends after" in warning and "of 30 announced frames" in warning for warning in result.warnings)
@@ -157,7 +157,7 @@ def test_a_camera_is_followed_until_it_ends(tmp_path, monkeypatch):
     capture = FakeCapture([ride().left[0], *ride().left[:20]])
     opened_by(monkeypatch, capture)
     result = run_slam(
-        *("0", tmp_path / "out"),
+        *("0", tmp_path / "shorter"),
         camera=KNOWN,
         max_frames=9,
         progress=lambda report: capture.may_read.release(),

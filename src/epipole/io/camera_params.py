@@ -82,10 +82,10 @@ def camera_of_text(model: CameraModel, size: tuple[int, int], text: str) -> Came
 
 
 def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
-    """The one camera of a calibration file, for images of this size.
+    """The one camera of a calibration file, of the images that it was measured with; `size` is for files without one.
 
     Raises:
-        ConfigError: the file is of several cameras, or of images of another size.
+        ConfigError: the file is of several cameras.
         FileFormatError: it cannot be read.
     """
     found = read_calibration(path, size=size).cameras
@@ -97,11 +97,6 @@ def camera_of_calibration(path: Path, size: tuple[int, int]) -> Camera:
         raise ConfigError(
             f"calibration {path} holds {len(found)} cameras, and one camera took these images: give the parameters of that one, "
             f"{each}"
-        )
-    if (found[0].width, found[0].height) != size:
-        raise ConfigError(
-            f"calibration {path} is of pictures of {found[0].width}x{found[0].height}, but these are {size[0]}x{size[1]}: "
-            "calibrate at this size, or scale the parameters (camera_params)"
         )
     return found[0]
 

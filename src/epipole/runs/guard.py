@@ -78,6 +78,9 @@ def replacing_file(target: Path, kind: str, inputs: Sequence[Path]) -> Iterator[
     refuse_existing([target], kind, inputs)
     remove_abandoned_parts(target.resolve().parent)
     with atomic_write(target) as part:
-        yield part
-        add_seal(part, kind)
+        try:
+            yield part
+            add_seal(part, kind)
+        except WorkspaceError as error:  # users know the target, not the file beside it
+            raise WorkspaceError(str(error).replace(str(part), str(target))) from error
         refuse_existing([target], kind, inputs)  # somebody may have written it meanwhile

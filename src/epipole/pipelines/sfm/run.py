@@ -77,11 +77,10 @@ def reconstruct(
     config = options_of(ReconstructConfig, config, options, ["config", "progress", "executor"])
     out, source = as_path(out), as_path(images)
     _check_inputs(source, config)
-    settings = asdict(config)
     job = Job(
         kind="reconstruct",
         inputs=(source,),
-        settings={"seed": config.mapper.seed, "config": settings},
+        settings={"seed": config.mapper.seed, "config": asdict(config)},
         threads=config.threads,
         executor=config.executor if executor is None else executor,
         progress=progress,
@@ -101,7 +100,7 @@ def reconstruct(
         run.warnings += _note_on_fewer(solution, out)
         run.warnings += [*notes_on_choice_and_lenses(solution), *warnings_of(solution, config.mapper)]
         with run.stage("report"):
-            content = page_content(solution, reasons, run, settings)
+            content = page_content(solution, reasons, run, asdict(config))
             run.folder.write_text("report.html", render_report(content))
         run.warnings += absences_of(solution, reasons)  # which the report tells in its own words
         summary = _summary(solution, reasons, run.warnings, run.seconds, run.timings_s)

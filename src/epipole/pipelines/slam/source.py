@@ -295,7 +295,7 @@ def _read_pair(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame
     return made.frame(files.timestamp_s, turning.left(files), turning.right(files))
 
 
-def _read_with_depth(unit: float, made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+def _read_with_depth(made: Preparation, turning: _Turning, files: FrameFiles, *, unit: float) -> Frame:
     assert files.depth is not None
     depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
     depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
