@@ -213,7 +213,7 @@ def test_options_that_make_no_sense(rendered, tmp_path):
     with pytest.raises(ConfigError, match="numbers"):
         ReconstructConfig(camera_params="a,b")
     for options in ({"seed": -1}, {"seed": 2**40}):
-        with pytest.raises(ConfigError, match="seed must (be from 0|not be negative)"):
+        with pytest.raises(ConfigError, match=r"seed must (be from 0|not be negative)"):
             MapperConfig(**options)
     with pytest.raises(ConfigError, match="seed must not be negative"):
         RansacConfig(seed=-1)

@@ -91,7 +91,7 @@ def read_image_set(
         memory: file that remembers what the pictures held, by size and time.
         ignore: folders that are no pictures.
         timestamps_s: of each frame of a video, by name.
-        video_orientation: by which the frames of a video were turned upright.
+        video_orientation: EXIF orientation that made its frames upright.
         progress: told how many headers are read.
 
     Raises:
@@ -100,13 +100,11 @@ def read_image_set(
     """
     listed = list_photographs(folder, ignore=[*ignore, *config.named_files()])
     if not listed.names:
-        unusable = [f"{n} {why}" for n, why in list(listed.unusable.items())[:NAMES_SHOWN]]
-        what = f"{folder} holds no photographs (JPEG, PNG, TIFF, WebP)."
-        raise NoModelError(" ".join([what, *filter(None, [listed.advice, *unusable, *listed.passed_over])]))
+        raise NoModelError(_nothing_in(listed))
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress, video_orientation)
-    unreadable = {name: listed.advice for name in listed.unreadable if _is_wanted(name, config)}
-    left_out = {**listed.unusable, **unreadable, **left_out}
+    unreadable = dict.fromkeys((n for n in listed.unreadable if _is_wanted(n, config)), listed.advice)
+    left_out = listed.unusable | unreadable | left_out
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
         notes.append(note)
     if listed.unusable:
@@ -134,6 +132,12 @@ def read_image_set(
         bool(timestamps_s),
         tuple(filter(None, [*notes, *grouped.notes, mask_note])),
     )
+
+
+def _nothing_in(listed: PhotographList) -> str:
+    unusable = [f"{name} {why}" for name, why in list(listed.unusable.items())[:NAMES_SHOWN]]
+    hints = filter(None, [listed.advice, *unusable, *listed.passed_over])
+    return " ".join([f"{listed.folder} holds no photographs (JPEG, PNG, TIFF, WebP).", *hints])
 
 
 def _read_headers(
