@@ -11,7 +11,14 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError, NoModelError
-from epipole.io.photographs import PhotographHeader, list_photographs, mask_names, mask_of, read_header
+from epipole.io.photographs import (
+    PhotographHeader,
+    PhotographList,
+    list_photographs,
+    mask_names,
+    mask_of,
+    read_header,
+)
 from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.lenses import group_cameras
