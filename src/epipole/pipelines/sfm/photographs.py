@@ -111,7 +111,7 @@ def read_image_set(
     names, notes = _chosen(listed.names, config)
     headers, left_out = _read_headers(folder, names, progress, video_orientation)
     unreadable = dict.fromkeys((n for n in listed.unreadable if _is_wanted(n, config)), listed.advice)
-    left_out = listed.unusable | unreadable | left_out
+    left_out = {**listed.unusable, **unreadable, **left_out}
     if not (config.include or config.exclude) and (note := _take_out_depth(headers)):
         notes.append(note)
     if listed.unusable:
