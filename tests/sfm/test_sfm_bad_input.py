@@ -212,9 +212,10 @@ def test_wrong_camera_params(rendered, tmp_path, params, word):
 def test_options_that_make_no_sense(rendered, tmp_path):
     with pytest.raises(ConfigError, match="numbers"):
         ReconstructConfig(camera_params="a,b")
-    for options in ({"seed": -1}, {"seed": 2**40}):
-        with pytest.raises(ConfigError, match=r"seed must (be from 0|not be negative)"):
-            MapperConfig(**options)
+    with pytest.raises(ConfigError, match="seed must not be negative"):
+        MapperConfig(seed=-1)
+    with pytest.raises(ConfigError, match="seed must be from 0 to"):
+        MapperConfig(seed=2**40)
     with pytest.raises(ConfigError, match="seed must not be negative"):
         RansacConfig(seed=-1)
     for name in ("pairs", "database", "calibration"):
