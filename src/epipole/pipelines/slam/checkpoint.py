@@ -58,7 +58,7 @@ class Checkpoint:
         answer, loops = records[-1].answer, system.loops[self._num_loops :]
         self.journal.add(records[-1], loops)
         self._num_lines, self._num_loops = self._num_lines + 1, len(system.loops)
-        if system.first_frame != self._first_frame:
+        if _world_of(system) != self._world:
             self._tell_all(system, records)
         elif answer is not None:
             self.path.add(answer)
@@ -96,9 +96,15 @@ class Checkpoint:
 
     def _tell_all(self, system: Slam, records: Sequence[FrameRecord]) -> None:
         """The path anew: frames before the world's first one are not in it."""
-        self._first_frame = system.first_frame
+        self._world = _world_of(system)
+        first, number = system.first_frame - system.first_number, system.maps[0].number
         tracked = [record.answer for record in records if record.answer is not None]
-        self.path.begin(tracked[system.first_frame - system.first_number :])
+        self.path.begin([answer for answer in tracked[first:] if answer.map_number == number])
+
+
+def _world_of(system: Slam) -> tuple[int, int]:
+    """What changes where the first map begins anew."""
+    return system.first_frame, system.maps[0].number
 
 
 def known_to(system: Slam) -> dict[str, object]:

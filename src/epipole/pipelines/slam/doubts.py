@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from epipole.pipelines.slam.frames import TrackedFrame
+from epipole.pipelines.slam.resting import AT_REST, GOES_ALONG
 from epipole.scene import Trajectory
 
 _PICTURE = re.compile(r"the (?:left |right )?picture is (?:blurred|dark|overexposed|of one shade)")
@@ -67,4 +68,10 @@ def doubts(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
             f" {moving['most_points']} points, at {moving['at_s']:.2f} s in columns {left:.0f} to {right:.0f}, rows"
             f" {top:.0f} to {bottom:.0f}): its points are not used"
         )
+    for taken, least in ((AT_REST, 1), (GOES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked)))):
+        if (count := sum(taken in frame.reason for frame in tracked)) >= least:
+            out.append(
+                f"in {count} of {len(tracked)} frames a part of the picture rests while the rest of it moves: {taken}; pictures"
+                " alone cannot tell"
+            )
     return [*out, words] if (words := rest(path)) else out

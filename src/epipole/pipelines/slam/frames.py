@@ -191,6 +191,17 @@ class TrackedFrame:
     """The place in the map that the camera is followed in, where that is not the first one."""
     moving: MovingThing | None = None
     """A thing that moves besides the camera."""
+    map_number: int = 0
+    """Of the map that the place is in, in the order of their begins."""
+
+    @property
+    def has_place(self) -> bool:
+        """Whether the place in one of the maps is known."""
+        return self.world_from_body is not None or self.submap_from_body is not None
+
+    def with_words(self, words: str) -> TrackedFrame:
+        """The same, with more to say."""
+        return replace(self, reason=f"{self.reason}; {words}" if self.reason else words)
 
     def __repr__(self) -> str:
         return f"TrackedFrame({self.timestamp_s:.3f} s, {self.state.value}, {self.num_points} points)"

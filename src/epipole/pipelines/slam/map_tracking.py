@@ -14,6 +14,7 @@ from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.recent_motion import RecentMotion
+from epipole.pipelines.slam.resting import SCENE_SHARE, Rest, resting_part
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
@@ -42,6 +43,7 @@ class MapTracker:
         tracks: the points that are followed.
         stale: rows of those that look otherwise than when they were first seen.
         moving: what moves in the last frame besides the camera.
+        rest: what rests in the last frame while other points move.
         waiting: frames that are to be placed again when the map has settled.
     """
 
@@ -53,6 +55,7 @@ class MapTracker:
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
+        self.rest: Rest | None = None
         self._num_at_start = 1
         self._place_before: Rigid3 | None = None
         self.waiting: list[SeenFrame] = []
@@ -76,7 +79,7 @@ class MapTracker:
         )
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
-        found = self.locate(frame, place)
+        found = self.locate(frame, place, may_rest=True)
         return self._find_again((before, frame), place, followed) if found is None else found
 
     def _find_again(
@@ -106,8 +109,16 @@ class MapTracker:
         self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
         return self.locate(frame, recognized.cam_from_world)
 
-    def locate(self, frame: Frame, predicted: Rigid3) -> tuple[RefinedPose, int] | None:
-        """The frame's pose; points that do not agree are given up."""
+    def locate(
+        self, frame: Frame, predicted: Rigid3, *, may_rest: bool = False
+    ) -> tuple[RefinedPose, int] | None:
+        """The frame's pose; points that do not agree are given up.
+
+        Args:
+            frame: the pictures.
+            predicted: a place near it.
+            may_rest: the points were followed from the last keyframe, and show whether a part of the picture rests.
+        """
         tracks = self.tracks
         tracks.keep(frame.is_used(tracks.pixels))
         placed = np.flatnonzero(self.map.has_place(tracks.point))
@@ -120,6 +131,9 @@ class MapTracker:
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
         if found is None or not is_sure(*found, self.config):
             return None
+        self.rest = None
+        if may_rest:
+            found, self.rest = self._unless_at_rest(found, rows, placed, predicted, deep)
         refined, agrees = found
         if self.sensor.readout_s:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
@@ -131,6 +145,32 @@ class MapTracker:
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
+
+    def _unless_at_rest(
+        self,
+        found: tuple[RefinedPose, np.ndarray],
+        rows: np.ndarray,
+        placed: np.ndarray,
+        predicted: Rigid3,
+        deep: Disparities | None,
+    ) -> tuple[tuple[RefinedPose, np.ndarray], Rest | None]:
+        """The pose, or that of a camera at rest where a large part of the picture rests; and what rests."""
+        pixels, pixels_before = self.tracks.pixels[placed], self.tracks.start_px[placed]
+        at = self.camera.project(found[0].cam_from_world.apply(self.map.xyz[rows]))
+        errors_px = np.linalg.norm(at - pixels, axis=1)
+        rest = resting_part(pixels_before, pixels, errors_px, self.camera)
+        if rest is None or not rest.is_scene:
+            return found, rest
+        at_rest = locate(
+            self.map.xyz[rows[rest.mask]],
+            pixels[rest.mask],
+            *(self.camera, predicted, deep and deep.rows(rest.mask), self.config),
+        )
+        if at_rest is None:
+            return found, rest._replace(share=min(rest.share, SCENE_SHARE))
+        agrees = np.zeros(len(rows), bool)
+        agrees[rest.mask] = at_rest[1]
+        return (at_rest[0], agrees), rest
 
     def _while_moving(
         self,

@@ -67,7 +67,7 @@ def go_on_after(state: State, missed: Sequence[TrackedFrame]) -> None:
     if missed and state["_before"] is not None:  # what comes next is later than all of them
         state["_before"] = replace(state["_before"], timestamp_s=missed[-1].timestamp_s)
     state["_start"] = OneCameraStart(state["camera"].camera, state["config"])
-    state["_turning"] = None
+    state["_turning"] = state["_unconfirmed"] = None
     state["_closer"].forget()
     if state["map"].num_points:
         state["state"], state["_num_lost"] = TrackingState.LOST, 1

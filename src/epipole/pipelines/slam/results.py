@@ -45,6 +45,7 @@ CAMERA = "camera.json"
 PLACED, PLACED_WORDS = "num_placed", "localized frames"
 """What `summary.json` calls their number."""
 
+IN_OTHER_MAP = "followed in a map of its own, which nothing had tied to the first one"
 WARM = 2
 """Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
 
@@ -105,8 +106,7 @@ def write_results(
     problems = [record.problem for record in records if record.problem] + feed.notes()
     if not len(system.trajectory()):
         raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
-    tied = tracked[system.first_frame - system.first_number :]
-    came, anchoring = _causal(tied), given.anchoring
+    came, anchoring = _causal(system, tracked), given.anchoring
     if anchoring is not None:
         came = moved_path(came, anchoring.world_from_model)
     final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
@@ -166,6 +166,7 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         run.warnings += no_ray_warning(system.camera.camera)
         run.warnings += [] if shutter is None else [shutter.warning()]
         run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
+        run.warnings += system.start_doubts
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
@@ -183,8 +184,13 @@ def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap
     return [named[keyframe.number] for keyframe in system.maps[0].keyframes]
 
 
-def _causal(tracked: Sequence[TrackedFrame]) -> Trajectory:
-    rows = [(t, t.world_from_body, t.covariance) for t in tracked]
+def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
+    """The places in the first map that were told when the frames came."""
+    first = system.first_frame - system.first_number
+    own = [t for t in tracked[first:] if t.map_number == system.maps[0].number]
+    rows = [
+        (t, t.submap_from_body if t.world_from_body is None else t.world_from_body, t.covariance) for t in own
+    ]
     placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
     return Trajectory(
         np.array([time for time, _, _ in placed], np.float64).reshape(-1),
@@ -243,7 +249,7 @@ def _summary(
     return {
         "num_frames": len(records),
         PLACED: placed,
-        "num_placed_causal": sum(t.world_from_body is not None for t in tracked),
+        "num_placed_causal": len(_causal(slam, tracked)),
         "states": {state.value: states.count(state) for state in TrackingState},
         "num_keyframes": len(slam.maps[0].keyframes),
         "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
@@ -301,8 +307,9 @@ def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
     count: dict[str, int] = {}
     for frame in tracked:
         if frame.world_from_body is None:
-            words = without_numbers(frame.reason)
-            last[words], count[words] = frame.reason, count.get(words, 0) + 1
+            reason = frame.reason if frame.submap_from_body is None else IN_OTHER_MAP
+            words = without_numbers(reason)
+            last[words], count[words] = reason, count.get(words, 0) + 1
     return {last[words]: number for words, number in count.items()}
 
 

@@ -27,13 +27,14 @@ from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.settling_start import settle_start
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
-from epipole.pipelines.slam.starting import Begun, OneCameraStart, place_in_map
+from epipole.pipelines.slam.starting import Begun, Confirmation, OneCameraStart, place_in_map
 from epipole.pipelines.slam.tracking import Tracks
 from epipole.pipelines.slam.turning import Turned, Turning
 from epipole.scene import Trajectory
 
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
+UNCONFIRMED = "the map's begin is not confirmed yet"
 LEAST_KEYFRAMES = 3
 """A map of its own with fewer is given up when the camera is lost again."""
 
@@ -52,6 +53,7 @@ class Slam:
         map: the one that the camera is followed in.
         state: of the last frame.
         loops: every place that looked like one seen before, and what came of it.
+        start_doubts: in words, maps of one camera whose begin later frames did not confirm.
         first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
     """
 
@@ -89,6 +91,8 @@ class Slam:
         self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
         self.loops = self._closer.ledger
         self._start = OneCameraStart(camera.camera, self.config)
+        self._unconfirmed: OneCameraStart | None = None
+        self.start_doubts: list[str] = []
         self._turning: Turning | None = None
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
@@ -96,6 +100,7 @@ class Slam:
         self._cam_from_world = Rigid3.identity()
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
+        self._num_maps = 1
 
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
@@ -114,7 +119,16 @@ class Slam:
             answer = self._follow(frame)
         self._before = frame
         self._num_frames += 1
-        return self._look.told(answer)
+        return self._look.told(self._with_doubts(answer))
+
+    def _with_doubts(self, answer: TrackedFrame) -> TrackedFrame:
+        """The answer, with what may be wrong with its place."""
+        if not answer.has_place:
+            return answer
+        if self._unconfirmed is not None:
+            answer = answer.with_words(UNCONFIRMED)
+        rest = self.tracker.rest
+        return answer if rest is None else answer.with_words(rest.in_words())
 
     # The begin of a map.
 
@@ -161,7 +175,7 @@ class Slam:
         now = self.map.keyframes[-1]
         self._cam_from_world = now.cam_from_world
         here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
-        self._start, self._turns = OneCameraStart(lens, self.config), {}
+        self._unconfirmed, self._start, self._turns = self._start, OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
     def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
@@ -169,7 +183,7 @@ class Slam:
             describe_keyframe(keyframe)
         self._set_followed()
         count = int(self.map.has_place(self.tracker.tracks.point).sum())
-        reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
+        reason = "the map begins" if self.map is self.maps[0] else "a map of its own begins"
         return self._told_from(self._newest(), frame, covariance, count, reason)
 
     def _set_followed(self) -> None:
@@ -188,7 +202,55 @@ class Slam:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
         found = self._look.sure(self.tracker.follow(self._before, frame, self._cam_from_world), self.config)
-        return self._find_place(frame) if found is None else self._placed(frame, *found)
+        if found is None:
+            return self._find_place(frame)
+        if self._is_refuted(frame, found[0].cam_from_world):
+            return self._begin_anew(frame)
+        return self._placed(frame, *found)
+
+    def _is_refuted(self, frame: Frame, cam_from_world: Rigid3) -> bool:
+        """Whether what is seen since the begin of one camera's map contradicts it."""
+        start = self._unconfirmed
+        if start is None:
+            return False
+        first = next((k for k in self.map.keyframes if k.number == start.first_number), None)
+        told = Confirmation.OUT_OF_SIGHT
+        if first is not None:
+            moved = cam_from_world @ first.cam_from_world.inverse()
+            told = start.confirm(frame, self._num_frames, moved)
+        if told is Confirmation.OUT_OF_SIGHT:
+            self._leave_unconfirmed()
+        elif told is not Confirmation.OPEN:
+            self._unconfirmed = None
+        return told is Confirmation.REFUTED
+
+    def _leave_unconfirmed(self) -> None:
+        """No later frame can confirm the begin of the map any more."""
+        if self._unconfirmed is not None:
+            self.start_doubts.append(
+                f"the map that begins at {self._unconfirmed.first_time_s:.2f} s is not confirmed: its first points were out of"
+                " sight before the camera had moved enough to check it"
+            )
+        self._unconfirmed = None
+
+    def _begin_anew(self, frame: Frame) -> TrackedFrame:
+        """Give up a map that was begun wrongly, with the places of its frames."""
+        first = self.map.keyframes[0].timestamp_s
+        self.start_doubts.append(
+            f"the map that begins at {first:.2f} s was given up at {frame.timestamp_s:.2f} s: the frames after its begin"
+            " contradict it"
+        )
+        self._path.forget(self.map.keyframes)
+        if self.map is self.maps[0]:
+            self.map.clear()
+            self.map.number, self._num_maps = self._num_maps, self._num_maps + 1
+            self._enter(self.map)
+            self._cam_from_world, self.state = Rigid3.identity(), TrackingState.STARTING
+            return self._begin(frame)
+        self.maps.remove(self.map)
+        self._enter(self.maps[0])
+        self.state = TrackingState.LOST
+        return self._find_place(frame)
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
         self._cam_from_world = refined.cam_from_world
@@ -258,10 +320,13 @@ class Slam:
             self.maps.remove(self.map)
             self._path.forget(self.map.keyframes)
             self._enter(self.maps[0])
+            self._unconfirmed = None
+        self._leave_unconfirmed()
 
     def _begin_submap(self, frame: Frame, reason: str) -> TrackedFrame:
         known = self.map
-        self.maps.append(SlamMap())
+        self.maps.append(SlamMap(self._num_maps))
+        self._num_maps += 1
         self._enter(self.maps[-1])
         self.map.right_shift_px = known.right_shift_px
         answer = self._begin(frame)
@@ -374,6 +439,7 @@ class Slam:
             is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
             moving=self.tracker.moving,
+            map_number=self.map.number,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
@@ -381,8 +447,14 @@ class Slam:
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
-        """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it."""
+        """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it.
+
+        Of maps that nothing ties together the one with most frames becomes the first, unless a known map was given.
+        """
         here = self.map
+        self._leave_unconfirmed()
+        if not self.first_number:
+            self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
         place_again(self._path, self.tracker, is_last=True)
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)

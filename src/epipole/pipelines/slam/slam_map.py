@@ -81,7 +81,9 @@ class Keyframe:
 class SlamMap:
     """Keyframes and points. A point without a place yet (NaN) is one that was seen, but under too narrow an angle."""
 
-    def __init__(self) -> None:
+    def __init__(self, number: int = 0) -> None:
+        self.number = number
+        """Among the maps of a run, in the order of their begins."""
         self.keyframes: list[Keyframe] = []
         self._xyz = np.empty((4096, 3))
         self._anchor = np.empty(4096, np.int64)

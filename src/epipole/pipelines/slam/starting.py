@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,16 @@ from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame
+from epipole.pipelines.slam.resting import MOVING_PX, is_ambiguous_start
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.start_motions import (
+    Judged,
+    are_apart,
+    judge,
+    median_angle_deg,
+    motions_of_plane,
+    rival_of,
+)
 from epipole.pipelines.slam.tracking import Tracks, locate
 from epipole.robust import PairKind, triangulate_points, verify_pair
 
@@ -22,8 +32,15 @@ MIN_POINTS = 50
 LEAST_SHIFT = 0.015
 """Median shift of the points, as a share of the picture's width, below which nothing is tried."""
 START_KEYFRAMES = 6
+CONFIRMING, MIN_CONFIRMING = 2.0, 30
+"""At so many times the angle of the begin, by so many points of the first frame, later frames confirm a map."""
+MOVING_QUANTILE = 0.75
+MAP_TURN_DEG, MAP_ANGLE_DEG = 1.5, 15.0
+"""A map whose motion since its first frame is further off than that is wrong."""
 MOST_WAITING = 300
 """Frames before the map's begin that are kept, to get their places once it has begun."""
+LEAST_ANGLE_DEG = 0.3
+"""Points whose rays meet under a narrower angle get no place at the begin."""
 LEAST_KEPT = 0.4
 """With a smaller share of the first frame's points still followed, another frame becomes the first."""
 
@@ -65,21 +82,49 @@ def try_start(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, config: 
         return Start("the points do not move as those of one rigid scene")
     angle = np.degrees(found.median_angle_rad)
     if not angle >= config.start_angle_deg:
-        return Start(f"the rays meet at {angle:.2f} degrees, {config.start_angle_deg:g} are needed: move on")
-    two = Rigid3(
-        np.stack([np.eye(3), found.cam2_from_cam1.rotation]),
-        np.stack([np.zeros(3), found.cam2_from_cam1.translation]),
+        return _too_narrow(angle, config)
+    started = start_by(found.cam2_from_cam1, first_px, pixels, camera, found.inlier_mask)
+    assert started.points_in_first is not None
+    count = int(np.isfinite(started.points_in_first[:, 0]).sum())
+    return (
+        started if count >= MIN_POINTS else Start(f"only {count} points get a place, {MIN_POINTS} are needed")
     )
+
+
+def start_by(
+    cam_from_first: Rigid3,
+    first_px: np.ndarray,
+    pixels: np.ndarray,
+    camera: Camera,
+    use: np.ndarray | None = None,
+) -> Start:
+    """The begin by a motion of which the length is open.
+
+    Args:
+        cam_from_first: the motion.
+        first_px: (n, 2) in the first frame.
+        pixels: the same points now.
+        camera: any model.
+        use: (n,) which of them may get a place; all unless given.
+    """
+    two = Rigid3.stack([Rigid3.identity(), cam_from_first])
     made = triangulate_points(
-        two, camera, np.stack([first_px, pixels]), max_error_px=2.0, min_angle_rad=np.deg2rad(0.3)
+        two, camera, np.stack([first_px, pixels]), max_error_px=2.0, min_angle_rad=np.deg2rad(LEAST_ANGLE_DEG)
     )
-    good = made.success_mask & found.inlier_mask
-    if good.sum() < MIN_POINTS:
-        return Start(f"only {int(good.sum())} points get a place, {MIN_POINTS} are needed")
-    depth = float(np.median(made.points_in_world[good, 2]))
+    good = made.success_mask if use is None else made.success_mask & use
+    depth = float(np.median(made.points_in_world[good, 2])) if good.any() else 1.0
     points = np.where(good[:, None], made.points_in_world / depth, np.nan)
-    motion = Rigid3(found.cam2_from_cam1.rotation, found.cam2_from_cam1.translation / depth)
-    return Start("", motion, points)
+    return Start("", Rigid3(cam_from_first.rotation, cam_from_first.translation / depth), points)
+
+
+class Confirmation(Enum):
+    """What the frames after a map's begin say of it."""
+
+    OPEN = 0
+    CONFIRMED = 1
+    REFUTED = 2
+    OUT_OF_SIGHT = 3
+    """Too few points of the first frame are still followed."""
 
 
 class WaitingFrame(NamedTuple):
@@ -145,18 +190,61 @@ class OneCameraStart:
         """The map, if it begins with this frame; else what it waits for: a picture with a problem begins none."""
         if not self._waiting:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
+        self._follow(frame)
         tracks = self.tracks
-        tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
-        tracks.keep(frame.is_used(tracks.pixels))
         started = try_start(tracks.start_px, tracks.pixels, self.camera, self.config)
-        reason = started.reason or problem
+        reason = started.reason or self._may_rest() or problem
         if not reason:
-            return self._begin(started)
+            started = self._best_of(started)
+            reason = started.reason
+        begun = None if reason else self._begin(started)
         self._waiting.append(WaitingFrame(frame, number, tracks.pixels, tracks.point))
+        if begun is not None:
+            return begun
         is_thin = len(tracks.pixels) < max(MIN_POINTS, LEAST_KEPT * self._num_at_start)
         if is_thin or len(self._waiting) > MOST_WAITING:
             return self._wait_from(frame, number, reason)
         return reason
+
+    @property
+    def first_number(self) -> int:
+        """Of the frame that the map begins with."""
+        return self._waiting[0].number
+
+    @property
+    def first_time_s(self) -> float:
+        """Of that frame."""
+        return self._waiting[0].frame.timestamp_s
+
+    def confirm(self, frame: Frame, number: int, cam_from_first: Rigid3) -> Confirmation:
+        """Whether a frame after the begin agrees with the map, by the points of the first frame and nothing of the map.
+
+        Args:
+            frame: the present one.
+            number: of it.
+            cam_from_first: its motion since the first frame, by the map.
+        """
+        self._follow(frame)
+        now, lens = self.tracks, self.camera
+        if len(now) < MIN_CONFIRMING or len(self._waiting) > MOST_WAITING:
+            return Confirmation.OUT_OF_SIGHT
+        self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
+        least_deg = CONFIRMING * self.config.start_angle_deg
+        if not median_angle_deg(cam_from_first, now.start_px, now.pixels, lens) >= least_deg:
+            return Confirmation.OPEN
+        ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=self.config.seed)
+        found = verify_pair(now.start_px, now.pixels, lens, lens, is_calibrated=True, config=ransac)
+        epipolar = [found.cam2_from_cam1] if found.kind in (PairKind.GENERAL, PairKind.PLANAR) else []
+        best, rival = self._judged([cam_from_first, *epipolar])
+        if rival is not None or not best.median_angle_deg >= least_deg:
+            return Confirmation.OPEN
+        is_same = not are_apart(best.cam_from_first, cam_from_first, MAP_TURN_DEG, MAP_ANGLE_DEG)
+        return Confirmation.CONFIRMED if is_same else Confirmation.REFUTED
+
+    def _follow(self, frame: Frame) -> None:
+        tracks = self.tracks
+        tracks.follow(self._waiting[-1].frame.grey, frame.grey, tracks.pixels, self.config, and_back=True)
+        tracks.keep(frame.is_used(tracks.pixels))
 
     def _wait_from(self, frame: Frame, number: int, reason: str) -> str:
         """Begin to wait for a second place, apart from this frame's."""
@@ -166,10 +254,55 @@ class OneCameraStart:
         self._waiting = [WaitingFrame(frame, number, corners, self.tracks.point)]
         return reason
 
+    def _may_rest(self) -> str:
+        """In words, that the camera may have rested since the first frame while something passed; empty where it has not.
+
+        Points that are out of sight by now count: what passes covers the scene, until nothing rests any more.
+        """
+        last = self._waiting[0].pixels.copy()
+        for one in self._waiting:
+            moves = np.linalg.norm(one.pixels - self._waiting[0].pixels[one.track], axis=1)
+            if np.quantile(moves, MOVING_QUANTILE) > MOVING_PX:
+                last[one.track] = one.pixels
+            else:
+                last[one.track] = np.nan
+        last[self.tracks.point] = self.tracks.pixels
+        known = np.isfinite(last[:, 0])
+        rest = is_ambiguous_start(self._waiting[0].pixels[known], last[known], self.camera)
+        if rest is None:
+            return ""
+        return (
+            f"{100 * rest.share:.0f} % of the picture rests, the rest of it moves: one camera cannot tell whether something passes it"
+            " or it passes something near, with all else far away"
+        )
+
+    def _best_of(self, started: Start) -> Start:
+        """The begin by the motion that all frames since the first agree with best, or why there is none."""
+        assert started.cam_from_first is not None
+        best, rival = self._judged([started.cam_from_first])
+        if rival is not None:
+            return Start("the points are near a plane, and two motions explain them: move on, along a curve")
+        if not best.median_angle_deg >= self.config.start_angle_deg:
+            return _too_narrow(best.median_angle_deg, self.config)
+        if not are_apart(best.cam_from_first, started.cam_from_first):
+            return started
+        return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
+
+    def _judged(self, motions: list[Rigid3]) -> tuple[Judged, Judged | None]:
+        """Which of these motions, and those of a plane, the frames since the first agree with best; and its rival."""
+        now, lens, waiting = self.tracks, self.camera, self._waiting
+        of_plane = motions_of_plane(now.start_px, now.pixels, lens, self.config.seed)
+        used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
+        seen = [waiting[n].pixels[np.searchsorted(waiting[n].track, now.point)] for n in used]
+        pixels = np.stack([*seen, now.pixels])
+        judged = [judge(motion, pixels, lens) for motion in (*motions, *of_plane)]
+        best = min(judged, key=lambda one: one.loss)
+        return best, rival_of(best, judged)
+
     def _begin(self, started: Start) -> Begun:
         """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
         assert started.cam_from_first is not None and started.points_in_first is not None
-        model, waiting = SlamMap(), self._waiting
+        model, waiting = SlamMap(), list(self._waiting)
         points = model.add_points(started.points_in_first, self.tracks.start_px, 0)
         row_of_track = np.full(self._num_at_start, -1)
         row_of_track[self.tracks.point] = points
@@ -186,6 +319,10 @@ class OneCameraStart:
             model.keyframes.append(keyframe)
         tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
         return Begun(model, tracks, started.cam_from_first, waiting, row_of_track)
+
+
+def _too_narrow(angle_deg: float, config: SlamConfig) -> Start:
+    return Start(f"the rays meet at {angle_deg:.2f} degrees, {config.start_angle_deg:g} are needed: move on")
 
 
 def place_in_map(

@@ -24,8 +24,8 @@ from epipole.pipelines.slam.turning import Turning
 _KINDS: dict[str, type] = {
     **{"state": TrackingState, "tracker": MapTracker, "mapper": LocalMapper, "_closer": LoopCloser},
     **{"_start": OneCameraStart, "_watch": PictureWatch, "_look": Look, "_path": Path},
-    **{"_cam_from_world": Rigid3, "maps": list, "_turns": dict},
-    **dict.fromkeys(("_num_frames", "_num_lost", "first_number", "first_frame"), int),
+    **{"_cam_from_world": Rigid3, "maps": list, "_turns": dict, "start_doubts": list},
+    **dict.fromkeys(("_num_frames", "_num_lost", "_num_maps", "first_number", "first_frame"), int),
 }
 """Of the attributes of a `Slam`."""
 _GIVEN = ("config", "camera", "imu", "focal_baseline", "is_map_fixed")
@@ -72,9 +72,15 @@ def _problems(held: dict[str, Any], system: Slam, num_lines: int) -> Iterator[st
             yield "a loop leads to a map that is not there"
     if not isinstance(held["_before"], Frame | None) or not isinstance(held["_turning"], Turning | None):
         yield "the last frame is none"
+    if not isinstance(held["_unconfirmed"], OneCameraStart | None):
+        yield "the begin of the map is none"
+    if not all(isinstance(words, str) for words in held["start_doubts"]):
+        yield "a doubt is none"
     if held["_before"] is not None:
         yield from _of_frame(held["_before"], sensor)
-    yield from _of_start(held["_start"], sensor)
+    for start in (held["_start"], held["_unconfirmed"]):
+        if start is not None:
+            yield from _of_start(start, sensor)
     if held["_turning"] is not None:
         yield from _of_turning(held["_turning"], sensor)
     yield from _of_path(held["_path"], held["_num_frames"], num_lines)

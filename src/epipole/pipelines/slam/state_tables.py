@@ -29,6 +29,7 @@ from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.picture_watch import PictureWatch
 from epipole.pipelines.slam.recent_motion import RecentMotion
+from epipole.pipelines.slam.resting import Rest
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.starting import OneCameraStart, WaitingFrame
 from epipole.pipelines.slam.tracking import SeenFrame, Tracks
@@ -68,6 +69,7 @@ ATTRIBUTES: dict[type, dict[str, Any]] = {
         "tracks": Tracks,
         "stale": Int64[np.ndarray, " s"],
         "moving": MovingThing | None,
+        "rest": Rest | None,
         "_num_at_start": int,
         "_place_before": Rigid3 | None,
         "waiting": list[SeenFrame],
@@ -93,6 +95,7 @@ ATTRIBUTES: dict[type, dict[str, Any]] = {
         "covariance": Float64[np.ndarray, "6 6"],
     },
     SlamMap: {
+        "number": int,
         "keyframes": list[Keyframe],
         "_xyz": Float64[np.ndarray, "p 3"],
         "_anchor": Int64[np.ndarray, " p"],

@@ -1,0 +1,172 @@
+"""Motions that may begin one camera's map: what two frames allow is judged by all frames between them.
+
+A plane allows two motions (Faugeras and Lustman 1988), and few points near a plane hardly tell them apart. Each is adjusted
+with the frames between, where the wrong one fits less and less; a map begins once all others fit clearly worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.config import RansacConfig
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3, decompose_homography
+from epipole.mapping import refine_pose
+from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
+from epipole.robust import estimate_homography, triangulate_points
+
+PLANE_ERROR_PX = 2.0
+MIN_PLACED, JUDGING_ITERATIONS, JUDGING_ROUNDS = 20, 20, 3
+JUDGED_SHARE = 0.8
+"""Of the points, those that fit best: the others may have slipped."""
+BEFORE_SHARE = 0.5
+"""Of the points on a plane, at least so many must lie before it: an estimated plane seen from the side cuts some off."""
+CLEARLY = 2.0
+"""Another motion must leave so many times the squared error: errors of followed points are not independent."""
+LEAST_TURN_DEG, LEAST_ANGLE_DEG = 0.5, 10.0
+"""Motions further apart in rotation, or in direction, are two."""
+
+
+class Judged(NamedTuple):
+    """A motion, adjusted with the frames between."""
+
+    cam_from_first: Rigid3
+    loss: float
+    """Mean of log(1 + e^2) over frames and all but the worst points, e in pixels."""
+    median_angle_deg: float
+    """Between the rays of points in the first and the last frame."""
+
+
+def motions_of_plane(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, seed: int) -> list[Rigid3]:
+    """The motions, |t| = 1, that the largest plane among the points allows; none where there is no plane or no motion.
+
+    Args:
+        first_px: (n, 2) in the first frame.
+        pixels: the same points now.
+        camera: any model.
+        seed: of the samples.
+    """
+    rays = camera.unproject(first_px), camera.unproject(pixels)
+    use = (rays[0][:, 2] > 0.1) & (rays[1][:, 2] > 0.1)
+    on_plane = [camera.focal_px * ray[use, :2] / ray[use, 2:] for ray in rays]
+    found = estimate_homography(
+        on_plane[0], on_plane[1], RansacConfig(max_error_px=PLANE_ERROR_PX, seed=seed)
+    )
+    if not found.success:
+        return []
+    lens = np.diag([camera.focal_px, camera.focal_px, 1.0])
+    flat = on_plane[0][found.inlier_mask]
+    with suppress(DegenerateGeometryError):
+        allowed = decompose_homography(found.model, lens, lens)
+        depth = np.column_stack([flat / camera.focal_px, np.ones(len(flat))]) @ allowed.normals_in_cam1.T
+        before = (depth > 0).mean(axis=0) >= BEFORE_SHARE
+        moved = np.linalg.norm(allowed.cam2_from_cam1.translation, axis=1)
+        return [
+            Rigid3(allowed.cam2_from_cam1.rotation[k], allowed.cam2_from_cam1.translation[k] / moved[k])
+            for k in np.flatnonzero(before & (moved > 0))
+        ]
+    return []
+
+
+def judge(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Judged:
+    """A motion from the first frame to the last, adjusted with those between.
+
+    Args:
+        cam_from_first: |t| = 1.
+        pixels: (f, n, 2) of the same points in all frames.
+        camera: any model.
+    """
+    frames, config = len(pixels), BundleConfig(loss=Loss.CAUCHY, max_iterations=JUDGING_ITERATIONS)
+    places = _places_between(cam_from_first, pixels, camera)
+    for _ in range(JUDGING_ROUNDS):
+        made = triangulate_points(places, camera, pixels, max_error_px=PLANE_ERROR_PX)
+        good = made.success_mask
+        if good.sum() < MIN_PLACED:
+            break
+        seen = np.ascontiguousarray(pixels[:, good].swapaxes(0, 1)).reshape(-1, 2)
+        problem = _problem(places, made.points_in_world[good], seen, camera)
+        places = adjust_bundle(with_fixed_gauge(problem), config).rig_from_world
+    made = triangulate_points(places, camera, pixels)
+    errors = np.full((frames, pixels.shape[1]), PLANE_ERROR_PX)
+    for k in range(frames):
+        at = camera.project(places[k].apply(made.points_in_world))
+        off = np.linalg.norm(at - pixels[k], axis=1)
+        np.copyto(errors[k], off, where=made.success_mask & (off < PLANE_ERROR_PX))
+    last = places[frames - 1] @ places[0].inverse()
+    angle = (
+        float(np.degrees(np.median(made.angles_rad[made.success_mask]))) if made.success_mask.any() else 0.0
+    )
+    of_points = np.sort(np.log1p(errors**2).mean(axis=0))
+    return Judged(last, float(of_points[: round(JUDGED_SHARE * len(of_points))].mean()), angle)
+
+
+def _places_between(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Rigid3:
+    """cams_from_first (f,) by the points that the first and the last frame give."""
+    frames = len(pixels)
+    ends = Rigid3.stack([Rigid3.identity(), cam_from_first])
+    made = triangulate_points(ends, camera, pixels[[0, -1]], min_angle_rad=np.radians(0.1))
+    good = made.success_mask
+    out, place = [Rigid3.identity()], Rigid3.identity()
+    for k in range(1, frames - 1):
+        if good.sum() >= MIN_PLACED:
+            for scale in (15.0, 1.0):
+                place = refine_pose(
+                    made.points_in_world[good], pixels[k][good], camera, place, loss_scale=scale
+                ).cam_from_world
+        out.append(place)
+    out.append(cam_from_first)
+    return Rigid3.stack(out)
+
+
+def _problem(places: Rigid3, points: np.ndarray, pixels: np.ndarray, camera: Camera) -> BundleProblem:
+    """All points seen by all frames."""
+    frames, count = len(places), len(points)
+    one = np.zeros(frames * count, np.int32)
+    return BundleProblem(
+        places,
+        Rigid3(np.eye(3)[None], np.zeros((1, 3))),
+        np.array([int(camera.model)], np.int32),
+        camera.padded_params()[None],
+        points.copy(),
+        frames * np.arange(count + 1, dtype=np.int64),
+        np.tile(np.arange(frames, dtype=np.int32), count),
+        one,
+        one,
+        pixels,
+        np.ones((frames, 6)),
+        np.zeros((1, len(camera.padded_params()))),
+        np.ones(count),
+    )
+
+
+def rival_of(best: Judged, judged: Sequence[Judged]) -> Judged | None:
+    """Another motion that fits nearly as well as the best; None where there is none."""
+    near = [one for one in judged if one.loss < CLEARLY * best.loss]
+    others = [one for one in near if are_apart(one.cam_from_first, best.cam_from_first)]
+    return min(others, key=lambda one: one.loss, default=None)
+
+
+def median_angle_deg(
+    cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarray, camera: Camera
+) -> float:
+    """Median angle, in degrees, under which the rays of points meet after a motion; 0 where none do."""
+    ends = Rigid3.stack([Rigid3.identity(), cam_from_first])
+    made = triangulate_points(ends, camera, np.stack([first_px, pixels]), max_error_px=PLANE_ERROR_PX)
+    return (
+        float(np.degrees(np.median(made.angles_rad[made.success_mask]))) if made.success_mask.any() else 0.0
+    )
+
+
+def are_apart(
+    one: Rigid3, other: Rigid3, turn_deg: float = LEAST_TURN_DEG, angle_deg: float = LEAST_ANGLE_DEG
+) -> bool:
+    """Whether two motions from the same frame to the same frame differ in rotation or direction, whatever their lengths' units."""
+    turn = np.degrees(np.linalg.norm((one @ other.inverse()).log()[3:]))
+    lengths = np.linalg.norm(one.translation) * np.linalg.norm(other.translation)
+    cosine = float(one.translation @ other.translation) / max(float(lengths), 1e-12)
+    return bool(turn > turn_deg or cosine < np.cos(np.radians(angle_deg)))
