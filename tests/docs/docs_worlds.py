@@ -200,12 +200,17 @@ def nothing(_: Path) -> None:
     """The lines name no file."""
 
 
+def no_cloud(folder: Path) -> None:
+    """No cloud of another program."""
+    (folder / "cloud.ply").unlink(missing_ok=True)
+
+
 AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "README-0": nothing,
     "README-2": results,
     "first_model-0": nothing,
     "first_model-1": nothing,
-    "first_model-2": nothing,
+    "first_model-2": no_cloud,
     "index-0": nothing,
 }
 """By the page and the number of its block: where IMAGES are six photographs, OUT their reconstruction and DIR the true cameras."""

@@ -54,16 +54,16 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     found: list[str] = []
 
-    def said(*words: object, **_: object) -> None:
-        sys.stdout.write(f"{' '.join(map(str, words))}\n")
-        if address := _ADDRESS.match(str(words[0])):
+    def said(text: str, *, to_stderr: bool = False) -> None:
+        (sys.stderr if to_stderr else sys.stdout).write(f"{text}\n")
+        if address := _ADDRESS.match(text):
             with urllib.request.urlopen(address[1], timeout=20) as answer:
                 assert answer.status == 200 and answer.read()
             found.append(address[1])
             threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     for command in (viewing, lesson, slam):
-        monkeypatch.setattr(command, "print", said, raising=False)
+        monkeypatch.setattr(command, "say", said)
     yield found
     signal.signal(signal.SIGINT, before)
 

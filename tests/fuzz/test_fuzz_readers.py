@@ -16,7 +16,14 @@ SOURCES = Path(__file__).parents[2] / "src" / "epipole"
 CASES = 2500
 WITHOUT_FILES = {"pair_folders", "pair_within", "list_photographs"}
 """They list folders, and read none of the files in them."""
-BY_WAY_OF_OTHERS = {"read_image_set", "read_picture", "read_json"}
+BY_WAY_OF_OTHERS = {
+    "read_image_set",
+    "read_picture",
+    "read_json",
+    "read_archive",
+    "read_by_others",
+    "read_packed_arrays",
+}
 """They hand their file to readers that are in the table."""
 VERBS = (
     "read_",

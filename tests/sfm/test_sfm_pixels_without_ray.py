@@ -17,7 +17,7 @@ FOLDED = Camera("OPENCV", 640, 480, [520.909, 521.007, 325.141, 249.702, 0.2312,
 
 @pytest.mark.usefixtures("unchecked")
 def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
-    monkeypatch.setattr(notes, "gps_note", lambda *_: None)
+    monkeypatch.setattr(notes, "gps_notes", lambda *_: [])
     for registered, count in (([True, True, True], 1), ([True, True, False], 0)):
         model = SimpleNamespace(
             cameras=[SOUND, FOLDED],

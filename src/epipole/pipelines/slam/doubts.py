@@ -19,6 +19,8 @@ LEAST_MOVING, SHARE_MOVING = 5, 0.05
 REST_SIGMAS = 4.0
 """A camera that is never further from its first place, in deviations, rests as far as can be told."""
 LEAST_RESTING, MOST_REST_DEG = 5, 0.5
+LEAST_RESTED = 3
+"""Frames in which a part of the picture rests, and is taken for the scene."""
 
 
 def poor_pictures(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
@@ -68,7 +70,10 @@ def doubts(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
             f" {moving['most_points']} points, at {moving['at_s']:.2f} s in columns {left:.0f} to {right:.0f}, rows"
             f" {top:.0f} to {bottom:.0f}): its points are not used"
         )
-    for taken, least in ((AT_REST, 1), (GOES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked)))):
+    for taken, least in (
+        (AT_REST, LEAST_RESTED),
+        (GOES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked))),
+    ):
         if (count := sum(taken in frame.reason for frame in tracked)) >= least:
             out.append(
                 f"in {count} of {len(tracked)} frames a part of the picture rests while the rest of it moves: {taken}; pictures"

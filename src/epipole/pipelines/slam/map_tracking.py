@@ -14,10 +14,10 @@ from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.recent_motion import RecentMotion
-from epipole.pipelines.slam.resting import SCENE_SHARE, Rest, resting_part
+from epipole.pipelines.slam.resting import Rest, resting_part
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
-from epipole.pipelines.slam.second_motion import second_motion, second_motion_in_picture
+from epipole.pipelines.slam.second_motion import off_px_of_scene, second_motion, second_motion_in_picture
 from epipole.pipelines.slam.shutter import (
     FORETOLD_SIGMA,
     UNKNOWN_SIGMA,
@@ -32,6 +32,8 @@ from epipole.pipelines.slam.tracking import SeenFrame, Tracks, is_sure, locate, 
 
 SHUTTER_ROUNDS = 3
 """A frame's motion follows from its place, and its place from the motion."""
+STEP_PX = 0.7
+"""A thing moves by more from one frame to the next."""
 PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
 
@@ -69,6 +71,7 @@ class MapTracker:
         """
         tracks, followed = self.tracks, self.tracks.point
         self._place_before, self.map.recent = place, self.map.recent.begin_at(before.timestamp_s)
+        last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
         if not shows_something(before.grey):
             tracks.keep(np.zeros(len(tracks), bool))
             return self._find_again((before, frame), place, followed)
@@ -79,7 +82,7 @@ class MapTracker:
         )
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
-        found = self.locate(frame, place, may_rest=True)
+        found = self.locate(frame, place, last)
         return self._find_again((before, frame), place, followed) if found is None else found
 
     def _find_again(
@@ -110,14 +113,14 @@ class MapTracker:
         return self.locate(frame, recognized.cam_from_world)
 
     def locate(
-        self, frame: Frame, predicted: Rigid3, *, may_rest: bool = False
+        self, frame: Frame, predicted: Rigid3, last: Tracks | None = None
     ) -> tuple[RefinedPose, int] | None:
         """The frame's pose; points that do not agree are given up.
 
         Args:
             frame: the pictures.
             predicted: a place near it.
-            may_rest: the points were followed from the last keyframe, and show whether a part of the picture rests.
+            last: the points in the last frame, where they were followed from there: they show what rests and what moves.
         """
         tracks = self.tracks
         tracks.keep(frame.is_used(tracks.pixels))
@@ -132,7 +135,7 @@ class MapTracker:
         if found is None or not is_sure(*found, self.config):
             return None
         self.rest = None
-        if may_rest:
+        if last is not None:
             found, self.rest = self._unless_at_rest(found, rows, placed, predicted, deep)
         refined, agrees = found
         if self.sensor.readout_s:
@@ -141,7 +144,8 @@ class MapTracker:
         self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
         kept = np.ones(len(tracks.point), bool)
         kept[placed] = agrees
-        self.moving = self._what_moves(rows, pixels, agrees, refined.cam_from_world)
+        place = refined.cam_from_world
+        self.moving = None if last is None else self._what_moves(last, rows, pixels, agrees, place)
         self.map.num_agreed[rows[agrees]] += 1
         tracks.keep(kept)
         return refined, int(agrees.sum())
@@ -167,7 +171,7 @@ class MapTracker:
             *(self.camera, predicted, deep and deep.rows(rest.mask), self.config),
         )
         if at_rest is None:
-            return found, rest._replace(share=min(rest.share, SCENE_SHARE))
+            return found, replace(rest, is_scene=False)
         agrees = np.zeros(len(rows), bool)
         agrees[rest.mask] = at_rest[1]
         return (at_rest[0], agrees), rest
@@ -223,20 +227,37 @@ class MapTracker:
         return self.map.recent.with_step(frame.timestamp_s, step, depth)
 
     def _what_moves(
-        self, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
+        self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
     ) -> MovingThing | None:
         """A thing that moves besides the camera; not told where rows are read one after another, which bends all that is near."""
         if self.sensor.readout_s:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
+        fresh &= self._moves_now(last, points, pixels, place)
         found = second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
         if found is None and self.focal_baseline is None:
-            return self._motion_in_picture(points[agrees], place)
+            return self._motion_in_picture(last, points[agrees], place)
         return found
 
-    def _motion_in_picture(self, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
+    def _moves_now(self, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> np.ndarray:
+        """(n,) which points have moved since the last frame, otherwise than the scene.
+
+        One that was once taken for its neighbour, or is drawn elsewhere by the lens, stays where it is.
+        """
+        if self._place_before is None or not len(points):
+            return np.zeros(len(points), bool)
+        order = np.argsort(last.point)
+        then = last.pixels[order[np.searchsorted(last.point, points, sorter=order)]]
+        placed = self.map.has_place(points)
+        depth = float(np.median(place.apply(self.map.xyz[points[placed]])[:, 2])) if placed.any() else 1.0
+        return (
+            off_px_of_scene(then, pixels, self.camera, place @ self._place_before.inverse(), depth) > STEP_PX
+        )
+
+    def _motion_in_picture(self, last: Tracks, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1
         lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
+        lacking &= self._moves_now(last, self.tracks.point, self.tracks.pixels, place)
         points = self.tracks.point[lacking]
         now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
         depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))

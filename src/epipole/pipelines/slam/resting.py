@@ -6,14 +6,16 @@ and what is far away: a large part of the picture that rests is taken for the sc
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from epipole.cameras import Camera
 
-REST_PX, MOVING_PX, OFF_PX = 0.5, 3.0, 1.0
-"""Points that move less rest, and those that move more move; a motion that is off by more does not explain points at rest."""
+REST_PX, MOVING_PX, OFF_PX, OFF = 0.5, 3.0, 0.5, 3.0
+"""Points that move less rest, and those that move more move; a motion that is off by more, and by so many times what it is off
+by for points that move, does not explain points at rest."""
 COLUMNS, ROWS = 8, 6
 """Cells of the picture: a thing with much texture has more points than its share of the picture."""
 LEAST_SHARE, SCENE_SHARE = 0.1, 0.3
@@ -25,16 +27,16 @@ AT_REST = "the camera is taken to rest, and what moves to pass by"
 GOES_ALONG = "that part is taken to go along with the camera, or to be far away"
 
 
-class Rest(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Rest:
     """What rests in a picture whose other points move."""
 
-    mask: np.ndarray  # (n,) points at rest
-    share: float  # of the picture
-
-    @property
-    def is_scene(self) -> bool:
-        """Whether so much rests that the camera is taken to rest."""
-        return self.share >= SCENE_SHARE
+    mask: Bool[np.ndarray, " n"]
+    """Points at rest."""
+    share: float
+    """Of the picture."""
+    is_scene: bool
+    """Whether the camera is taken to rest."""
 
     def in_words(self) -> str:
         """What is made of it."""
@@ -54,7 +56,9 @@ def resting_part(
         camera: of the pictures.
     """
     shift = np.linalg.norm(pixels - pixels_before, axis=1)
-    rests, moves = (shift < REST_PX) & (errors_px > OFF_PX), (shift > MOVING_PX) & (errors_px < shift)
+    moves = (shift > MOVING_PX) & (errors_px < shift)
+    off_px = max(OFF_PX, OFF * float(np.median(errors_px[moves]))) if moves.any() else np.inf
+    rests = (shift < REST_PX) & (errors_px > off_px)
     column = np.clip(pixels_before[:, 0] * COLUMNS / camera.width, 0, COLUMNS - 1).astype(int)
     row = np.clip(pixels_before[:, 1] * ROWS / camera.height, 0, ROWS - 1).astype(int)
     resting, moving = (
@@ -62,9 +66,9 @@ def resting_part(
     )
     num_cells = int(((resting > 0) | (moving > 0)).sum())
     share = float((resting > moving).sum() / max(num_cells, 1))
-    return (
-        Rest(rests, share) if share >= LEAST_SHARE and rests.sum() >= LEAST_POINTS and moves.any() else None
-    )
+    if share < LEAST_SHARE or rests.sum() < LEAST_POINTS or not moves.any():
+        return None
+    return Rest(rests, share, share >= SCENE_SHARE)
 
 
 def is_ambiguous_start(pixels_before: np.ndarray, pixels: np.ndarray, camera: Camera) -> Rest | None:

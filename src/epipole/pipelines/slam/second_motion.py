@@ -62,6 +62,27 @@ def second_motion(
     return _thing(pixels[agrees], motion)
 
 
+def off_px_of_scene(
+    pixels_then: np.ndarray, pixels: np.ndarray, camera: Camera, now_from_then: Rigid3, depth: float
+) -> np.ndarray:
+    """(n,) how far points are from where a point of the scene can be, whatever its depth.
+
+    Args:
+        pixels_then: (n, 2) in an earlier picture.
+        pixels: where they are seen.
+        camera: any model.
+        now_from_then: between the pictures.
+        depth: of the scene, in the middle.
+    """
+    rays = camera.unproject(pixels_then)
+    rays = rays / np.maximum(rays[:, 2:], 1e-6)
+    far = camera.project(now_from_then.apply(1e3 * depth * rays))
+    near = camera.project(now_from_then.apply(NEAREST * depth * rays))
+    along = near - far
+    share = np.einsum("ni,ni->n", pixels - far, along) / np.maximum(np.einsum("ni,ni->n", along, along), 1e-9)
+    return np.linalg.norm(far + np.clip(share, 0.0, 1.0)[:, None] * along - pixels, axis=1)
+
+
 def second_motion_in_picture(
     pixels_then: np.ndarray,
     pixels: np.ndarray,
@@ -82,14 +103,7 @@ def second_motion_in_picture(
     """
     if len(pixels) < LEAST_POINTS:
         return None
-    rays = camera.unproject(pixels_then)
-    rays = rays / np.maximum(rays[:, 2:], 1e-6)
-    far = camera.project(now_from_then.apply(1e3 * depth * rays))
-    near = camera.project(now_from_then.apply(NEAREST * depth * rays))
-    along = near - far
-    share = np.einsum("ni,ni->n", pixels - far, along) / np.maximum(np.einsum("ni,ni->n", along, along), 1e-9)
-    off_px = np.linalg.norm(far + np.clip(share, 0.0, 1.0)[:, None] * along - pixels, axis=1)
-    off = off_px > OFF_PX
+    off = off_px_of_scene(pixels_then, pixels, camera, now_from_then, depth) > OFF_PX
     if off.sum() < LEAST_POINTS:
         return None
     ransac = RansacConfig(
