@@ -60,9 +60,20 @@ def test_keyframes_go_out_as_a_model(rides):
     assert (np.diff(model.tracks.offsets) >= 2).all()
 
 
-def test_the_covariance_is_of_the_size_of_the_error(rides):
-    slam, _ = rides["rgbd"]
-    path, truth = slam.trajectory(), ride().truth()
+def test_the_covariance_is_of_the_size_of_the_error():
+    """The calibration is exact; one that may be off moves nothing and widens the deviations."""
+    paths = []
+    for config in (SlamConfig(focal_sigma=0.0, center_sigma_px=0.0, depth_sigma=0.0), SlamConfig()):
+        slam = Slam(RGBD, config)
+        for frame in ride().frames("rgbd"):
+            slam.track(frame)
+        slam.finish()
+        paths.append(slam.trajectory())
+    path, wider = paths
+    np.testing.assert_array_equal(wider.world_from_body.translation, path.world_from_body.translation)
+    exact, variances = (np.diagonal(p.covariance, axis1=1, axis2=2) for p in paths)
+    assert (variances >= exact - 1e-12).all() and (variances[-1, :3] > 4 * exact[-1, :3]).any()
+    truth = ride().truth()
     error = np.linalg.norm(path.world_from_body.translation - truth.translation, axis=1)[1:]
     sigma = np.sqrt(path.covariance[1:, :3, :3].trace(axis1=1, axis2=2))
     assert (sigma > 0).all() and (sigma < 0.05).all()

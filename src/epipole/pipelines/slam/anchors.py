@@ -82,7 +82,7 @@ def scale_by_imu(system: Slam) -> ScaleEstimate | None:
     mapper.learn_inertial()
     adjusted = mapper.adjust_all()
     try:
-        return None if adjusted is None else scale_by_factors(*adjusted, system.imu)
+        return None if adjusted is None else scale_by_factors(*adjusted[:3], system.imu)
     except DegenerateGeometryError:
         return None
 

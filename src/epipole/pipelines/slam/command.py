@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from epipole.pipelines.slam.results import SlamResult
 
 DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
+LEAST_SHIFT_TOLD_PX = 0.1
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as of every command."""
 
@@ -88,6 +89,16 @@ def show_slam(result: SlamResult) -> None:
     unit = "m" if summary["is_metric"] else "units of the map, not metres"
     table.add_row("length of the path", f"{length:.4g} {unit}")
     table.add_row("scale", summary["scale"])
+    sigma = summary["sigma_position_median"]
+    if sigma is not None and summary["is_metric"]:
+        table.add_row(
+            "positions known to", f"{sigma:.2g} m (1 sigma, median; summary.json tells what is in it)"
+        )
+    if abs(summary["right_principal_point_shift_px"]) > LEAST_SHIFT_TOLD_PX:
+        shift = summary["right_principal_point_shift_px"]
+        table.add_row(
+            "second camera", f"principal point found {shift:+.2f} px off the calibration, and corrected"
+        )
     for label, words in _source_rows(summary["source"]):
         table.add_row(label, words)
     ms = summary["ms_per_frame"]

@@ -58,6 +58,13 @@ class SlamConfig:
     """Standard deviation of disparities, measured or made of a sensor's depth."""
     sensor_baseline_m: float = 0.08
     """Depth sensor: the baseline that its errors grow as of."""
+    focal_sigma: float | None = None
+    """Share of the focal length that its calibration may be off by, one standard deviation, for the path's covariances (a pair 0.003,
+    a depth sensor 0.01 unless given; 0: exact)."""
+    center_sigma_px: float | None = None
+    """The same of the principal point (a pair 1, a depth sensor 3)."""
+    depth_sigma: float | None = None
+    """The same of the baseline, or of a sensor's depth, as a share (a pair 0.003, a depth sensor 0.015)."""
     max_depth_baselines: float = 120.0
     """Points that are further than so many baselines get no depth from a single frame."""
     seed: int = 0
@@ -77,6 +84,12 @@ class SlamConfig:
         for name in ("max_error_px", "depth_sigma_px", "sensor_baseline_m", "max_depth_baselines"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigError(f"{name} must be positive and finite, got {getattr(self, name)}")
+        for name in ("focal_sigma", "center_sigma_px", "depth_sigma"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < (100 if name == "center_sigma_px" else 1):
+                raise ConfigError(
+                    f"{name} must not be negative, nor as large as the value itself, got {value}"
+                )
         if not 0 < self.min_angle_deg <= self.start_angle_deg < 45:
             raise ConfigError("min_angle_deg and start_angle_deg must be positive, the second not smaller")
 

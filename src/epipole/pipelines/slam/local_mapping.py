@@ -27,7 +27,7 @@ from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.inertial_ties import InertialTies, pixel_variance
 from epipole.pipelines.slam.least_move import least_move
-from epipole.pipelines.slam.map_covariance import learn_covariances
+from epipole.pipelines.slam.map_covariance import CalibrationSigma, add_calibration_error, learn_covariances
 from epipole.pipelines.slam.new_points import places_of
 from epipole.pipelines.slam.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.revisiting import find_again, tie_together
@@ -58,6 +58,8 @@ class Adjusted(NamedTuple):
     problem: BundleProblem
     result: BundleResult
     config: BundleConfig
+    views: list[int]
+    """Rows of the keyframes."""
 
 
 class LocalMapper:
@@ -185,6 +187,7 @@ class LocalMapper:
             return True
         self.adjust_all()
         self.learn_inertial()
+        adjusted: Adjusted | None = None
         done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in LAST_SCALES_PX:
             if not goes_on(done, total):
@@ -192,8 +195,12 @@ class LocalMapper:
             tie_together(self.map, self.camera, self.map.keyframes)
             if not goes_on(done + 1, total):
                 return False
-            self.adjust_all(loss_scale_px)
+            adjusted = self.adjust_all(loss_scale_px)
             done += 2
+        if adjusted is not None and self.focal_baseline is not None:
+            sigma = CalibrationSigma.of(self.sensor, self.config)
+            keyframes = [self.map.keyframes[k] for k in adjusted.views]
+            add_calibration_error(keyframes, adjusted.problem, adjusted.result, adjusted.config, sigma)
         return goes_on(done, total)
 
     def adjust(
@@ -239,7 +246,7 @@ class LocalMapper:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
         self.map.xyz[rows] = result.points_in_world
         self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
-        return Adjusted(held, result, config)
+        return Adjusted(held, result, config, views)
 
     def cost_of(self, window: list[int]) -> float:
         """What is left over after an adjustment of keyframes, which the map does not learn of."""

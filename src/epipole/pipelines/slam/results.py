@@ -28,6 +28,7 @@ from epipole.pipelines.slam.found_camera import FoundCamera
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.local_mapping import LocalMapper
+from epipole.pipelines.slam.map_covariance import CalibrationSigma
 from epipole.pipelines.slam.map_files import MAP_FILE, KnownMap, write_slam_map
 from epipole.pipelines.slam.page import SlamPage, render_page
 from epipole.pipelines.slam.place_recognition import MIN_SAMPLE
@@ -171,9 +172,35 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
             "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
+            "right_principal_point_shift_px": model.right_shift_px,
+            "covariances": _covariance_words(system),
+            "sigma_position_median": _median_sigma(path),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),
         }
+
+
+def _covariance_words(system: Slam) -> str:
+    """What the covariances of the path hold, and what they do not."""
+    if not system.camera.tells_depth:
+        return (
+            "of each frame's own points, with noise of a pixel: errors of the map, of its scale and of the calibration are not in"
+            " them"
+        )
+    sigma = CalibrationSigma.of(system.camera, system.config).in_words()
+    return (
+        f"of the noise of points, and at the end of a calibration that is off by {sigma} (a standard deviation each); a rolling"
+        " shutter, another lens model, depth that is wrong here more than there, and wrong matches are not in them"
+    )
+
+
+def _median_sigma(path: Trajectory) -> float | None:
+    """Of the positions, in the path's unit; None where none is known."""
+    if path.covariance is None:
+        return None
+    variance = np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2)
+    known = variance[np.isfinite(variance) & (variance > 0)]
+    return float(np.sqrt(np.median(known))) if len(known) else None
 
 
 def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
