@@ -116,8 +116,10 @@ def write_results(
     num_frames = len(records) + feed.num_dropped
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
+    run.warnings += system.start_doubts
+    known_to = {"covariances": _covariance_words(system), "sigma_position_median": _median_sigma(final)}
     facts = _summary(system, records, model, run.warnings)
-    summary, known = {**facts, **feed.summary(), **checked}, None
+    summary, known = {**facts, **feed.summary(), **checked, **known_to}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
     metres, told = _metres(given, source, is_map_fixed=job.localize)
@@ -167,14 +169,11 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         run.warnings += no_ray_warning(system.camera.camera)
         run.warnings += [] if shutter is None else [shutter.warning()]
         run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
-        run.warnings += system.start_doubts
         return {
             "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
             "lens": None if lens is None else asdict(lens),
             "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
             "right_principal_point_shift_px": model.right_shift_px,
-            "covariances": _covariance_words(system),
-            "sigma_position_median": _median_sigma(path),
             "poor_pictures": poor_pictures(tracked),
             "moving": moving_things(tracked),
         }

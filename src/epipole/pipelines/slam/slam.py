@@ -175,7 +175,9 @@ class Slam:
         now = self.map.keyframes[-1]
         self._cam_from_world = now.cam_from_world
         here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
-        self._unconfirmed, self._start, self._turns = self._start, OneCameraStart(lens, self.config), {}
+        # Rows that are read one after another move the points besides: what bends the map is not seen without it.
+        self._unconfirmed = None if self.camera.readout_s else self._start
+        self._start, self._turns = OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
 
     def _begun(self, frame: Frame, covariance: np.ndarray) -> TrackedFrame:
@@ -183,7 +185,7 @@ class Slam:
             describe_keyframe(keyframe)
         self._set_followed()
         count = int(self.map.has_place(self.tracker.tracks.point).sum())
-        reason = "the map begins" if self.map is self.maps[0] else "a map of its own begins"
+        reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
         return self._told_from(self._newest(), frame, covariance, count, reason)
 
     def _set_followed(self) -> None:

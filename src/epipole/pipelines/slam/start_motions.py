@@ -19,6 +19,7 @@ from epipole.geometry import Rigid3, decompose_homography
 from epipole.mapping import refine_pose
 from epipole.optim import BundleConfig, BundleProblem, Loss, adjust_bundle, with_fixed_gauge
 from epipole.robust import estimate_homography, triangulate_points
+from epipole.robust.ray_matches import Matches
 
 PLANE_ERROR_PX = 2.0
 MIN_PLACED, JUDGING_ITERATIONS, JUDGING_ROUNDS = 20, 20, 3
@@ -160,6 +161,14 @@ def median_angle_deg(
     return (
         float(np.degrees(np.median(made.angles_rad[made.success_mask]))) if made.success_mask.any() else 0.0
     )
+
+
+def median_off_px(cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarray, camera: Camera) -> float:
+    """Median distance, in pixels, of points from where a motion lets them be (tangent Sampson: Terekhov and Larsson 2023)."""
+    length = max(float(np.linalg.norm(cam_from_first.translation)), 1e-12)
+    matches = Matches(first_px, pixels, camera, camera)
+    off = matches.sampson(cam_from_first.rotation, cam_from_first.translation / length)
+    return float(np.nanmedian(np.abs(off)))
 
 
 def are_apart(

@@ -22,6 +22,7 @@ from epipole.pipelines.slam.start_motions import (
     are_apart,
     judge,
     median_angle_deg,
+    median_off_px,
     motions_of_plane,
     rival_of,
 )
@@ -36,7 +37,9 @@ CONFIRMING, MIN_CONFIRMING = 2.0, 30
 """At so many times the angle of the begin, by so many points of the first frame, later frames confirm a map."""
 MOVING_QUANTILE = 0.75
 MAP_TURN_DEG, MAP_ANGLE_DEG = 1.5, 15.0
-"""A map whose motion since its first frame is further off than that is wrong."""
+MAP_OFF_PX, MAP_OFF = 1.0, 3.0
+"""A map is wrong whose motion since its first frame is further off, and leaves points so far, and so many times as far as another
+motion, from their epipolar lines."""
 MOST_WAITING = 300
 """Frames before the map's begin that are kept, to get their places once it has begun."""
 LEAST_ANGLE_DEG = 0.3
@@ -235,11 +238,17 @@ class OneCameraStart:
         ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=self.config.seed)
         found = verify_pair(now.start_px, now.pixels, lens, lens, is_calibrated=True, config=ransac)
         epipolar = [found.cam2_from_cam1] if found.kind in (PairKind.GENERAL, PairKind.PLANAR) else []
-        best, rival = self._judged([cam_from_first, *epipolar])
-        if rival is not None or not best.median_angle_deg >= least_deg:
+        judged = self._judged([cam_from_first, *epipolar])
+        best = min(judged, key=lambda one: one.loss)
+        if rival_of(best, judged) is not None or not best.median_angle_deg >= least_deg:
             return Confirmation.OPEN
-        is_same = not are_apart(best.cam_from_first, cam_from_first, MAP_TURN_DEG, MAP_ANGLE_DEG)
-        return Confirmation.CONFIRMED if is_same else Confirmation.REFUTED
+        if not are_apart(best.cam_from_first, cam_from_first, MAP_TURN_DEG, MAP_ANGLE_DEG):
+            return Confirmation.CONFIRMED
+        off_px, least_px = (
+            median_off_px(motion, now.start_px, now.pixels, lens)
+            for motion in (cam_from_first, best.cam_from_first)
+        )
+        return Confirmation.REFUTED if off_px > max(MAP_OFF_PX, MAP_OFF * least_px) else Confirmation.OPEN
 
     def _follow(self, frame: Frame) -> None:
         tracks = self.tracks
@@ -279,25 +288,24 @@ class OneCameraStart:
     def _best_of(self, started: Start) -> Start:
         """The begin by the motion that all frames since the first agree with best, or why there is none."""
         assert started.cam_from_first is not None
-        best, rival = self._judged([started.cam_from_first])
-        if rival is not None:
+        judged = self._judged([started.cam_from_first])
+        best = min(judged, key=lambda one: one.loss)
+        if rival_of(best, judged) is not None:
             return Start("the points are near a plane, and two motions explain them: move on, along a curve")
         if not best.median_angle_deg >= self.config.start_angle_deg:
             return _too_narrow(best.median_angle_deg, self.config)
-        if not are_apart(best.cam_from_first, started.cam_from_first):
+        if not are_apart(best.cam_from_first, judged[0].cam_from_first):
             return started
         return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
 
-    def _judged(self, motions: list[Rigid3]) -> tuple[Judged, Judged | None]:
-        """Which of these motions, and those of a plane, the frames since the first agree with best; and its rival."""
+    def _judged(self, motions: list[Rigid3]) -> list[Judged]:
+        """These motions, and then those of a plane, adjusted with the frames since the first."""
         now, lens, waiting = self.tracks, self.camera, self._waiting
         of_plane = motions_of_plane(now.start_px, now.pixels, lens, self.config.seed)
         used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))
         seen = [waiting[n].pixels[np.searchsorted(waiting[n].track, now.point)] for n in used]
         pixels = np.stack([*seen, now.pixels])
-        judged = [judge(motion, pixels, lens) for motion in (*motions, *of_plane)]
-        best = min(judged, key=lambda one: one.loss)
-        return best, rival_of(best, judged)
+        return [judge(motion, pixels, lens) for motion in (*motions, *of_plane)]
 
     def _begin(self, started: Start) -> Begun:
         """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
