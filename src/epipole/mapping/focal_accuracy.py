@@ -17,6 +17,7 @@ from epipole.errors import DegenerateGeometryError
 from epipole.mapping.readjustment import bundle_problem_of
 from epipole.optim import (
     BundleConfig,
+    BundleProblem,
     Loss,
     adjust_bundle,
     bundle_covariance,
@@ -36,7 +37,7 @@ MIN_SIGMA = 0.005
 """Assumed at least for that comparison, in units of the focal length."""
 MAX_IMAGES, MIN_VIEWS, MIN_OBSERVATIONS = 100, 2, 100
 """Images looked at (evenly, of each camera), images that see a point, and observations of a camera."""
-MAX_OBSERVATIONS = 30_000
+MAX_OBSERVATIONS = 12_000
 """Looked at: of more, every so-many-th point."""
 ITERATIONS = 60
 _OPENCV_LIKE = (
@@ -81,7 +82,10 @@ def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
     cameras = np.flatnonzero(seen >= MIN_OBSERVATIONS).tolist()
     if not cameras:
         return {}
-    narrow, wide = (_adjusted(thin, is_wide=is_wide) for is_wide in (False, True))
+    problem = _extended_problem(thin)
+    lenses = [_extended(thin.cameras[c]) for c in range(len(thin.cameras))]
+    narrow, problem = _adjusted(problem, lenses, is_wide=False)
+    wide, _ = _adjusted(problem, lenses, is_wide=True)
     out = {}
     for c in cameras:
         focal_px, formal = narrow[c]
@@ -95,13 +99,13 @@ def focal_accuracies(model: Reconstruction) -> dict[int, FocalAccuracy]:
     return out
 
 
-def _adjusted(model: Reconstruction, *, is_wide: bool) -> list[tuple[float, float]]:
+def _adjusted(
+    problem: BundleProblem, lenses: list[Camera], *, is_wide: bool
+) -> tuple[list[tuple[float, float]], BundleProblem]:
     """Focal length and formal deviation of each camera (NaN, infinite where it fails), adjusted with its distortion.
 
-    With `is_wide` the principal point and a second distortion term are free, too.
+    With `is_wide` the principal point and a second distortion term are free, too. The problem at its minimum comes with it.
     """
-    lenses = [_extended(model.cameras[c]) for c in range(len(model.cameras))]
-    problem = bundle_problem_of(replace(model, cameras=Cameras.from_list(lenses)))
     free = np.zeros_like(problem.params_free)
     for c, lens in enumerate(lenses):
         distortion = lens.model.distortion_indices
@@ -109,19 +113,25 @@ def _adjusted(model: Reconstruction, *, is_wide: bool) -> list[tuple[float, floa
         if is_wide:
             free[c, list(lens.model.principal_point_indices)] = 1.0
     problem = with_fixed_gauge(replace(problem, params_free=free))
-    config = BundleConfig(loss=Loss.CAUCHY, max_iterations=ITERATIONS)
+    config = BundleConfig(loss=Loss.CAUCHY, max_iterations=ITERATIONS, function_tolerance=1e-5)
     result = adjust_bundle(problem, config)
+    there = with_result(problem, result)
     try:
-        found = bundle_covariance(with_result(problem, result), result, config, clustered=True)
+        found = bundle_covariance(there, result, config, clustered=True)
     except DegenerateGeometryError:
-        return [(float("nan"), float("inf"))] * len(lenses)
+        return [(float("nan"), float("inf"))] * len(lenses), there
     out = []
     for c, lens in enumerate(lenses):
         rows = list(lens.model.focal_indices)
         variance = float(np.mean(found.camera_params[c][rows, rows]))
         sigma = float(np.sqrt(variance)) if variance >= 0 else float("inf")
         out.append((float(np.mean(result.camera_params[c, rows])), sigma))
-    return out
+    return out, there
+
+
+def _extended_problem(model: Reconstruction) -> BundleProblem:
+    lenses = [_extended(model.cameras[c]) for c in range(len(model.cameras))]
+    return bundle_problem_of(replace(model, cameras=Cameras.from_list(lenses)))
 
 
 def _extended(camera: Camera) -> Camera:

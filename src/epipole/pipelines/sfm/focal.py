@@ -147,18 +147,15 @@ def _climb(
     chosen: dict[int, int], ballots: list[Ballot], of_camera: dict[int, list[Ballot]], width: float
 ) -> None:
     """Move each camera, then all together, to the factor with most votes until nothing moves."""
-    for _ in range(MAX_SWEEPS):
+    for _ in range(MAX_SWEEPS if chosen else 0):
         before = dict(chosen)
         for c in chosen:
             chosen[c] = int(np.argmax(_votes(c, chosen, of_camera[c], width)))
-        best, furthest = _total(chosen, ballots, width), chosen
-        for shift in range(1 - len(FACTORS), len(FACTORS)):
-            moved = {c: index + shift for c, index in chosen.items()}
-            if not all(0 <= index < len(FACTORS) for index in moved.values()):
-                continue
-            if (total := _total(moved, ballots, width)) > best + 1e-9:
-                best, furthest = total, moved
-        chosen.update(furthest)
+        low, high = -min(chosen.values()), len(FACTORS) - max(chosen.values())
+        totals = _totals(chosen, ballots, width, np.arange(low, high))
+        if totals.max() > totals[-low] + 1e-9:
+            shift = low + int(np.argmax(totals))
+            chosen.update({c: index + shift for c, index in chosen.items()})
         if chosen == before:
             break
 
@@ -177,11 +174,14 @@ def _votes(c: int, chosen: dict[int, int], ballots: list[Ballot], width: float) 
     return votes
 
 
-def _total(chosen: dict[int, int], ballots: list[Ballot], width: float) -> float:
-    votes = float(_prior_votes()[list(chosen.values())].sum())
+def _totals(chosen: dict[int, int], ballots: list[Ballot], width: float, shifts: np.ndarray) -> np.ndarray:
+    """All votes once every camera's factor is shifted by so many rows."""
+    votes = _prior_votes()[np.array(list(chosen.values()))[:, None] + shifts].sum(axis=0)
+    still = np.zeros(len(shifts), np.int64)
     for b in ballots:
-        column = 0 if b.first == b.second else chosen.get(b.second, 0)
-        votes += b.weight / (1.0 + (b.disagreement[chosen.get(b.first, 0), column] / width) ** 2)
+        row, column = (chosen[c] + shifts if c in chosen else still for c in (b.first, b.second))
+        column = still if b.first == b.second else column
+        votes += b.weight / (1.0 + (b.disagreement[row, column] / width) ** 2)
     return votes
 
 

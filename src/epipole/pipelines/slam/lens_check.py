@@ -62,8 +62,8 @@ class LensCheck:
     edge: float
     """Radius r near the picture's edge."""
     sigmas_off: float
-    """Between the focal length given and the one found, in standard deviations: the smaller one of a lens whose principal point is
-    as given, and of one whose is free."""
+    """Between the focal length given and the one found, in standard deviations: with the principal point as given, or, where that
+    is wrong, the smaller one of that and of a lens whose principal point is free."""
 
     @property
     def is_focal_wrong(self) -> bool:
@@ -106,9 +106,15 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
     if seen is None:
         return None
     problem = _problem(seen, model, camera.focal_px)
-    narrow, wide = _adjusted(problem, (FOCAL, K1)), _adjusted(problem, (FOCAL, CX, CY, K1, K2))
-    if narrow is None or wide is None:
+    narrow = _adjusted(problem, (FOCAL, K1))
+    if narrow is None:
         return None
+    sigmas_off = narrow.sigmas_off(camera.focal_px)
+    if sigmas_off > MOST_SIGMAS:  # unless another principal point explains it
+        wide = _adjusted(problem, (FOCAL, CX, CY, K1, K2))
+        if wide is None:
+            return None
+        sigmas_off = min(sigmas_off, wide.sigmas_off(camera.focal_px))
     focal_px, k1 = narrow.focal_px, narrow.k1
     edge = EDGE * 0.5 * float(np.hypot(camera.width, camera.height)) / focal_px
     return LensCheck(
@@ -118,7 +124,7 @@ def check_lens(model: SlamMap, camera: Camera) -> LensCheck | None:
         k1,
         float(np.hypot(narrow.k1_sigma, K1_ERROR / edge**2)),
         edge,
-        min(abs(lens.focal_px - camera.focal_px) / lens.whole_sigma_px for lens in (narrow, wide)),
+        sigmas_off,
     )
 
 
@@ -134,6 +140,10 @@ class _Lens(NamedTuple):
     def whole_sigma_px(self) -> float:
         """Deviation of the focal length, with what the model lacks."""
         return float(np.hypot(self.focal_sigma_px, FOCAL_ERROR * self.focal_px))
+
+    def sigmas_off(self, given_focal_px: float) -> float:
+        """Deviations between the focal length found and one that was given."""
+        return abs(self.focal_px - given_focal_px) / self.whole_sigma_px
 
 
 def _adjusted(problem: BundleProblem, free: tuple[int, ...]) -> _Lens | None:

@@ -17,7 +17,12 @@ from epipole.pipelines.slam.recent_motion import RecentMotion
 from epipole.pipelines.slam.resting import Rest, resting_part
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
-from epipole.pipelines.slam.second_motion import off_px_of_scene, second_motion, second_motion_in_picture
+from epipole.pipelines.slam.second_motion import (
+    LEAST_POINTS,
+    off_px_of_scene,
+    second_motion,
+    second_motion_in_picture,
+)
 from epipole.pipelines.slam.shutter import (
     FORETOLD_SIGMA,
     UNKNOWN_SIGMA,
@@ -233,31 +238,34 @@ class MapTracker:
         if self.sensor.readout_s:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
-        fresh &= self._moves_now(last, points, pixels, place)
+        fresh = self._moving_now(fresh, last, points, pixels, place)
         found = second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
         if found is None and self.focal_baseline is None:
             return self._motion_in_picture(last, points[agrees], place)
         return found
 
-    def _moves_now(self, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3) -> np.ndarray:
-        """(n,) which points have moved since the last frame, otherwise than the scene.
+    def _moving_now(
+        self, mask: np.ndarray, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3
+    ) -> np.ndarray:
+        """(n,) which points under a mask have moved since the last frame, otherwise than the scene; none where they are few.
 
         One that was once taken for its neighbour, or is drawn elsewhere by the lens, stays where it is.
         """
-        if self._place_before is None or not len(points):
-            return np.zeros(len(points), bool)
+        out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
+        if self._place_before is None or len(rows) < LEAST_POINTS:
+            return out
         order = np.argsort(last.point)
-        then = last.pixels[order[np.searchsorted(last.point, points, sorter=order)]]
+        then = last.pixels[order[np.searchsorted(last.point, points[rows], sorter=order)]]
         placed = self.map.has_place(points)
         depth = float(np.median(place.apply(self.map.xyz[points[placed]])[:, 2])) if placed.any() else 1.0
-        return (
-            off_px_of_scene(then, pixels, self.camera, place @ self._place_before.inverse(), depth) > STEP_PX
-        )
+        step = place @ self._place_before.inverse()
+        out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
+        return out
 
     def _motion_in_picture(self, last: Tracks, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1
         lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
-        lacking &= self._moves_now(last, self.tracks.point, self.tracks.pixels, place)
+        lacking = self._moving_now(lacking, last, self.tracks.point, self.tracks.pixels, place)
         points = self.tracks.point[lacking]
         now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
         depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
