@@ -10,6 +10,7 @@ import numpy as np
 
 import valid_fields
 import valid_files
+import valid_jobs
 from epipole import (
     cameras,
     features,
@@ -86,7 +87,7 @@ def _all_calls() -> Iterator[Row]:
     for rows in (
         *(_geometry, _motions, _cameras, _solvers, _estimators, _triangulation, _bundles, _pose_graphs),
         *(_features, _pictures, _columns, _mapping, _inertial, _disparities, _synthetic, _metrics, _options),
-        *(valid_fields.calls, valid_files.calls),
+        *(valid_fields.calls, valid_files.calls, valid_jobs.calls),
     ):
         yield from rows()
 

@@ -174,8 +174,10 @@ def render(
 
     Raises:
         ConfigError: the camera has distortion.
-        ShapeError: the place is not a single motion.
+        ShapeError: the place is not a single, finite motion.
     """
+    if not np.isfinite(cam_from_world.as_matrix()).all():
+        raise ShapeError("cam_from_world is not finite")
     if cloud.origin_in_world.any():
         cam_from_world = cam_from_world @ Rigid3(np.eye(3), cloud.origin_in_world)  # of the means' own frame
     view = view_of(camera, cam_from_world, RenderOptions() if options is None else options)

@@ -86,11 +86,13 @@ def rays_of_camera(camera: Camera, cam_from_world: Rigid3) -> Rays:
 
     Raises:
         ConfigError: the camera has more pixels than are rendered.
-        ShapeError: the pose is not a single motion.
+        ShapeError: the pose is not a single, finite motion.
     """
     check_pixels(camera.width, camera.height, MOST_RENDERED_PIXELS)
     if cam_from_world.batch_shape() != ():
         raise ShapeError(f"cam_from_world must be a single motion, got {cam_from_world.batch_shape()}")
+    if not np.isfinite(cam_from_world.as_matrix()).all():
+        raise ShapeError("cam_from_world is not finite")
     none = np.zeros((0, 4), np.uint8)
     return Rays(
         none,

@@ -181,6 +181,10 @@ class SplatTrainer:
             )
         if not state["value_quats_wxyz"].any(axis=1).all():
             raise ShapeError("value_quats_wxyz must be rotations: one is zero")
+        if not 1 <= state["counts"][2] <= most:
+            raise ShapeError(
+                f"counts must tell a first number of Gaussians from 1 to {most}, got {state['counts'][2]}"
+            )
         names = ("value", "mean", "square")
         self._hold(*(Cloud(*(state[f"{name}_{part}"] for part in Cloud._fields)) for name in names))
         self._growth = Growth(len(self))

@@ -39,6 +39,8 @@ class TrainingView(Declared):
             raise ShapeError(f"{self.name}: the picture is not of its camera's size")
         if self.cam_from_world.batch_shape() != ():
             raise ShapeError(f"{self.name}: cam_from_world must be a single motion")
+        if not np.isfinite(self.cam_from_world.as_matrix()).all():
+            raise ShapeError(f"{self.name}: cam_from_world is not finite")
         if self.picture.shape[2] not in (3, 4):
             raise ShapeError(f"{self.name}: a picture has 3 or 4 channels, got {self.picture.shape[2]}")
 

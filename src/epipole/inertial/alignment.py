@@ -99,11 +99,14 @@ def align_path_to_imu(
     problem = InertialProblem(
         measured, world_from_camera, camera_from_imu, noise, (given, turn_sigma_rad), gyro_bias
     )
-    states = _minimum(problem, states)
-    stated = problem.misfit(states)
-    if place_sigma is None:
-        problem, states = _with_found_deviations(problem, states, log, timestamp_s)
-    return _judged(problem, states, extent, stated)
+    try:
+        states = _minimum(problem, states)
+        stated = problem.misfit(states)
+        if place_sigma is None:
+            problem, states = _with_found_deviations(problem, states, log, timestamp_s)
+        return _judged(problem, states, extent, stated)
+    except np.linalg.LinAlgError as error:
+        raise DegenerateGeometryError(f"no motion agrees with both the path and the IMU ({error})") from error
 
 
 def _with_found_deviations(

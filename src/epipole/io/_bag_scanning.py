@@ -110,7 +110,11 @@ def refuse_views(path: Path) -> None:
         "SELECT name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'"
     )
     with suppress(sqlite3.Error), closing(sqlite3.connect(address, uri=True)) as database:
-        if found := database.execute(asked).fetchone():
+        try:
+            found = database.execute(asked).fetchone()
+        except UnicodeDecodeError as error:
+            raise FileFormatError(path, "is no recording of ROS: a table's name is no text") from error
+        if found:
             raise FileFormatError(path, f"is no recording of ROS: {str(found[0])[:60]} is not a plain table")
 
 

@@ -87,6 +87,8 @@ def lens_words(path: Path, content: Mapping[str, Any]) -> LensWords:
     """
     kinds: dict[str, str] = {}
     for key, value in content.items():
+        if not isinstance(key, str):
+            raise FileFormatError(path, f"a key must be a word, got {str(key)[:40]!r}")
         if _OMNIDIRECTIONAL.fullmatch(key) and not _is_zero(value):
             raise FileFormatError(path, f"{key} is of an omnidirectional camera, which is not supported")
         if _FLAG.fullmatch(key):

@@ -14,12 +14,12 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from epipole._declared import checked
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.io._image_formats import FORMAT_OF_SUFFIX, format_of
 from epipole.io._photograph_pixels import PILLOW_ERRORS, decode, exif_of, open_with_pillow
 from epipole.io.atomic import atomic_write
 from epipole.io.exif import EXIF_ERRORS, GpsPosition, new_exif, orientation_of, upright_exif
-from epipole.io.files import open_file
+from epipole.io.files import open_file, require_file
 
 QUALITY = 97
 """Of lossy formats, 0 to 100."""
@@ -66,8 +66,11 @@ def write_photograph(
 
     Raises:
         FileFormatError: the suffix names no format that can be written here.
+        ShapeError: the pixels are not grey, RGB or RGBA, or there are none.
         WorkspaceError: the file cannot be written.
     """
+    if not pixels.size or pixels.shape[2:] not in ((), (3,), (4,)):
+        raise ShapeError(f"pixels must be (h, w), (h, w, 3) or (h, w, 4), and some, got {pixels.shape}")
     target_format = _format_of_target(path)
     options: dict[str, Any] = {"lossless": True} if target_format == "WEBP" else {}
     if target_format in _LOSSY:
@@ -136,8 +139,10 @@ def link_or_copy(source: Path, target: Path) -> None:
     """Put a file at `target` as a hard link, or as a copy where there can be none (another disk).
 
     Raises:
+        FileFormatError: there is no such file.
         WorkspaceError: it cannot be written.
     """
+    require_file(source)
     if target.exists() and source.samefile(target):
         return
     with atomic_write(target) as part:

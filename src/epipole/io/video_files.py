@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -65,7 +66,8 @@ def write_video(path: str | Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]]
     finally:
         if writer is not None:
             writer.release()
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):  # a folder that is none has nothing in it
+            aside.unlink(missing_ok=True)
 
 
 @checked

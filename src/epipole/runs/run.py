@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from epipole._declared import check_fields, checked
 from epipole._version import __version__
 from epipole.errors import WorkspaceError
 from epipole.runs.executors import ExecutorChoice
@@ -34,6 +35,14 @@ class Job:
     progress: ProgressCallback = ignore_progress
     opencv_alone: bool = False
     """See `thread_scope`."""
+
+    def __post_init__(self) -> None:
+        """Check the fields.
+
+        Raises:
+            ConfigError: one is of another kind.
+        """
+        check_fields(self)
 
 
 class Run:
@@ -102,6 +111,7 @@ class Run:
         self.folder.save()
 
 
+@checked
 @contextmanager
 def open_run(job: Job, out: Path) -> Iterator[Run]:
     """Claim the output folder and set the threads; what is finished inside stays there whatever happens.

@@ -135,9 +135,9 @@ class Frame:
             ShapeError: they are not of one size or kind.
             ConfigError: the time is no number.
         """
-        if self.depth is not None and np.asarray(self.depth).dtype.kind in "iu":
+        if isinstance(self.depth, np.ndarray) and self.depth.dtype.kind in "iu":
             raise ShapeError(
-                f"depth must be float32 in metres, got {np.asarray(self.depth).dtype}: sensors that count millimetres need"
+                f"depth must be float32 in metres, got {self.depth.dtype}: sensors that count millimetres need"
                 " depth.astype(np.float32) / 1000"
             )
         try:

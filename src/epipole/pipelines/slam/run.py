@@ -10,6 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from epipole._checks import as_path
+from epipole._declared import checked
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape
@@ -60,6 +61,7 @@ from epipole.runs.folder import check_place
 ARGUMENTS = ("config", "job", "camera", "progress")
 
 
+@checked
 def slam(
     source: str | Path,
     out: str | Path,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from epipole._declared import checked
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.inertial import MountedImu
@@ -57,6 +58,7 @@ class Slam:
         first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
     """
 
+    @checked
     def __init__(
         self,
         camera: SlamCamera,
@@ -102,6 +104,7 @@ class Slam:
         self._num_frames, self._num_lost = self.first_number, 0
         self._num_maps = 1
 
+    @checked
     def track(self, frame: Frame) -> TrackedFrame:
         """Where the camera was when this frame was taken.
 

@@ -36,6 +36,7 @@ from epipole.runs.folder import refuse_folder_of
 from epipole.scene import RectifiedRig, StereoRig
 
 
+@checked
 def stereo(
     left: str | Path,
     right: str | Path,
@@ -81,6 +82,7 @@ def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[
         return replace(result, out=run.root)
 
 
+@checked
 def stereo_many(
     left: str | Path,
     right: str | Path,
@@ -117,6 +119,7 @@ def stereo_many(
         return replace(batch, warnings=summary["warnings"])
 
 
+@checked
 def stereo_of_model(
     workspace: str | Path,
     first: str,
@@ -181,6 +184,8 @@ def examine_stereo(
         FileFormatError: a picture cannot be read, or there is no pair.
     """
     left, right = as_path(left), as_path(right)
+    if max_frames < 1:
+        raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
     if not is_many(left, right):
         files = files_of_pair(left, right, rig)
         found = examine([files.read()], files.rig)
