@@ -44,8 +44,14 @@ _DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 
 
 def encoding_of(message: Any) -> str:
-    """How a picture is written: `bgr8`, `16UC1`, or the format of a compressed one."""
-    return str(message.encoding if hasattr(message, "encoding") else message.format)
+    """How a picture is written: `bgr8`, `16UC1`, or the format of a compressed one; empty for a message that is no picture."""
+    return str(getattr(message, "encoding", getattr(message, "format", "")))
+
+
+def _require_picture(path: Path, topic: str, message: Any) -> None:
+    """Refuse messages of another type, which a damaged list of connections puts into a topic."""
+    if not (hasattr(message, "data") and (hasattr(message, "encoding") or hasattr(message, "format"))):
+        raise FileFormatError(path, f"{topic}: a message is no picture")
 
 
 def is_depth(topic: str, encoding: str) -> bool:
@@ -72,6 +78,7 @@ def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None
     Raises:
         FileFormatError: its numbers do not fit each other, or the encoding is not known.
     """
+    _require_picture(path, topic, message)
     if not hasattr(message, "encoding"):
         return _decompressed(path, topic, message, scale)
     encoding = str(message.encoding)
@@ -143,6 +150,7 @@ def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]
     Raises:
         FileFormatError: its numbers do not fit each other, or it holds no depth.
     """
+    _require_picture(path, topic, message)
     encoding = encoding_of(message)
     if not hasattr(message, "encoding"):
         metres = _compressed_depth(path, topic, bytes(message.data), encoding)
