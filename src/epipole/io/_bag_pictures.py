@@ -100,6 +100,7 @@ def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | N
     """
     deep = []
     for message in messages:
+        _require_picture(path, topic, message)
         if not hasattr(message, "encoding"):
             values = deep_grey(path, bytes(message.data))
         else:
