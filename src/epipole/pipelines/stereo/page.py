@@ -38,6 +38,7 @@ def render_page(result: StereoResult) -> str:
             draw_histogram(histogram_of(found.disparity_px[known], "disparity, px")),
             draw_histogram(histogram_of(found.sigma_px[known], "standard deviation of disparity, px")),
         ],
+        error_model=result.error_model,
         rig=result.rig,
         sigma_px=f"{_median_sigma_px(result):.3f}",
         ranges=_ranges(result),

@@ -54,6 +54,32 @@ class StereoResult:
     unit: str = "the baseline's unit"
     """Of the depths, in words."""
 
+    @property
+    def error_model(self) -> str:
+        """In words, what the standard deviations hold, and what they do not."""
+        if self.depths is None:
+            calibration = ""
+        elif self._knows_calibration:
+            calibration = " That of depth holds the calibration's own error as well."
+        else:
+            calibration = " That of depth holds nothing of the calibration's errors, which are not known."
+        return (
+            "The standard deviation of a disparity is that of its match alone, as it was on rendered rooms. An offset of all"
+            " disparities, as many rectifications leave it, is not in it: with one of a third of a pixel far fewer than 68 of 100 errors"
+            f" lie within one standard deviation (epipole stereo doctor finds it).{calibration}"
+        )
+
+    @property
+    def _knows_calibration(self) -> bool:
+        """Whether the deviations of depth are wider than those of the matches make them."""
+        if self.depths is None or self.rig is None:
+            return False
+        known = np.isfinite(self.depths.depth)
+        d, sigma_px = self.disparities.disparity_px[known], self.disparities.sigma_px[known]
+        depth, sigma = self.depths.depth[known].astype(np.float64), self.depths.sigma[known]
+        own = depth**2 / (self.rig.focal_px * self.rig.baseline) * sigma_px
+        return bool(len(d) and np.median(sigma / np.maximum(own, 1e-12)) > 1.0 + 1e-3)
+
     def __repr__(self) -> str:
         depth = "no depth" if self.depths is None else f"{self.num_points} points"
         return f"StereoResult({self.disparities!r}, {depth}, in {self.out})"

@@ -78,7 +78,15 @@ def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[
         with run.folder.publish("stereo") as aside:
             write_stereo(result, aside)
             (aside / "report.html").write_text(render_page(result), encoding="utf-8")
-        run.finish()
+        known = result.disparities.sigma_px[np.isfinite(result.disparities.sigma_px)]
+        run.finish(
+            {
+                "density": result.disparities.density,
+                "median_sigma_px": float(np.median(known)) if known.size else None,
+                "error_model": result.error_model,
+                "warnings": list(result.warnings),
+            }
+        )
         return replace(result, out=run.root)
 
 
