@@ -56,7 +56,7 @@ def test_a_wrong_begin_is_given_up_when_later_frames_contradict_it(monkeypatch):
     slam, answers = followed(hololens(30), SlamCamera(LENS))
     first = next(n for n, a in enumerate(answers) if a.state is TrackingState.TRACKING)
     assert "not confirmed yet" in answers[first].reason
-    (doubt,) = [words for words in slam.start_doubts if "was given up" in words]
+    (doubt,) = [words for words in slam.start_doubts if "was discarded" in words]
     assert "contradict it" in doubt
     path = slam.trajectory()
     assert len(path) and turn_errors_deg(path).max() < 1.5
@@ -127,7 +127,7 @@ def test_one_camera_does_not_take_a_thing_that_passes_for_its_own_motion(width, 
     slam, answers = followed(passing(width, height, "mono", start, grow), MONO)
     path = slam.trajectory()
     assert not slam.map.num_points and not path.world_from_body.translation.any()
-    assert any("cannot tell whether something passes it" in answer.reason for answer in answers)
+    assert any("cannot distinguish an object that passes it" in answer.reason for answer in answers)
 
 
 @pytest.mark.parametrize(("width", "height"), [(0.3, 1.0), (0.55, 1.0), (0.75, 1.0), (0.9, 0.45)])
@@ -136,7 +136,7 @@ def test_with_depth_a_thing_that_passes_is_said_to(width, height):
     slam, answers = followed(passing(width, height, "rgbd", 5), RGBD)
     said = doubts(answers, slam.trajectory())
     assert any(
-        "something moves" in words or "picture rests while the rest of it moves" in words for words in said
+        "something moves" in words or "image is static while the rest moves" in words for words in said
     )
     if width <= 0.3:  # it drifts 0.6 m with the thing
         assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 0.15
@@ -145,7 +145,7 @@ def test_with_depth_a_thing_that_passes_is_said_to(width, height):
 def test_a_camera_that_moves_is_not_said_to_rest():
     for kind, sensor in (("mono", MONO), ("rgbd", RGBD)):
         slam, answers = followed(ride().frames(kind), sensor)
-        assert slam.map.num_points and not any("rests" in answer.reason for answer in answers)
+        assert slam.map.num_points and not any("static" in answer.reason for answer in answers)
 
 
 def test_the_path_is_that_of_the_largest_map():

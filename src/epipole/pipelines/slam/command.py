@@ -92,13 +92,11 @@ def show_slam(result: SlamResult) -> None:
     sigma = summary["sigma_position_median"]
     if sigma is not None and summary["is_metric"]:
         table.add_row(
-            "positions known to", f"{sigma:.2g} m (1 sigma, median; summary.json tells what is in it)"
+            "position accuracy", f"{sigma:.2g} m (1 sigma, median; summary.json lists what it covers)"
         )
     if abs(summary["right_principal_point_shift_px"]) > LEAST_SHIFT_TOLD_PX:
         shift = summary["right_principal_point_shift_px"]
-        table.add_row(
-            "second camera", f"principal point found {shift:+.2f} px off the calibration, and corrected"
-        )
+        table.add_row("second camera", f"principal point {shift:+.2f} px off the calibration; corrected")
     for label, words in _source_rows(summary["source"]):
         table.add_row(label, words)
     ms = summary["ms_per_frame"]

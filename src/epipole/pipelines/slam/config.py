@@ -59,12 +59,11 @@ class SlamConfig:
     sensor_baseline_m: float = 0.08
     """Depth sensor: the baseline that its errors grow as of."""
     focal_sigma: float | None = None
-    """Share of the focal length that its calibration may be off by, one standard deviation, for the path's covariances (a pair 0.003,
-    a depth sensor 0.01 unless given; 0: exact)."""
+    """Relative standard deviation of the calibrated focal length, for the covariances (None: 0.003 for stereo, 0.01 for depth sensors)."""
     center_sigma_px: float | None = None
-    """The same of the principal point (a pair 1, a depth sensor 3)."""
+    """Standard deviation of the principal point, in pixels (None: 1 for stereo, 3 for depth sensors)."""
     depth_sigma: float | None = None
-    """The same of the baseline, or of a sensor's depth, as a share (a pair 0.003, a depth sensor 0.015)."""
+    """Relative standard deviation of the baseline or of measured depth (None: 0.003 for stereo, 0.015 for depth sensors)."""
     max_depth_baselines: float = 120.0
     """Points that are further than so many baselines get no depth from a single frame."""
     seed: int = 0

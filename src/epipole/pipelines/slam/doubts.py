@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from epipole.pipelines.slam.frames import TrackedFrame
-from epipole.pipelines.slam.resting import AT_REST, GOES_ALONG
+from epipole.pipelines.slam.static_points import CAMERA_AT_REST, MOVES_ALONG
 from epipole.scene import Trajectory
 
 _PICTURE = re.compile(r"the (?:left |right )?picture is (?:blurred|dark|overexposed|of one shade)")
@@ -20,7 +20,7 @@ REST_SIGMAS = 4.0
 """A camera that is never further from its first place, in deviations, rests as far as can be told."""
 LEAST_RESTING, MOST_REST_DEG = 5, 0.5
 LEAST_RESTED = 3
-"""Frames in which a part of the picture rests, and is taken for the scene."""
+"""Frames with a static part that is assumed to be the scene, for a warning."""
 
 
 def poor_pictures(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
@@ -70,13 +70,13 @@ def doubts(tracked: Sequence[TrackedFrame], path: Trajectory) -> list[str]:
             f" {moving['most_points']} points, at {moving['at_s']:.2f} s in columns {left:.0f} to {right:.0f}, rows"
             f" {top:.0f} to {bottom:.0f}): its points are not used"
         )
-    for taken, least in (
-        (AT_REST, LEAST_RESTED),
-        (GOES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked))),
+    for assumed, least in (
+        (CAMERA_AT_REST, LEAST_RESTED),
+        (MOVES_ALONG, max(LEAST_MOVING, SHARE_MOVING * len(tracked))),
     ):
-        if (count := sum(taken in frame.reason for frame in tracked)) >= least:
+        if (count := sum(assumed in frame.reason for frame in tracked)) >= least:
             out.append(
-                f"in {count} of {len(tracked)} frames a part of the picture rests while the rest of it moves: {taken}; pictures"
-                " alone cannot tell"
+                f"in {count} of {len(tracked)} frames part of the image is static while the rest moves: {assumed}; images alone"
+                " cannot distinguish the two"
             )
     return [*out, words] if (words := rest(path)) else out

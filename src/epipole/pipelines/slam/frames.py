@@ -192,15 +192,15 @@ class TrackedFrame:
     moving: MovingThing | None = None
     """A thing that moves besides the camera."""
     map_number: int = 0
-    """Of the map that the place is in, in the order of their begins."""
+    """Number of the map that the pose refers to, in order of initialization."""
 
     @property
     def has_place(self) -> bool:
-        """Whether the place in one of the maps is known."""
+        """Whether the pose in one of the maps is known."""
         return self.world_from_body is not None or self.submap_from_body is not None
 
     def with_words(self, words: str) -> TrackedFrame:
-        """The same, with more to say."""
+        """The same frame with words appended to the reason."""
         return replace(self, reason=f"{self.reason}; {words}" if self.reason else words)
 
     def __repr__(self) -> str:

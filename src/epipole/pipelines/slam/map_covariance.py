@@ -29,18 +29,18 @@ from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 
 
 class CalibrationSigma(NamedTuple):
-    """Standard deviations of what is given of the cameras."""
+    """Standard deviations of a calibration."""
 
     focal_share: float
-    """Of the focal length."""
+    """Relative, of the focal length."""
     center_px: float
-    """Principal point."""
+    """Of the principal point."""
     depth_share: float
-    """Of the baseline, or of a sensor's depth."""
+    """Relative, of the baseline or of measured depth."""
 
     @staticmethod
     def of(sensor: SlamCamera, config: SlamConfig) -> CalibrationSigma:
-        """What the options say, else what is usual."""
+        """From the options; default values where they are None."""
         usual = OF_PAIR if sensor.depth is None else OF_SENSOR
         given = config.focal_sigma, config.center_sigma_px, config.depth_sigma
         return CalibrationSigma(*(u if g is None else g for u, g in zip(usual, given)))
@@ -54,8 +54,8 @@ class CalibrationSigma(NamedTuple):
 
 
 OF_PAIR, OF_SENSOR = CalibrationSigma(3e-3, 1.0, 3e-3), CalibrationSigma(1e-2, 3.0, 1.5e-2)
-"""Of rectified pairs, calibrated with a board; and of depth sensors, whose values are often those of the make (the three of
-TUM RGB-D differ by 3 % in focal length, 16 px in the principal point, 3 % in depth)."""
+"""Rectified pairs are usually calibrated with a board. Depth sensors often come with the manufacturer's values: the three sensors of
+TUM RGB-D differ by 3 % in focal length, 16 px in the principal point and 3 % in depth scale."""
 LEAST_NOISE_PX = 0.01
 SHARED_PX = 0.02
 """What all disparities are off by together: patches hold more than their points. On rendered pairs they were 0.003 to 0.036 px
@@ -148,16 +148,16 @@ def add_calibration_error(
     config: BundleConfig,
     sigma: CalibrationSigma,
 ) -> None:
-    """Add to the covariances of all keyframes what a calibration that is slightly off makes of their places.
+    """Add the effect of calibration errors to the covariances of all keyframes, to first order.
 
-    To first order: for each parameter the adjustment's answer to one standard deviation of it.
+    Each parameter is changed by one standard deviation and the poses are optimized again; their change xi adds xi xi^T.
 
     Args:
         keyframes: those of the problem's frames, in their order.
         problem: what was adjusted.
         result: its minimum.
         config: the loss that was minimised.
-        sigma: of the parameters.
+        sigma: standard deviations of the parameters.
     """
     if not any(sigma):
         return
@@ -172,7 +172,7 @@ def add_calibration_error(
 
 
 def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterator[BundleProblem]:
-    """The problem with one parameter off by a standard deviation, of both cameras alike; then with another baseline."""
+    """The problem with one parameter of both cameras changed by a standard deviation; last, with another baseline."""
     params = problem.camera_params
     for columns, step in (
         (slice(0, 2), sigma.focal_share * params[:, :2]),

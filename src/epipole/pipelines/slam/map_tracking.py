@@ -14,7 +14,6 @@ from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
 from epipole.pipelines.slam.picture_watch import shows_something
 from epipole.pipelines.slam.place_recognition import Recognition
 from epipole.pipelines.slam.recent_motion import RecentMotion
-from epipole.pipelines.slam.resting import Rest, resting_part
 from epipole.pipelines.slam.revisiting import find_again
 from epipole.pipelines.slam.right_picture import place_by_right_picture
 from epipole.pipelines.slam.second_motion import (
@@ -33,12 +32,13 @@ from epipole.pipelines.slam.shutter import (
 )
 from epipole.pipelines.slam.single_depth import disparities_of
 from epipole.pipelines.slam.slam_map import Observations, SlamMap
+from epipole.pipelines.slam.static_points import StaticPart, find_static_part
 from epipole.pipelines.slam.tracking import SeenFrame, Tracks, is_sure, locate, predict_pixels
 
 SHUTTER_ROUNDS = 3
 """A frame's motion follows from its place, and its place from the motion."""
 STEP_PX = 0.7
-"""A thing moves by more from one frame to the next."""
+"""A moving object moves at least this far from one frame to the next, in pixels."""
 PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
 
@@ -50,7 +50,7 @@ class MapTracker:
         tracks: the points that are followed.
         stale: rows of those that look otherwise than when they were first seen.
         moving: what moves in the last frame besides the camera.
-        rest: what rests in the last frame while other points move.
+        static_part: the static part of the last image, if it contradicts the motion of the other points.
         waiting: frames that are to be placed again when the map has settled.
     """
 
@@ -62,7 +62,7 @@ class MapTracker:
         self.tracks = Tracks.none()
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
-        self.rest: Rest | None = None
+        self.static_part: StaticPart | None = None
         self._num_at_start = 1
         self._place_before: Rigid3 | None = None
         self.waiting: list[SeenFrame] = []
@@ -125,7 +125,7 @@ class MapTracker:
         Args:
             frame: the pictures.
             predicted: a place near it.
-            last: the points in the last frame, where they were followed from there: they show what rests and what moves.
+            last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
         """
         tracks = self.tracks
         tracks.keep(frame.is_used(tracks.pixels))
@@ -139,9 +139,9 @@ class MapTracker:
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
         if found is None or not is_sure(*found, self.config):
             return None
-        self.rest = None
+        self.static_part = None
         if last is not None:
-            found, self.rest = self._unless_at_rest(found, rows, placed, predicted, deep)
+            found, self.static_part = self._unless_at_rest(found, rows, placed, predicted, deep)
         refined, agrees = found
         if self.sensor.readout_s:
             refined, agrees = self._while_moving(frame, found, rows, pixels)
@@ -162,24 +162,24 @@ class MapTracker:
         placed: np.ndarray,
         predicted: Rigid3,
         deep: Disparities | None,
-    ) -> tuple[tuple[RefinedPose, np.ndarray], Rest | None]:
-        """The pose, or that of a camera at rest where a large part of the picture rests; and what rests."""
+    ) -> tuple[tuple[RefinedPose, np.ndarray], StaticPart | None]:
+        """The pose, or that of a camera at rest if a large part of the image is static; and the static part."""
         pixels, pixels_before = self.tracks.pixels[placed], self.tracks.start_px[placed]
         at = self.camera.project(found[0].cam_from_world.apply(self.map.xyz[rows]))
         errors_px = np.linalg.norm(at - pixels, axis=1)
-        rest = resting_part(pixels_before, pixels, errors_px, self.camera)
-        if rest is None or not rest.is_scene:
-            return found, rest
+        static = find_static_part(pixels_before, pixels, errors_px, self.camera)
+        if static is None or not static.is_scene:
+            return found, static
         at_rest = locate(
-            self.map.xyz[rows[rest.mask]],
-            pixels[rest.mask],
-            *(self.camera, predicted, deep and deep.rows(rest.mask), self.config),
+            self.map.xyz[rows[static.mask]],
+            pixels[static.mask],
+            *(self.camera, predicted, deep and deep.rows(static.mask), self.config),
         )
         if at_rest is None:
-            return found, replace(rest, is_scene=False)
+            return found, replace(static, is_scene=False)
         agrees = np.zeros(len(rows), bool)
-        agrees[rest.mask] = at_rest[1]
-        return (at_rest[0], agrees), rest
+        agrees[static.mask] = at_rest[1]
+        return (at_rest[0], agrees), static
 
     def _while_moving(
         self,
@@ -247,9 +247,9 @@ class MapTracker:
     def _moving_now(
         self, mask: np.ndarray, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3
     ) -> np.ndarray:
-        """(n,) which points under a mask have moved since the last frame, otherwise than the scene; none where they are few.
+        """(n,) masked points that moved independently of the scene since the previous frame; none if fewer than LEAST_POINTS.
 
-        One that was once taken for its neighbour, or is drawn elsewhere by the lens, stays where it is.
+        A point that was mismatched once, or that an unmodelled distortion displaces, does not keep moving.
         """
         out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
         if self._place_before is None or len(rows) < LEAST_POINTS:

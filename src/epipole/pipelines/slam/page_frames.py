@@ -29,7 +29,8 @@ def keyframe_reasons(records: Sequence[FrameRecord]) -> list[tuple[str, int]]:
     out: dict[str, int] = {}
     for record in records:
         if record.answer is not None and record.answer.is_keyframe:
-            out[record.reason] = out.get(record.reason, 0) + 1
+            reason = record.answer.reason.split("; ")[0]
+            out[reason] = out.get(reason, 0) + 1
     return sorted(out.items(), key=lambda row: -row[1])
 
 

@@ -39,8 +39,12 @@ class FrameRecord:
 
     @property
     def reason(self) -> str:
-        """What there is to say."""
-        return self.problem if self.answer is None else self.answer.reason
+        """Why the frame has no pose, why it is a keyframe, or what is odd about it; empty if there is nothing to report."""
+        if self.answer is None:
+            return self.problem
+        if self.answer.submap_from_body is None:
+            return self.answer.reason
+        return "; ".join(filter(None, [f"tracked in map {self.answer.map_number + 1}", self.answer.reason]))
 
     @property
     def sigma_position(self) -> float:

@@ -46,7 +46,7 @@ CAMERA = "camera.json"
 PLACED, PLACED_WORDS = "num_placed", "localized frames"
 """What `summary.json` calls their number."""
 
-IN_OTHER_MAP = "followed in a map of its own, which nothing had tied to the first one"
+IN_OTHER_MAP = "tracked in a separate map that is not connected to the main one"
 WARM = 2
 """Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
 
@@ -117,9 +117,8 @@ def write_results(
     run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
     checked = _checked(system, tracked, final, run)
     run.warnings += system.start_doubts
-    known_to = {"covariances": _covariance_words(system), "sigma_position_median": _median_sigma(final)}
     facts = _summary(system, records, model, run.warnings)
-    summary, known = {**facts, **feed.summary(), **checked, **known_to}, None
+    summary, known = {**facts, **feed.summary(), **checked}, None
     if given.camera is not None:
         summary["camera_found"] = given.camera.summary()
     metres, told = _metres(given, source, is_map_fixed=job.localize)
@@ -180,21 +179,22 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
 
 
 def _covariance_words(system: Slam) -> str:
-    """What the covariances of the path hold, and what they do not."""
+    """Which errors the covariances of the trajectory cover, and which they exclude."""
     if not system.camera.tells_depth:
         return (
-            "of each frame's own points, with noise of a pixel: errors of the map, of its scale and of the calibration are not in"
-            " them"
+            "they cover the image noise of each frame (one pixel); they exclude errors of the map, of its scale and of the"
+            " calibration"
         )
     sigma = CalibrationSigma.of(system.camera, system.config).in_words()
     return (
-        f"of the noise of points, and at the end of a calibration that is off by {sigma} (a standard deviation each); a rolling"
-        " shutter, another lens model, depth that is wrong here more than there, and wrong matches are not in them"
+        f"they cover image noise and, in the final trajectory, calibration errors of {sigma} (one standard deviation each); they"
+        " exclude a rolling shutter, lens distortion that the camera model lacks, depth errors that vary over the image, and wrong"
+        " matches"
     )
 
 
 def _median_sigma(path: Trajectory) -> float | None:
-    """Of the positions, in the path's unit; None where none is known."""
+    """Median standard deviation of the positions, in the trajectory's unit; None if none is known."""
     if path.covariance is None:
         return None
     variance = np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2)
@@ -211,7 +211,7 @@ def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap
 
 
 def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
-    """The places in the first map that were told when the frames came."""
+    """The poses in the main map as they were estimated when the frames came."""
     first = system.first_frame - system.first_number
     own = [t for t in tracked[first:] if t.map_number == system.maps[0].number]
     rows = [
@@ -286,6 +286,8 @@ def _summary(
             "max": float(warm.max() if len(warm) else ms.max()),
         },
         "reasons": _reasons(tracked),
+        "covariances": _covariance_words(slam),
+        "sigma_position_median": _median_sigma(slam.trajectory()),
         "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],
         "num_places_compared": len(slam.loops),
         "loops": [asdict(loop) for loop in slam.loops if loop.num_matches >= MIN_SAMPLE],

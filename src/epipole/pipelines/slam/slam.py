@@ -7,102 +7,37 @@ from collections.abc import Callable
 import numpy as np
 
 from epipole._declared import checked
-from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.inertial import MountedImu
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.forgetting import forget
-from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
-from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
+from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
+from epipole.pipelines.slam.loop_closing import Tie
 from epipole.pipelines.slam.loop_correction import fuse, spread_drift
-from epipole.pipelines.slam.map_covariance import carry_covariance, own_covariance, with_map_error
-from epipole.pipelines.slam.map_tracking import MapTracker
+from epipole.pipelines.slam.map_covariance import carry_covariance, own_covariance
 from epipole.pipelines.slam.new_points import place_from, triangulate
-from epipole.pipelines.slam.path import Path
-from epipole.pipelines.slam.picture_watch import Look, PictureWatch
 from epipole.pipelines.slam.place_recognition import describe_keyframe
 from epipole.pipelines.slam.placing_again import place_again
 from epipole.pipelines.slam.relocalizing import relocalize
 from epipole.pipelines.slam.settling_start import settle_start
-from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
-from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
+from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.slam_state import SlamState
 from epipole.pipelines.slam.starting import Begun, Confirmation, OneCameraStart, place_in_map
 from epipole.pipelines.slam.tracking import Tracks
 from epipole.pipelines.slam.turning import Turned, Turning
-from epipole.scene import Trajectory
 
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""
-UNCONFIRMED = "the map's begin is not confirmed yet"
 LEAST_KEYFRAMES = 3
 """A map of its own with fewer is given up when the camera is lost again."""
 
 
-class Slam:
+class Slam(SlamState):
     """Follows a camera, frame by frame, and makes a map. The same frames give the same answers on any machine's load.
 
     The world is the first frame's camera (of one camera, near it: nothing holds the map but itself); its unit is the metre
     where the camera tells depth, else the median depth of the first points. A lost camera is sought in the map; meanwhile a
     new one begins, and joins the first when a place is seen again. One camera that turns on the spot keeps its orientation.
-
-    Attributes:
-        config: options.
-        camera: what is followed.
-        maps: the first, in whose world answers are given, and those that are not joined to it yet.
-        map: the one that the camera is followed in.
-        state: of the last frame.
-        loops: every place that looked like one seen before, and what came of it.
-        start_doubts: in words, maps of one camera whose begin later frames did not confirm.
-        first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
     """
-
-    @checked
-    def __init__(
-        self,
-        camera: SlamCamera,
-        config: SlamConfig | None = None,
-        known: SlamMap | None = None,
-        *,
-        is_map_fixed: bool = False,
-        imu: MountedImu | None = None,
-    ) -> None:
-        """Begin, or go on in a map.
-
-        Args:
-            camera: what is followed.
-            config: options.
-            known: a map from an earlier run, in whose world answers are given once the camera is recognised in it.
-            is_map_fixed: only find the camera in the known map, which stays as it is.
-            imu: of one camera: measurements by the frames' clock, which join adjustments; not in a known map, of other clocks.
-
-        Raises:
-            ConfigError: depth of a camera that is no pinhole; a map that is to stay, and none is given.
-        """
-        if is_map_fixed and known is None:
-            raise ConfigError("a map that is to stay as it is must be given")
-        self.config = SlamConfig() if config is None else config
-        self.camera, self.imu = camera, imu if known is None and not camera.tells_depth else None
-        self.focal_baseline = focal_baseline_of(camera, self.config)
-        self.state = TrackingState.STARTING if known is None else TrackingState.LOST
-        self.is_map_fixed = is_map_fixed
-        self.maps: list[SlamMap] = [SlamMap() if known is None else known]
-        self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
-        self._enter(self.maps[0])
-        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
-        self.loops = self._closer.ledger
-        self._start = OneCameraStart(camera.camera, self.config)
-        self._unconfirmed: OneCameraStart | None = None
-        self.start_doubts: list[str] = []
-        self._turning: Turning | None = None
-        self._turns: dict[int, Rigid3] = {}
-        self._before: Frame | None = None
-        self._watch, self._look = PictureWatch(), Look()
-        self._cam_from_world = Rigid3.identity()
-        self._path = Path(self.first_number)
-        self._num_frames, self._num_lost = self.first_number, 0
-        self._num_maps = 1
 
     @checked
     def track(self, frame: Frame) -> TrackedFrame:
@@ -123,15 +58,6 @@ class Slam:
         self._before = frame
         self._num_frames += 1
         return self._look.told(self._with_doubts(answer))
-
-    def _with_doubts(self, answer: TrackedFrame) -> TrackedFrame:
-        """The answer, with what may be wrong with its place."""
-        if not answer.has_place:
-            return answer
-        if self._unconfirmed is not None:
-            answer = answer.with_words(UNCONFIRMED)
-        rest = self.tracker.rest
-        return answer if rest is None else answer.with_words(rest.in_words())
 
     # The begin of a map.
 
@@ -178,7 +104,7 @@ class Slam:
         now = self.map.keyframes[-1]
         self._cam_from_world = now.cam_from_world
         here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
-        # Rows that are read one after another move the points besides: what bends the map is not seen without it.
+        # A rolling shutter displaces the points, and the check does not model it.
         self._unconfirmed = None if self.camera.readout_s else self._start
         self._start, self._turns = OneCameraStart(lens, self.config), {}
         return self._begun(frame, np.full((6, 6), np.inf) if here is None else here.covariance())
@@ -195,12 +121,6 @@ class Slam:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
         self._num_lost, self._turning = 0, None
 
-    def _enter(self, model: SlamMap) -> None:
-        """Go on in this map."""
-        self.map = model
-        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
-        self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
-
     # A frame in the map.
 
     def _follow(self, frame: Frame) -> TrackedFrame:
@@ -214,7 +134,7 @@ class Slam:
         return self._placed(frame, *found)
 
     def _is_refuted(self, frame: Frame, cam_from_world: Rigid3) -> bool:
-        """Whether what is seen since the begin of one camera's map contradicts it."""
+        """Whether later frames contradict the initialization of a monocular map."""
         start = self._unconfirmed
         if start is None:
             return False
@@ -230,20 +150,19 @@ class Slam:
         return told is Confirmation.REFUTED
 
     def _leave_unconfirmed(self) -> None:
-        """No later frame can confirm the begin of the map any more."""
+        """Report that no later frame can confirm the initialization."""
         if self._unconfirmed is not None:
             self.start_doubts.append(
-                f"the map that begins at {self._unconfirmed.first_time_s:.2f} s is not confirmed: its first points were out of"
-                " sight before the camera had moved enough to check it"
+                f"the map initialized at {self._unconfirmed.first_time_s:.2f} s could not be confirmed: its first points left the"
+                " view before the camera had moved far enough"
             )
         self._unconfirmed = None
 
     def _begin_anew(self, frame: Frame) -> TrackedFrame:
-        """Give up a map that was begun wrongly, with the places of its frames."""
+        """Discard a map that was initialized wrongly, with the poses of its frames, and initialize again."""
         first = self.map.keyframes[0].timestamp_s
         self.start_doubts.append(
-            f"the map that begins at {first:.2f} s was given up at {frame.timestamp_s:.2f} s: the frames after its begin"
-            " contradict it"
+            f"the map initialized at {first:.2f} s was discarded at {frame.timestamp_s:.2f} s: later frames contradict it"
         )
         self._path.forget(self.map.keyframes)
         if self.map is self.maps[0]:
@@ -428,33 +347,10 @@ class Slam:
 
     # Answers.
 
-    def _newest(self) -> Keyframe:
-        """The last keyframe that is not one of a turn."""
-        return next(k for k in reversed(self.map.keyframes) if len(k.point))
-
-    def _told_from(
-        self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
-    ) -> TrackedFrame:
-        self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
-        between = self._cam_from_world @ keyframe.cam_from_world.inverse()
-        covariance = with_map_error(keyframe.covariance, between, covariance)
-        place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
-        return TrackedFrame(
-            *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
-            is_keyframe=keyframe.number == self._num_frames,
-            submap_from_body=None if is_first else place,
-            moving=self.tracker.moving,
-            map_number=self.map.number,
-        )
-
-    def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
-        count = len(self.tracker.tracks) if num_points is None else num_points
-        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
-
     def finish(self, goes_on: Callable[[int, int], bool] = lambda *_: True) -> None:
         """After the last frame: tie keyframes that see the same, adjust all maps; `goes_on(done, of)` may end it.
 
-        Of maps that nothing ties together the one with most frames becomes the first, unless a known map was given.
+        The map with the most frames becomes the first one, unless a known map was given.
         """
         here = self.map
         self._leave_unconfirmed()
@@ -466,12 +362,3 @@ class Slam:
             if not self.mapper.adjust_for_good(number, len(self.maps), goes_on):
                 break
         self._enter(here)
-
-    def trajectory(self, number: int = 0) -> Trajectory:
-        """Every frame that has a place in one of the maps, the first unless told, by the map as it is now."""
-        return self._path.trajectory(self.maps[number].keyframes)
-
-    def snapshot(self) -> Snapshot:
-        """Map and followed points as they are now, to be shown."""
-        source = self.tracker if self.map.num_points else self._start
-        return snapshot_of(self.map, self.state, source.tracks)

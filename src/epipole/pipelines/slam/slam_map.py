@@ -83,7 +83,7 @@ class SlamMap:
 
     def __init__(self, number: int = 0) -> None:
         self.number = number
-        """Among the maps of a run, in the order of their begins."""
+        """Of the map, in order of initialization."""
         self.keyframes: list[Keyframe] = []
         self._xyz = np.empty((4096, 3))
         self._anchor = np.empty(4096, np.int64)

@@ -1,7 +1,7 @@
-"""Motions that may begin one camera's map: what two frames allow is judged by all frames between them.
+"""Candidate motions for monocular initialization, compared by how well they fit all frames in between.
 
-A plane allows two motions (Faugeras and Lustman 1988), and few points near a plane hardly tell them apart. Each is adjusted
-with the frames between, where the wrong one fits less and less; a map begins once all others fit clearly worse.
+A plane allows two motions (Faugeras and Lustman 1988), and few points near a plane hardly distinguish them. Each candidate is
+optimized together with the frames in between; the wrong one fits worse the further the camera moves.
 """
 
 from __future__ import annotations
@@ -24,33 +24,33 @@ from epipole.robust.ray_matches import Matches
 PLANE_ERROR_PX = 2.0
 MIN_PLACED, JUDGING_ITERATIONS, JUDGING_ROUNDS = 20, 20, 3
 JUDGED_SHARE = 0.8
-"""Of the points, those that fit best: the others may have slipped."""
+"""Fraction of the points that count, those that fit best: tracks of the others may have drifted."""
 BEFORE_SHARE = 0.5
-"""Of the points on a plane, at least so many must lie before it: an estimated plane seen from the side cuts some off."""
+"""Minimum fraction of a plane's points in front of the camera. Not all: noise moves an obliquely seen plane behind some of them."""
 CLEARLY = 2.0
-"""Another motion must leave so many times the squared error: errors of followed points are not independent."""
+"""A rival motion must have this many times the loss of the best. Errors of tracked points are correlated, so no chi-square test."""
 LEAST_TURN_DEG, LEAST_ANGLE_DEG = 0.5, 10.0
-"""Motions further apart in rotation, or in direction, are two."""
+"""Motions are different if they differ by more than this in rotation or in the direction of translation."""
 
 
 class Judged(NamedTuple):
-    """A motion, adjusted with the frames between."""
+    """A candidate motion, optimized with the frames in between."""
 
     cam_from_first: Rigid3
     loss: float
-    """Mean of log(1 + e^2) over frames and all but the worst points, e in pixels."""
+    """Mean of log(1 + e^2) over the frames and the JUDGED_SHARE best points, e in pixels."""
     median_angle_deg: float
-    """Between the rays of points in the first and the last frame."""
+    """Median triangulation angle."""
 
 
 def motions_of_plane(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, seed: int) -> list[Rigid3]:
-    """The motions, |t| = 1, that the largest plane among the points allows; none where there is no plane or no motion.
+    """The motions, |t| = 1, that the dominant plane allows; empty without a plane or without translation.
 
     Args:
         first_px: (n, 2) in the first frame.
         pixels: the same points now.
         camera: any model.
-        seed: of the samples.
+        seed: random seed.
     """
     rays = camera.unproject(first_px), camera.unproject(pixels)
     use = (rays[0][:, 2] > 0.1) & (rays[1][:, 2] > 0.1)
@@ -75,7 +75,7 @@ def motions_of_plane(first_px: np.ndarray, pixels: np.ndarray, camera: Camera, s
 
 
 def judge(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Judged:
-    """A motion from the first frame to the last, adjusted with those between.
+    """Optimize a motion from the first frame to the last together with the frames in between.
 
     Args:
         cam_from_first: |t| = 1.
@@ -107,7 +107,7 @@ def judge(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Judged:
 
 
 def _places_between(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) -> Rigid3:
-    """cams_from_first (f,) by the points that the first and the last frame give."""
+    """cams_from_first (f,): the frames in between are localized in the points of the first and the last."""
     frames = len(pixels)
     ends = Rigid3.stack([Rigid3.identity(), cam_from_first])
     made = triangulate_points(ends, camera, pixels[[0, -1]], min_angle_rad=np.radians(0.1))
@@ -125,7 +125,7 @@ def _places_between(cam_from_first: Rigid3, pixels: np.ndarray, camera: Camera) 
 
 
 def _problem(places: Rigid3, points: np.ndarray, pixels: np.ndarray, camera: Camera) -> BundleProblem:
-    """All points seen by all frames."""
+    """Bundle adjustment of points that all frames observe."""
     frames, count = len(places), len(points)
     one = np.zeros(frames * count, np.int32)
     return BundleProblem(
@@ -146,7 +146,7 @@ def _problem(places: Rigid3, points: np.ndarray, pixels: np.ndarray, camera: Cam
 
 
 def rival_of(best: Judged, judged: Sequence[Judged]) -> Judged | None:
-    """Another motion that fits nearly as well as the best; None where there is none."""
+    """A different motion that fits nearly as well as the best; None if there is none."""
     near = [one for one in judged if one.loss < CLEARLY * best.loss]
     others = [one for one in near if are_apart(one.cam_from_first, best.cam_from_first)]
     return min(others, key=lambda one: one.loss, default=None)
@@ -155,7 +155,7 @@ def rival_of(best: Judged, judged: Sequence[Judged]) -> Judged | None:
 def median_angle_deg(
     cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarray, camera: Camera
 ) -> float:
-    """Median angle, in degrees, under which the rays of points meet after a motion; 0 where none do."""
+    """Median triangulation angle of the points under a motion, in degrees; 0 if none can be triangulated."""
     ends = Rigid3.stack([Rigid3.identity(), cam_from_first])
     made = triangulate_points(ends, camera, np.stack([first_px, pixels]), max_error_px=PLANE_ERROR_PX)
     return (
@@ -164,7 +164,7 @@ def median_angle_deg(
 
 
 def median_off_px(cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarray, camera: Camera) -> float:
-    """Median distance, in pixels, of points from where a motion lets them be (tangent Sampson: Terekhov and Larsson 2023)."""
+    """Median epipolar error of a motion, in pixels (tangent Sampson error: Terekhov and Larsson, ICCV 2023)."""
     length = max(float(np.linalg.norm(cam_from_first.translation)), 1e-12)
     matches = Matches(first_px, pixels, camera, camera)
     off = matches.sampson(cam_from_first.rotation, cam_from_first.translation / length)
@@ -174,7 +174,7 @@ def median_off_px(cam_from_first: Rigid3, first_px: np.ndarray, pixels: np.ndarr
 def are_apart(
     one: Rigid3, other: Rigid3, turn_deg: float = LEAST_TURN_DEG, angle_deg: float = LEAST_ANGLE_DEG
 ) -> bool:
-    """Whether two motions from the same frame to the same frame differ in rotation or direction, whatever their lengths' units."""
+    """Whether two motions between the same frames differ in rotation or in the direction of translation."""
     turn = np.degrees(np.linalg.norm((one @ other.inverse()).log()[3:]))
     lengths = np.linalg.norm(one.translation) * np.linalg.norm(other.translation)
     cosine = float(one.translation @ other.translation) / max(float(lengths), 1e-12)

@@ -15,7 +15,6 @@ from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.corners import new_corners
 from epipole.pipelines.slam.frames import Frame
-from epipole.pipelines.slam.resting import MOVING_PX, is_ambiguous_start
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.start_motions import (
     Judged,
@@ -26,6 +25,7 @@ from epipole.pipelines.slam.start_motions import (
     motions_of_plane,
     rival_of,
 )
+from epipole.pipelines.slam.static_points import MOVING_PX, find_ambiguous_part
 from epipole.pipelines.slam.tracking import Tracks, locate
 from epipole.robust import PairKind, triangulate_points, verify_pair
 
@@ -33,13 +33,16 @@ MIN_POINTS = 50
 LEAST_SHIFT = 0.015
 """Median shift of the points, as a share of the picture's width, below which nothing is tried."""
 START_KEYFRAMES = 6
-CONFIRMING, MIN_CONFIRMING = 2.0, 30
-"""At so many times the angle of the begin, by so many points of the first frame, later frames confirm a map."""
+CONFIRMING_ANGLE = 2.0
+"""Later frames confirm the initialization at this multiple of `SlamConfig.start_angle_deg`."""
+MIN_CONFIRMING = 30
+"""Points of the first frame that are needed to confirm it."""
 MOVING_QUANTILE = 0.75
-MAP_TURN_DEG, MAP_ANGLE_DEG = 1.5, 15.0
-MAP_OFF_PX, MAP_OFF = 1.0, 3.0
-"""A map is wrong whose motion since its first frame is further off, and leaves points so far, and so many times as far as another
-motion, from their epipolar lines."""
+"""A frame moved if this quantile of its points' shifts exceeds MOVING_PX."""
+MAX_ROTATION_DEG, MAX_DIRECTION_DEG = 1.5, 15.0
+"""The map's motion since its first frame may differ this much from the independent estimate, in rotation and direction."""
+MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO = 1.0, 3.0
+"""A map is contradicted if its epipolar error (median) exceeds both this and this multiple of the independent estimate's."""
 MOST_WAITING = 300
 """Frames before the map's begin that are kept, to get their places once it has begun."""
 LEAST_ANGLE_DEG = 0.3
@@ -101,14 +104,14 @@ def start_by(
     camera: Camera,
     use: np.ndarray | None = None,
 ) -> Start:
-    """The begin by a motion of which the length is open.
+    """Triangulate the points by a motion of unknown scale.
 
     Args:
         cam_from_first: the motion.
         first_px: (n, 2) in the first frame.
         pixels: the same points now.
         camera: any model.
-        use: (n,) which of them may get a place; all unless given.
+        use: (n,) mask of the points to triangulate; None: all.
     """
     two = Rigid3.stack([Rigid3.identity(), cam_from_first])
     made = triangulate_points(
@@ -121,13 +124,13 @@ def start_by(
 
 
 class Confirmation(Enum):
-    """What the frames after a map's begin say of it."""
+    """Verdict of later frames on the initialization of a map."""
 
     OPEN = 0
     CONFIRMED = 1
     REFUTED = 2
     OUT_OF_SIGHT = 3
-    """Too few points of the first frame are still followed."""
+    """Too few points of the first frame are still tracked."""
 
 
 class WaitingFrame(NamedTuple):
@@ -211,28 +214,28 @@ class OneCameraStart:
 
     @property
     def first_number(self) -> int:
-        """Of the frame that the map begins with."""
+        """Number of the map's first frame."""
         return self._waiting[0].number
 
     @property
     def first_time_s(self) -> float:
-        """Of that frame."""
+        """Time of that frame."""
         return self._waiting[0].frame.timestamp_s
 
     def confirm(self, frame: Frame, number: int, cam_from_first: Rigid3) -> Confirmation:
-        """Whether a frame after the begin agrees with the map, by the points of the first frame and nothing of the map.
+        """Compare the map's motion since its first frame with an estimate from image tracks alone.
 
         Args:
             frame: the present one.
-            number: of it.
-            cam_from_first: its motion since the first frame, by the map.
+            number: its number.
+            cam_from_first: its motion since the first frame, from the map.
         """
         self._follow(frame)
         now, lens = self.tracks, self.camera
         if len(now) < MIN_CONFIRMING or len(self._waiting) > MOST_WAITING:
             return Confirmation.OUT_OF_SIGHT
         self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
-        least_deg = CONFIRMING * self.config.start_angle_deg
+        least_deg = CONFIRMING_ANGLE * self.config.start_angle_deg
         if not median_angle_deg(cam_from_first, now.start_px, now.pixels, lens) >= least_deg:
             return Confirmation.OPEN
         ransac = RansacConfig(max_error_px=1.5, min_inliers=MIN_CONFIRMING, seed=self.config.seed)
@@ -242,13 +245,17 @@ class OneCameraStart:
         best = min(judged, key=lambda one: one.loss)
         if rival_of(best, judged) is not None or not best.median_angle_deg >= least_deg:
             return Confirmation.OPEN
-        if not are_apart(best.cam_from_first, cam_from_first, MAP_TURN_DEG, MAP_ANGLE_DEG):
+        if not are_apart(best.cam_from_first, cam_from_first, MAX_ROTATION_DEG, MAX_DIRECTION_DEG):
             return Confirmation.CONFIRMED
         off_px, least_px = (
             median_off_px(motion, now.start_px, now.pixels, lens)
             for motion in (cam_from_first, best.cam_from_first)
         )
-        return Confirmation.REFUTED if off_px > max(MAP_OFF_PX, MAP_OFF * least_px) else Confirmation.OPEN
+        return (
+            Confirmation.REFUTED
+            if off_px > max(MAX_EPIPOLAR_PX, MAX_EPIPOLAR_RATIO * least_px)
+            else Confirmation.OPEN
+        )
 
     def _follow(self, frame: Frame) -> None:
         tracks = self.tracks
@@ -264,9 +271,9 @@ class OneCameraStart:
         return reason
 
     def _may_rest(self) -> str:
-        """In words, that the camera may have rested since the first frame while something passed; empty where it has not.
+        """Why the camera may have been at rest since the first frame while an object moved; empty if it cannot.
 
-        Points that are out of sight by now count: what passes covers the scene, until nothing rests any more.
+        Points that were lost on the way count with their last pixel, since the object gradually occludes the static scene.
         """
         last = self._waiting[0].pixels.copy()
         for one in self._waiting:
@@ -277,21 +284,23 @@ class OneCameraStart:
                 last[one.track] = np.nan
         last[self.tracks.point] = self.tracks.pixels
         known = np.isfinite(last[:, 0])
-        rest = is_ambiguous_start(self._waiting[0].pixels[known], last[known], self.camera)
-        if rest is None:
+        static = find_ambiguous_part(self._waiting[0].pixels[known], last[known], self.camera)
+        if static is None:
             return ""
         return (
-            f"{100 * rest.share:.0f} % of the picture rests, the rest of it moves: one camera cannot tell whether something passes it"
-            " or it passes something near, with all else far away"
+            f"{100 * static.fraction:.0f} % of the image is static while the rest moves: one camera cannot distinguish an object"
+            " that passes it from a near object that it passes in front of a distant background"
         )
 
     def _best_of(self, started: Start) -> Start:
-        """The begin by the motion that all frames since the first agree with best, or why there is none."""
+        """Initialize with the motion that fits all frames since the first best; a reason if another one fits as well."""
         assert started.cam_from_first is not None
         judged = self._judged([started.cam_from_first])
         best = min(judged, key=lambda one: one.loss)
         if rival_of(best, judged) is not None:
-            return Start("the points are near a plane, and two motions explain them: move on, along a curve")
+            return Start(
+                "the points are near a plane, and two motions explain them: keep moving, along a curve"
+            )
         if not best.median_angle_deg >= self.config.start_angle_deg:
             return _too_narrow(best.median_angle_deg, self.config)
         if not are_apart(best.cam_from_first, judged[0].cam_from_first):
@@ -299,7 +308,7 @@ class OneCameraStart:
         return start_by(best.cam_from_first, self.tracks.start_px, self.tracks.pixels, self.camera)
 
     def _judged(self, motions: list[Rigid3]) -> list[Judged]:
-        """These motions, and then those of a plane, adjusted with the frames since the first."""
+        """These motions, followed by those that a plane allows, optimized with the frames since the first."""
         now, lens, waiting = self.tracks, self.camera, self._waiting
         of_plane = motions_of_plane(now.start_px, now.pixels, lens, self.config.seed)
         used = np.unique(np.linspace(0, len(waiting) - 1, START_KEYFRAMES).astype(int))

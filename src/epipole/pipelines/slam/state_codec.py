@@ -27,9 +27,9 @@ from epipole.pipelines.slam import (
     picture_watch,
     recent_motion,
     record,
-    resting,
     slam_map,
     starting,
+    static_points,
     tracking,
     turning,
 )
@@ -38,7 +38,7 @@ from epipole.pipelines.slam.state_tables import attributes_of, problem_of_object
 Json = Any
 _MODULES: tuple[ModuleType, ...] = (
     *(frames, inertial_ties, local_mapping, loop_closing, map_tracking, path),
-    *(picture_watch, recent_motion, record, resting, slam_map, starting, tracking, turning),
+    *(picture_watch, recent_motion, record, slam_map, static_points, starting, tracking, turning),
 )
 KINDS: dict[str, type] = {
     name: kind

@@ -29,9 +29,9 @@ from epipole.pipelines.slam.map_tracking import MapTracker
 from epipole.pipelines.slam.path import Path
 from epipole.pipelines.slam.picture_watch import PictureWatch
 from epipole.pipelines.slam.recent_motion import RecentMotion
-from epipole.pipelines.slam.resting import Rest
 from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.starting import OneCameraStart, WaitingFrame
+from epipole.pipelines.slam.static_points import StaticPart
 from epipole.pipelines.slam.tracking import SeenFrame, Tracks
 from epipole.pipelines.slam.turning import Turning
 
@@ -69,7 +69,7 @@ ATTRIBUTES: dict[type, dict[str, Any]] = {
         "tracks": Tracks,
         "stale": Int64[np.ndarray, " s"],
         "moving": MovingThing | None,
-        "rest": Rest | None,
+        "static_part": StaticPart | None,
         "_num_at_start": int,
         "_place_before": Rigid3 | None,
         "waiting": list[SeenFrame],

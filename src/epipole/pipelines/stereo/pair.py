@@ -56,22 +56,22 @@ class StereoResult:
 
     @property
     def error_model(self) -> str:
-        """In words, what the standard deviations hold, and what they do not."""
+        """Which errors the standard deviations cover, and which they exclude."""
         if self.depths is None:
             calibration = ""
         elif self._knows_calibration:
-            calibration = " That of depth holds the calibration's own error as well."
+            calibration = " The standard deviation of depth includes calibration errors."
         else:
-            calibration = " That of depth holds nothing of the calibration's errors, which are not known."
+            calibration = " The standard deviation of depth excludes calibration errors, which are unknown."
         return (
-            "The standard deviation of a disparity is that of its match alone, as it was on rendered rooms. An offset of all"
-            " disparities, as many rectifications leave it, is not in it: with one of a third of a pixel far fewer than 68 of 100 errors"
-            f" lie within one standard deviation (epipole stereo doctor finds it).{calibration}"
+            "The standard deviation of a disparity covers matching errors, as calibrated on rendered rooms. It excludes a constant"
+            " offset of all disparities, which many rectifications leave: with an offset of a third of a pixel, far fewer than 68 % of"
+            f" the errors lie within one standard deviation (`epipole stereo doctor` detects the offset).{calibration}"
         )
 
     @property
     def _knows_calibration(self) -> bool:
-        """Whether the deviations of depth are wider than those of the matches make them."""
+        """Whether the standard deviation of depth includes calibration errors."""
         if self.depths is None or self.rig is None:
             return False
         known = np.isfinite(self.depths.depth)

@@ -1,0 +1,133 @@
+"""The state of SLAM: its maps, what it remembers of the previous frame, and how answers are stated."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole._declared import checked
+from epipole.errors import ConfigError
+from epipole.geometry import Rigid3
+from epipole.inertial import MountedImu
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
+from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.loop_closing import LoopCloser
+from epipole.pipelines.slam.map_covariance import with_map_error
+from epipole.pipelines.slam.map_tracking import MapTracker
+from epipole.pipelines.slam.path import Path
+from epipole.pipelines.slam.picture_watch import Look, PictureWatch
+from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
+from epipole.pipelines.slam.starting import OneCameraStart
+from epipole.pipelines.slam.turning import Turning
+from epipole.scene import Trajectory
+
+UNCONFIRMED = "the map's initialization is not confirmed yet"
+
+
+class SlamState:
+    """Attributes of `Slam`, which adds the algorithm.
+
+    Attributes:
+        config: options.
+        camera: what is followed.
+        maps: the first, in whose world answers are given, and those that are not joined to it yet.
+        map: the one that the camera is followed in.
+        state: of the last frame.
+        loops: every place that looked like one seen before, and what came of it.
+        start_doubts: warnings about monocular maps whose initialization was contradicted or could not be confirmed.
+        first_number, first_frame: numbers of the first frame (after a known map's), and of the first in the world.
+    """
+
+    @checked
+    def __init__(
+        self,
+        camera: SlamCamera,
+        config: SlamConfig | None = None,
+        known: SlamMap | None = None,
+        *,
+        is_map_fixed: bool = False,
+        imu: MountedImu | None = None,
+    ) -> None:
+        """Begin, or go on in a map.
+
+        Args:
+            camera: what is followed.
+            config: options.
+            known: a map from an earlier run, in whose world answers are given once the camera is recognised in it.
+            is_map_fixed: only find the camera in the known map, which stays as it is.
+            imu: of one camera: measurements by the frames' clock, which join adjustments; not in a known map, of other clocks.
+
+        Raises:
+            ConfigError: depth of a camera that is no pinhole; a map that is to stay, and none is given.
+        """
+        if is_map_fixed and known is None:
+            raise ConfigError("a map that is to stay as it is must be given")
+        self.config = SlamConfig() if config is None else config
+        self.camera, self.imu = camera, imu if known is None and not camera.tells_depth else None
+        self.focal_baseline = focal_baseline_of(camera, self.config)
+        self.state = TrackingState.STARTING if known is None else TrackingState.LOST
+        self.is_map_fixed = is_map_fixed
+        self.maps: list[SlamMap] = [SlamMap() if known is None else known]
+        self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
+        self._enter(self.maps[0])
+        self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
+        self.loops = self._closer.ledger
+        self._start = OneCameraStart(camera.camera, self.config)
+        self._unconfirmed: OneCameraStart | None = None
+        self.start_doubts: list[str] = []
+        self._turning: Turning | None = None
+        self._turns: dict[int, Rigid3] = {}
+        self._before: Frame | None = None
+        self._watch, self._look = PictureWatch(), Look()
+        self._cam_from_world = Rigid3.identity()
+        self._path = Path(self.first_number)
+        self._num_frames, self._num_lost = self.first_number, 0
+        self._num_maps = 1
+
+    def _enter(self, model: SlamMap) -> None:
+        """Go on in this map."""
+        self.map = model
+        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
+        self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
+
+    def trajectory(self, number: int = 0) -> Trajectory:
+        """Every frame that has a place in one of the maps, the first unless told, by the map as it is now."""
+        return self._path.trajectory(self.maps[number].keyframes)
+
+    def snapshot(self) -> Snapshot:
+        """Map and followed points as they are now, to be shown."""
+        source = self.tracker if self.map.num_points else self._start
+        return snapshot_of(self.map, self.state, source.tracks)
+
+    def _newest(self) -> Keyframe:
+        """The last keyframe that is not one of a turn."""
+        return next(k for k in reversed(self.map.keyframes) if len(k.point))
+
+    def _told_from(
+        self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
+    ) -> TrackedFrame:
+        self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
+        between = self._cam_from_world @ keyframe.cam_from_world.inverse()
+        covariance = with_map_error(keyframe.covariance, between, covariance)
+        place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
+        return TrackedFrame(
+            *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
+            is_keyframe=keyframe.number == self._num_frames,
+            submap_from_body=None if is_first else place,
+            moving=self.tracker.moving,
+            map_number=self.map.number,
+        )
+
+    def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
+        count = len(self.tracker.tracks) if num_points is None else num_points
+        return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
+
+    def _with_doubts(self, answer: TrackedFrame) -> TrackedFrame:
+        """The answer, with the reasons to doubt its pose."""
+        if not answer.has_place:
+            return answer
+        if self._unconfirmed is not None:
+            answer = answer.with_words(UNCONFIRMED)
+        static = self.tracker.static_part
+        return answer if static is None else answer.with_words(static.in_words())
