@@ -111,6 +111,8 @@ def stretches(records: Sequence[FrameRecord]) -> list[Stretch]:
     for record in records:
         has_place = record.answer is not None and record.answer.world_from_body is not None
         reason = "" if has_place else record.reason
+        if record.answer is not None and record.answer.submap_from_body is not None:
+            reason = reason.split("; ")[0]
         now = without_numbers(reason)
         if out and out[-1].state == record.state and words == now:
             out[-1] = Stretch(out[-1].first, record.number, record.state, reason)

@@ -257,6 +257,7 @@ class Slam(SlamState):
         if answer.submap_from_body is not None:
             return answer
         self.maps.pop()
+        self._num_maps -= 1
         self._enter(known)
         return self._no_place(frame, f"{reason}; {answer.reason}", answer.num_points)
 

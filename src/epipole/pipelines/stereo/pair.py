@@ -66,7 +66,7 @@ class StereoResult:
         return (
             "The standard deviation of a disparity covers matching errors, as calibrated on rendered rooms. It excludes a constant"
             " offset of all disparities, which many rectifications leave: with an offset of a third of a pixel, far fewer than 68 % of"
-            f" the errors lie within one standard deviation (`epipole stereo doctor` detects the offset).{calibration}"
+            f" the errors lie within one standard deviation (epipole stereo doctor detects the offset).{calibration}"
         )
 
     @property
