@@ -164,6 +164,7 @@ class Slam(SlamState):
         self.start_doubts.append(
             f"the map initialized at {first:.2f} s was discarded at {frame.timestamp_s:.2f} s: later frames contradict it"
         )
+        self._closer.forget()
         self._path.forget(self.map.keyframes)
         if self.map is self.maps[0]:
             self.map.clear()

@@ -35,6 +35,7 @@ LEAST_SHIFT = 0.015
 START_KEYFRAMES = 6
 CONFIRMING_ANGLE = 2.0
 """Later frames confirm the initialization at this multiple of `SlamConfig.start_angle_deg`."""
+MAX_CONFIRMING_FRAMES = 24
 MIN_CONFIRMING = 30
 """Points of the first frame that are needed to confirm it."""
 MOVING_QUANTILE = 0.75
@@ -232,9 +233,11 @@ class OneCameraStart:
         """
         self._follow(frame)
         now, lens = self.tracks, self.camera
-        if len(now) < MIN_CONFIRMING or len(self._waiting) > MOST_WAITING:
+        if len(now) < MIN_CONFIRMING or number - self.first_number > MOST_WAITING:
             return Confirmation.OUT_OF_SIGHT
         self._waiting.append(WaitingFrame(frame, number, now.pixels, now.point))
+        while len(self._waiting) > MAX_CONFIRMING_FRAMES:  # they hold their images
+            self._waiting = [*self._waiting[:-1:2], self._waiting[-1]]
         least_deg = CONFIRMING_ANGLE * self.config.start_angle_deg
         if not median_angle_deg(cam_from_first, now.start_px, now.pixels, lens) >= least_deg:
             return Confirmation.OPEN
