@@ -8,7 +8,7 @@ from jaxtyping import Float64, UInt8
 
 from epipole import _parallel
 from epipole._declared import checked
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
 from epipole.features import _patch_kernels as kernels
 
 SIMILAR = 0.5
@@ -93,6 +93,8 @@ def find_patches(
     """
     if not 1 <= levels <= 8:
         raise ConfigError(f"levels must be from 1 to 8, got {levels}")
+    if not (first.size and second.size):
+        raise ShapeError(f"the images have no pixels: {first.shape} and {second.shape}")
     pictures = [(first, second)]
     for _ in range(levels - 1):
         pictures.append((cv2.pyrDown(pictures[-1][0]), cv2.pyrDown(pictures[-1][1])))
