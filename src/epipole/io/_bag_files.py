@@ -121,7 +121,7 @@ def opened_bag(path: Path) -> Iterator[OpenBag]:
             counts = dict.fromkeys(kinds, 0)
             for connection in reader.connections:
                 is_of_kind = connection.msgtype == kinds[connection.topic]
-                counts[connection.topic] += int(connection.msgcount) if is_of_kind else 0
+                counts[connection.topic] += max(int(connection.msgcount), 0) if is_of_kind else 0
         if not sum(counts.values()):
             raise FileFormatError(path, "the recording holds no message")
         is_ros1 = at.suffix.lower() == ROS1_SUFFIX

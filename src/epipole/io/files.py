@@ -32,6 +32,10 @@ def most_unpacked_bytes(num_packed: int, small_bytes: int = SMALL_BYTES) -> int:
     return max(small_bytes, MOST_RATIO * num_packed)
 
 
+MAX_ERROR_LENGTH = 300
+"""Characters of a library's error message that are repeated: it may quote the file."""
+
+
 @contextmanager
 def read_by_others(path: Path, problem: str) -> Iterator[None]:
     """Make one kind of error of whatever a library raises on damaged bytes: no list of its errors is ever complete.
@@ -44,8 +48,8 @@ def read_by_others(path: Path, problem: str) -> Iterator[None]:
     except EpipoleError:
         raise
     except Exception as error:
-        words = str(error).strip().splitlines()
-        raise FileFormatError(path, f"{problem}: {words[0] if words else type(error).__name__}") from error
+        words = str(error).strip().splitlines() or [type(error).__name__]
+        raise FileFormatError(path, f"{problem}: {words[0][:MAX_ERROR_LENGTH]}") from error
 
 
 def require_file(path: Path) -> int:
