@@ -26,6 +26,7 @@ _M_SCHEMA, _M_CHANNEL, _M_MESSAGE, _M_CHUNK = 3, 4, 5, 6
 _DAMAGE = (
     *(
         ValueError,
+        OverflowError,
         KeyError,
         IndexError,
         TypeError,

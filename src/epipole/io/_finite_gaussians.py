@@ -33,8 +33,9 @@ def finite_gaussians(
     Raises:
         FileFormatError: none is.
     """
-    n = len(parts[0])
-    means, log_scales, quats, logits, sh = parts
+    n, means = len(parts[0]), parts[0]
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is not finite
+        log_scales, quats, logits, sh = (part.astype(np.float32) for part in parts[1:])
     logits = np.where(np.isinf(logits), np.sign(logits) * MOST_LOGIT, logits)
     log_scales = np.where(log_scales == -np.inf, LEAST_LOG_SCALE, log_scales)
     with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged file

@@ -127,7 +127,7 @@ class MapTracker:
             predicted: a place near it.
             last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
         """
-        tracks = self.tracks
+        tracks, self.moving, self.static_part = self.tracks, None, None
         tracks.keep(frame.is_used(tracks.pixels))
         placed = np.flatnonzero(self.map.has_place(tracks.point))
         rows, pixels = tracks.point[placed], tracks.pixels[placed]
@@ -139,7 +139,6 @@ class MapTracker:
         found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
         if found is None or not is_sure(*found, self.config):
             return None
-        self.static_part = None
         if last is not None:
             found, self.static_part = self._unless_at_rest(found, rows, placed, predicted, deep)
         refined, agrees = found
@@ -170,10 +169,9 @@ class MapTracker:
         static = find_static_part(pixels_before, pixels, errors_px, self.camera)
         if static is None or not static.is_scene:
             return found, static
+        points_at_rest, depth_at_rest = self.map.xyz[rows[static.mask]], deep and deep.rows(static.mask)
         at_rest = locate(
-            self.map.xyz[rows[static.mask]],
-            pixels[static.mask],
-            *(self.camera, predicted, deep and deep.rows(static.mask), self.config),
+            points_at_rest, pixels[static.mask], self.camera, predicted, depth_at_rest, self.config
         )
         if at_rest is None:
             return found, replace(static, is_scene=False)

@@ -28,7 +28,7 @@ JUDGED_SHARE = 0.8
 BEFORE_SHARE = 0.5
 """Minimum fraction of a plane's points in front of the camera. Not all: noise moves an obliquely seen plane behind some of them."""
 CLEARLY = 2.0
-"""A rival motion must have this many times the loss of the best. Errors of tracked points are correlated, so no chi-square test."""
+"""A rival is ruled out at this many times the loss of the best motion. Tracking errors are correlated, so no chi-square test."""
 LEAST_TURN_DEG, LEAST_ANGLE_DEG = 0.5, 10.0
 """Motions are different if they differ by more than this in rotation or in the direction of translation."""
 
