@@ -2,7 +2,7 @@
 
 A ride is drawn once without noise, as a stereo pair of 320 x 240. Each run follows 40 frames of it, from another begin, in
 either direction, with noise of its own; the world is its first frame's camera, as SLAM has it, so that nothing is aligned. Of six degrees of
-freedom the mean over runs should be 6, within the band of two deviations. The calibration is exact, and that is told.
+freedom the mean over runs should be 6, within the band of two deviations. The calibration is exact, and the options say so.
 """
 
 from __future__ import annotations

@@ -185,23 +185,21 @@ class LocalMapper:
         """
         if len(self.map.keyframes) < 2:
             return True
-        self.adjust_all()
+        adjusted = self.adjust_all()
         self.learn_inertial()
-        adjusted: Adjusted | None = None
         done, total = number * LAST_STEPS + 1, count * LAST_STEPS
         for loss_scale_px in LAST_SCALES_PX:
             if not goes_on(done, total):
-                return False
+                break
             tie_together(self.map, self.camera, self.map.keyframes)
             if not goes_on(done + 1, total):
-                return False
+                break
             adjusted = self.adjust_all(loss_scale_px)
             done += 2
         if adjusted is not None and self.focal_baseline is not None:
-            sigma = CalibrationSigma.of(self.sensor, self.config)
-            keyframes = [self.map.keyframes[k] for k in adjusted.views]
-            add_calibration_error(keyframes, adjusted.problem, adjusted.result, adjusted.config, sigma)
-        return goes_on(done, total)
+            views, sigma = adjusted.views, CalibrationSigma.of(self.sensor, self.config)
+            add_calibration_error([self.map.keyframes[k] for k in views], *adjusted[:3], sigma)
+        return done == (number + 1) * LAST_STEPS and goes_on(done, total)
 
     def adjust(
         self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX

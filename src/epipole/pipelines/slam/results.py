@@ -185,6 +185,8 @@ def _covariance_words(system: Slam) -> str:
             "they cover the image noise of each frame (one pixel); they exclude errors of the map, of its scale and of the"
             " calibration"
         )
+    if system.is_map_fixed:
+        return "they cover image noise and exclude errors of the known map and of the calibration"
     sigma = CalibrationSigma.of(system.camera, system.config).in_words()
     return (
         f"they cover image noise and, in the final trajectory, calibration errors of {sigma} (one standard deviation each); they"

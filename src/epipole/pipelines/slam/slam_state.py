@@ -92,7 +92,7 @@ class SlamState:
         self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
 
     def trajectory(self, number: int = 0) -> Trajectory:
-        """Every frame that has a place in one of the maps, the first unless told, by the map as it is now."""
+        """Every frame that has a place in one of the maps, the first by default, with the map as it is now."""
         return self._path.trajectory(self.maps[number].keyframes)
 
     def snapshot(self) -> Snapshot:
