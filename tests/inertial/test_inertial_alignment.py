@@ -60,6 +60,9 @@ def test_another_units_log_is_refused():
         align_path_to_imu(np.arange(250) * 0.05, path.world_from_camera[rows], path.log, path.camera_from_imu)
     with pytest.raises(ShapeError, match="times"):
         align_path_to_imu(path.timestamp_s[:5], path.world_from_camera, path.log, path.camera_from_imu)
+    for mounting in (Rigid3(np.full((3, 3), np.nan), np.zeros(3)), Rigid3(np.eye(3), np.full(3, np.inf))):
+        with pytest.raises(ShapeError, match="camera_from_imu must be finite"):
+            align_path_to_imu(path.timestamp_s, path.world_from_camera, path.log, mounting)
 
 
 def test_derivatives_are_those_of_the_terms(rng):

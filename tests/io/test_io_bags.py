@@ -175,6 +175,14 @@ def test_topics_that_could_be_meant_are_listed(recorded, tmp_path):
             read_bag(path, sensor, asked)
 
 
+def test_endless_names_of_topics_are_cut_off_in_errors(recorded, tmp_path):
+    for name in ("/a/" + "x" * 9000, "/b/" + "x" * 9000):
+        recorded.image(name, BEGIN, grey(1), "mono8")
+    with pytest.raises(ConfigError, match="several topics") as caught:
+        read_bag(recorded.write(tmp_path))
+    assert len(str(caught.value)) < 9000
+
+
 def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
     recorded.image("/rgb/image", BEGIN, grey(1), "mono8")
     recorded.image("/depth/image", BEGIN, np.ones(SIZE[::-1], np.float32), "32FC1")

@@ -196,12 +196,12 @@ def test_a_list_of_videos_is_no_video(folder: Path, text: str) -> None:
         extract_frames(folder / "list.mp4", folder / "none", max_frames=2)
 
 
-def lying_png(width: int, height: int) -> bytes:
+def lying_png(width: int, height: int, depth: int = 16, color_type: int = 0, num_bytes: int = 0) -> bytes:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
-    pixels = chunk(b"IDAT", zlib.compress(bytes(100)))
+    header = struct.pack(">IIBBBBB", width, height, depth, color_type, 0, 0, 0)
+    pixels = chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"teXt", bytes(num_bytes))
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + pixels + chunk(b"IEND", b"")
 
 
@@ -215,6 +215,7 @@ def lying_jpeg(width: int, height: int, **options: object) -> bytes:
 
 LIES = {
     "grey.png": lying_png(30000, 30000),
+    "colour.png": lying_png(32, 1_000_000, 8, 2, num_bytes=5000),
     "frame.jpg": lying_jpeg(30000, 30000),
     "progressive.jpg": lying_jpeg(30000, 30000, progressive=True),
     "picture.ppm": b"P6\n12000 12000\n255\n" + bytes(100),

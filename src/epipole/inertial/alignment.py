@@ -84,11 +84,12 @@ def align_path_to_imu(
 
     Raises:
         DegenerateGeometryError: scale and gravity cannot be told; the message says why.
-        ShapeError: the arrays do not fit, or the times do not rise.
+        ShapeError: the arrays do not fit, a pose is not finite, or the times do not rise.
         ConfigError: a deviation is not positive, or there are more than 200 poses.
     """
     noise = ImuNoise() if noise is None else noise
     _check(timestamp_s, world_from_camera, place_sigma, turn_sigma_rad)
+    _check_mounting(camera_from_imu)
     extent = float(np.ptp(world_from_camera.translation, axis=0).max())
     if not extent > 0:
         raise DegenerateGeometryError("the camera rests: an IMU tells no scale then")
@@ -151,6 +152,11 @@ def _check(times: np.ndarray, poses: Rigid3, place_sigma: float | None, turn_sig
         )
     if len(times) < LEAST_POSES:
         raise DegenerateGeometryError(f"{len(times)} poses have a place, {LEAST_POSES} are needed for an IMU")
+
+
+def _check_mounting(camera_from_imu: Rigid3) -> None:
+    if not (np.isfinite(camera_from_imu.rotation).all() and np.isfinite(camera_from_imu.translation).all()):
+        raise ShapeError("camera_from_imu must be finite")
 
 
 def _gyro_bias(

@@ -65,6 +65,8 @@ class OpenBag:
                 row = next(rows, None)
                 if row is None:
                     return
+                if row[0] not in wanted:  # two connections of one number: the reader answers with the other
+                    raise FileFormatError(self.path, f"{_PROBLEM}: connections share a number")
                 # A damaged database holds values of any type.
                 message = BagMessage(row[0].topic, row[0].msgtype, int(row[1]), _as_bytes(row[2]))
             yield message

@@ -17,6 +17,8 @@ _OF_ONE_CAMERA = (
     *("image_raw", "image_color", "image"),
 )
 """Pictures of one camera under one name space, the best first: rectified ones have no distortion any more."""
+_LONGEST_LIST = 4000
+"""Letters of topics in an error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,9 @@ def _as_asked(
     ]
     if wrong or len(names) > 2 or len(set(names)) < len(names):
         what = f"{', '.join(wrong)} holds no pictures" if wrong else "topics are one name, or two"
-        raise ConfigError(f"{path}: {what}; give PICTURES, LEFT,RIGHT or PICTURES,DEPTH of {_listed(topics)}")
+        raise ConfigError(
+            f"{path}: {what}; give PICTURES, LEFT,RIGHT or PICTURES,DEPTH of {listed_topics(topics)}"
+        )
     found: BagSensor = "mono"
     if len(names) == 2:
         found = "rgbd" if kinds[names[1]] == "depth" else "stereo"
@@ -101,15 +105,22 @@ def _only(
     if len(choices) == 1:
         return choices[0]
     if not choices:
-        raise ConfigError(f"{path}: no topics for {what} are found; choose topics of {_listed(topics)}")
-    several = " or ".join(",".join(choice) for choice in choices)
-    raise ConfigError(f"{path}: several topics could be meant, {several}: choose topics of {_listed(topics)}")
-
-
-def _listed(topics: Sequence[BagTopic]) -> str:
-    return "; ".join(
-        str(t) for t in sorted(topics, key=lambda t: (t.kind not in ("picture", "depth"), t.name))
+        raise ConfigError(f"{path}: no topics for {what} are found; choose topics of {listed_topics(topics)}")
+    several = _shortened(" or ".join(",".join(choice) for choice in choices))
+    raise ConfigError(
+        f"{path}: several topics could be meant, {several}: choose topics of {listed_topics(topics)}"
     )
+
+
+def listed_topics(topics: Sequence[BagTopic]) -> str:
+    """Of a recording, those with images first."""
+    ordered = sorted(topics, key=lambda t: (t.kind not in ("picture", "depth"), t.name))
+    return _shortened("; ".join(map(str, ordered)))
+
+
+def _shortened(text: str) -> str:
+    """A recording decides how many topics it has and how long their names are."""
+    return text if len(text) <= _LONGEST_LIST else f"{text[:_LONGEST_LIST]} ..."
 
 
 def _best(names: Sequence[str]) -> list[str]:

@@ -191,8 +191,10 @@ def refuse_huge(path: Path, image: ImageFile, data: bytes) -> None:
     if width * height > limit:
         sizes = f"{width} x {height} is more than {limit // 1_000_000} megapixels"
         raise FileFormatError(path, f"{sizes}, the limit for {image.format}; save it smaller or as JPEG")
-    # Deflate packs at most 1032 bytes into one, each of up to 8 pixels; no photograph comes near in any format.
-    if width * height > max(_MANY_PX, _MOST_PX_PER_BYTE * num_bytes):
+    # Deflate packs at most 1032 bytes into one; a byte is up to 8 grey pixels, or a channel of one coloured pixel.
+    channels = len(image.getbands()) if isinstance(image, PngImageFile) else 1
+    px_per_byte = 1032 / channels if channels > 1 else _MOST_PX_PER_BYTE
+    if width * height > max(_MANY_PX, px_per_byte * num_bytes):
         raise FileFormatError(path, f"{num_bytes} bytes cannot hold {width} x {height} pixels")
     # Each block of 8 x 8 takes at least one bit; a decoder would invent what is missing.
     if isinstance(image, JpegImageFile) and width * height > _MOST_JPEG_PX_PER_BYTE * num_bytes:

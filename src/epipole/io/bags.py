@@ -24,7 +24,14 @@ from epipole.inertial import ImuLog
 from epipole.io import _bag_pictures as pictures
 from epipole.io._bag_files import BagMessage, OpenBag, is_bag, opened_bag
 from epipole.io._bag_pairing import paired
-from epipole.io._bag_topics import BagSensor, BagTopic, base_name, choose_topics, is_rectified
+from epipole.io._bag_topics import (
+    BagSensor,
+    BagTopic,
+    base_name,
+    choose_topics,
+    is_rectified,
+    listed_topics,
+)
 from epipole.io._deep_pixels import GreyScale
 from epipole.io._imu_units import check_imu_units
 from epipole.io._named_numbers import is_rotation
@@ -199,9 +206,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None) -> ImuLog:
     with opened_bag(path) as bag:
         imus = [t for t in _topics(bag) if t.kind == "imu" and topic in (None, t.name)]
         if len(imus) != 1:
-            listed = "; ".join(str(t) for t in _topics(bag))
             problem = "no topic of an IMU is found" if not imus else "there are several IMUs: choose a topic"
-            raise ConfigError(f"{path}: {problem}, of {listed}")
+            raise ConfigError(f"{path}: {problem}, of {listed_topics(_topics(bag))}")
         rows = []
         for message in bag.messages([imus[0].name]):
             content = bag.content(message)
