@@ -41,7 +41,7 @@ def problem_of_state(held: dict[str, Any], system: Slam, num_lines: int) -> str:
     """
     try:
         return next(_problems(held, system, num_lines), "")
-    except (KeyError, AttributeError, TypeError, ValueError, IndexError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError, IndexError) as error:
         return f"its objects do not fit ({error})"
 
 

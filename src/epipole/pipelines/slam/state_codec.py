@@ -103,7 +103,15 @@ def decode(coded: Coded, known: Mapping[str, object]) -> Any:
         decoder = _Decoder(coded.arrays, known)
         value = decoder.value(coded.structure)
         problem = problem_of_objects(decoder.made())
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, RecursionError) as error:
+    except (
+        KeyError,
+        IndexError,
+        TypeError,
+        ValueError,
+        OverflowError,
+        AttributeError,
+        RecursionError,
+    ) as error:
         raise BadState(f"its objects do not fit ({error or type(error).__name__})") from error
     if problem:
         raise BadState(f"its objects do not fit ({problem})")

@@ -89,7 +89,16 @@ class StateFiles:
             content = json_values(path, held["text"].tobytes().decode(), allow_nan=True)
             arrays = self._arrays(content, held["inline"].tobytes())
             return decode(Coded(content["structure"], arrays), known), dict(content["facts"])
-        except (BadState, WorkspaceError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
+        except (
+            BadState,
+            WorkspaceError,
+            OSError,
+            KeyError,
+            TypeError,
+            ValueError,
+            OverflowError,
+            RecursionError,
+        ) as error:
             raise FileFormatError(path, f"is damaged: {error}") from error
 
     def close(self) -> None:
