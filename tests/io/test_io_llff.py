@@ -72,6 +72,12 @@ def test_wrong_files(tmp_path):
     refused(np.where(np.arange(17) == 3, np.nan, rows), "not finite")
     refused(np.where(np.arange(17) == 15, -1.0, rows), "in order")
     refused(np.where(np.arange(17) == 14, 0.0, rows), "impossible camera")
+    narrow = rows.copy()
+    narrow[:, 9], narrow[:, 14] = (
+        1e300,
+        1e-100,
+    )  # width and focal length: their ratio is 0 in double precision
+    refused(narrow, "impossible camera")
     refused(2 * rows, "rotation")
     (tmp_path / "a" / LLFF).write_bytes(b"\x93NUMPY\x01\x00 nothing")
     with pytest.raises(FileFormatError, match="not an array"):

@@ -121,9 +121,10 @@ def _pictures(folder: Path, max_side_px: int | None) -> tuple[Path, tuple[int, i
 def _camera(path: Path, told: np.ndarray, size: tuple[int, int]) -> Camera:
     """A pinhole of the pictures in the size that they have; its middle is that of the picture."""
     height, width, focal = told.tolist()
-    if not (height >= 1 and width >= 1 and focal > 0):
+    is_possible = height >= 1 and width >= 1 and focal > 0
+    fx, fy = (focal * size[0] / width, focal * size[1] / height) if is_possible else (0.0, 0.0)
+    if not (0 < fx < np.inf and 0 < fy < np.inf):
         raise FileFormatError(path, f"impossible camera: {width:g} x {height:g}, focal length {focal:g}")
-    fx, fy = focal * size[0] / width, focal * size[1] / height
     params = np.array([fx, fy, 0.5 * (size[0] - 1), 0.5 * (size[1] - 1)])
     return Camera(CameraModel.PINHOLE, *size, params)
 
