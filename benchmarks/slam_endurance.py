@@ -29,9 +29,10 @@ from benchmarks.peers.slam_frames import SlamFrames, load_frames
 from benchmarks.tasks.slam import prepare
 from epipole.geometry import Rigid3
 from epipole.io.trajectories import read_trajectory
-from epipole.pipelines.slam.checkpoint import Checkpoint
+from epipole.pipelines.slam.autosave import Autosave
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.record import FrameRecord
+from epipole.pipelines.slam.results import keyframe_names
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs import thread_scope
 
@@ -68,15 +69,15 @@ def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict
     truth = read_trajectory(folder / "truth_exact.txt").world_from_body
     truth = truth[0].inverse() @ truth
     system, records, ms, off = Slam(camera_of(frames, sensor)), list[FrameRecord](), [], []
-    checkpoint, spent = Checkpoint(place), 0.0
-    checkpoint.begin(system, records, Rigid3.identity())
-    begin, num_states = time.process_time(), 0
+    autosave, spent = Autosave(place, Rigid3.identity(), can_repeat=False), 0.0
+    autosave.start(system, records)
+    begin, num_maps = time.process_time(), 0
     for number, frame in enumerate(_laps(frames, sensor, count)):
         start = time.perf_counter()
         answer = system.track(frame)
         seconds = time.perf_counter() - start
         records.append(FrameRecord(number, f"frame_{number:06d}.jpg", seconds, answer))
-        checkpoint.add(system, records)
+        autosave.add(system, records, lambda: keyframe_names(system, records, None))
         ms.append(1e3 * seconds)
         if answer.world_from_body is not None:
             there = truth[number % len(frames)].translation
@@ -89,8 +90,8 @@ def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict
                 "ms_median": float(np.median(ms)),
                 "ms_p95": float(np.percentile(ms, 95)),
                 "cpu_ms_mean": 1e3 * (cpu - begin) / len(ms),
-                "checkpoint_ms_mean": 1e3 * (checkpoint.seconds - spent) / len(ms),
-                "num_states": checkpoint.num_states - num_states,
+                "checkpoint_ms_mean": 1e3 * (autosave.seconds - spent) / len(ms),
+                "num_maps_saved": autosave.num_maps_saved - num_maps,
                 "memory_mb": _memory_bytes() / 1e6,
                 "checkpoint_mb": sum(p.stat().st_size for p in place.iterdir()) / 1e6,
                 "keyframes": len(system.map.keyframes),
@@ -99,9 +100,9 @@ def _follow(folder: Path, sensor: str, count: int, place: Path) -> Iterator[dict
                 "placed": len(off),
                 "largest_error_m": max(off, default=None),
             }
-            ms, off, spent, num_states = [], [], checkpoint.seconds, checkpoint.num_states
+            ms, off, spent, num_maps = [], [], autosave.seconds, autosave.num_maps_saved
             begin = time.process_time()
-    checkpoint.close()
+    autosave.close()
 
 
 def _laps(frames: SlamFrames, sensor: str, count: int) -> Iterator[Frame]:

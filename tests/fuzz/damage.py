@@ -96,7 +96,7 @@ def damaged(rng: Random, data: bytes, kind: str) -> bytes:
     if own is not None and rng.random() < 0.7:
         with suppress(*_UNREADABLE):
             return own(rng, data)
-    common = _COMMON + (_OF_TEXT if kind in ("text", "json", "yaml", "bz2", "journal") else _OF_BYTES)
+    common = _COMMON + (_OF_TEXT if kind in ("text", "json", "yaml", "bz2", "answers") else _OF_BYTES)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = rng.choice(common)(rng, data)
     return data
@@ -402,8 +402,8 @@ def _sealed(rng: Random, data: bytes) -> bytes:
         return path.read_bytes()
 
 
-def _journal(rng: Random, data: bytes) -> bytes:
-    """Lines of JSON that each begin with the sum of all up to them, made anew."""
+def _answer_lines(rng: Random, data: bytes) -> bytes:
+    """Lines of JSON that each begin with their checksum, computed again."""
     lines = [line.partition(b" ")[2] for line in data.splitlines()]
     k, what = rng.randrange(len(lines)), rng.randrange(6)
     if what == 0:
@@ -412,11 +412,7 @@ def _journal(rng: Random, data: bytes) -> bytes:
         del lines[k]
     else:
         lines[k] = b" ".join(_json(rng, lines[k]).split())
-    out, total = b"", 0
-    for line in lines:
-        total = zlib.crc32(line, total)
-        out += b"%08x %b\n" % (total, line)
-    return out
+    return b"".join(b"%08x %b\n" % (zlib.crc32(line), line) for line in lines)
 
 
 _SQL_VALUES = (
@@ -490,5 +486,5 @@ def _sqlite(rng: Random, data: bytes) -> bytes:
 _OWN: dict[str, Callable[[Random, bytes], bytes]] = {
     **{"json": _json, "yaml": _yaml, "bz2": _bz2, "ply": _ply, "png": _png, "jpeg": _jpeg, "zip": _zip},
     "sqlite": _sqlite,
-    **{"sealed": _sealed, "journal": _journal},
+    **{"sealed": _sealed, "answers": _answer_lines},
 }

@@ -88,16 +88,11 @@ from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.fields.kinds import read_neural, read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
-from epipole.pipelines.slam.checkpoint import known_to
+from epipole.pipelines.slam.answer_log import ANSWERS, line_of, read_answers
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.journal import JOURNAL, Journal, read_journal
-from epipole.pipelines.slam.loop_closing import LoopCandidate
 from epipole.pipelines.slam.map_files import read_slam_map, write_slam_map
 from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.restoring import read_state
-from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
-from epipole.pipelines.slam.state_files import ARRAYS, STATE, StateFiles
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark
@@ -337,39 +332,21 @@ def _slam_map(folder: Path) -> None:
     assert len(known.names) == len(known.model.keyframes)
 
 
-def _put_slam_state(folder: Path) -> None:
-    system, files = _slam(), StateFiles(folder)
-    model, grey = system.map, np.full((24, 32), 100, np.uint8)
-    model.add_points(np.ones((70, 3)), np.full((70, 2), 9.0), 0)
-    seen = Observations(np.full((70, 2), 9.0), np.full(70, np.nan), np.arange(70))
-    model.keyframes.append(Keyframe(0, 0.0, grey, Rigid3.identity(), seen))
-    for _ in range(2):  # at the second time what lasts is put into a file of its own
-        files.write(vars(system), known_to(system), {"num_lines": 1, "num_bytes": 9})
-    files.close()
+def _put_answers(folder: Path) -> None:
+    known = Rigid3.identity(), np.eye(6), 30
+    answers = [
+        TrackedFrame(0.1 * n, TrackingState.TRACKING, "", *known, is_keyframe=n == 0) for n in range(3)
+    ]
+    lines = [line_of(FrameRecord(n, f"{n}.png", 0.01, answer)) for n, answer in enumerate(answers)]
+    (folder / ANSWERS).write_bytes(b"".join(lines))
 
 
-def _slam_state(folder: Path) -> None:
-    found = read_state(_slam(), StateFiles(folder))
-    assert found.state["map"].num_points == 70 and found.num_bytes == 9
-
-
-def _slam() -> Slam:
-    return Slam(SLAM_CAMERA)
-
-
-def _put_journal(folder: Path) -> None:
-    journal = Journal(folder)
-    told = Rigid3.identity(), np.eye(6), 30
-    for n in range(3):
-        answer = TrackedFrame(0.1 * n, TrackingState.TRACKING, "", *told, is_keyframe=n == 0)
-        journal.add(FrameRecord(n, f"{n}.png", 0.01, answer), [LoopCandidate(n, 0, "waiting", "", 20, 15)])
-    journal.close()
-
-
-def _journal(folder: Path) -> None:
-    found = read_journal(folder / JOURNAL)
-    assert (np.diff([entry.record.number for entry in found]) > 0).all()
-    assert all(entry.record.answer.covariance.shape == (6, 6) for entry in found)
+def _answers(folder: Path) -> None:
+    found = read_answers(folder / ANSWERS)
+    assert (np.diff([record.number for record in found]) > 0).all()
+    for record in found:
+        if record.answer is not None and record.answer.world_from_body is not None:
+            assert_motions(record.answer.world_from_body)
 
 
 def _pose_matrix(folder: Path) -> None:
@@ -794,11 +771,7 @@ FORMATS: dict[str, Format] = {
         *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
     ),
     "slam-map": Format(_put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map",)),
-    "slam-state": Format(_put_slam_state, STATE, "sealed", _slam_state, ("read_state",)),
-    "slam-arrays": Format(
-        _put_slam_state, ARRAYS.format(0), "binary", _slam_state, ("read_state",), weight=0.5
-    ),
-    "slam-journal": Format(_put_journal, JOURNAL, "journal", _journal, ("read_journal",)),
+    "slam-answers": Format(_put_answers, ANSWERS, "answers", _answers, ("read_answers",)),
     "pose-matrix": Format(
         _put("a.pose.txt", b"0 -1 0 5\n1 0 0 6\n0 0 1 7\n0 0 0 1\n"),
         *("a.pose.txt", "text", _pose_matrix, ("read_pose_matrix",)),

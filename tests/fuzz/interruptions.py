@@ -33,7 +33,6 @@ from tests.board_pictures import board_pictures
 from epipole import api
 from epipole.errors import EpipoleError
 from epipole.io.photographs import write_jpeg_with_exif
-from epipole.pipelines.slam import checkpoint
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.runs import thread_scope
 from epipole.scene import RectifiedRig
@@ -118,7 +117,6 @@ def _ride(folder: Path) -> None:
 
 
 def _slam(folder: Path) -> object:
-    checkpoint.PAUSE_S, checkpoint.SHARE = 0.0, 1e9  # the state is written with every frame
     with thread_scope(THREADS["threads"], opencv_alone=True):
         return api.slam(folder / "ride", folder / "out", resume=True)
 

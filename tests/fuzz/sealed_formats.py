@@ -22,17 +22,14 @@ from epipole.pipelines.sfm.feature_stage import load_features
 from epipole.pipelines.sfm.match_stage import load_putative, load_view_graph
 from epipole.pipelines.sfm.pair_blocks import PairBlock, filled
 from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES
-from epipole.pipelines.slam.checkpoint import known_to
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map_files import read_slam_map, sketch_of_map, write_slam_map
-from epipole.pipelines.slam.restoring import read_state
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.state_files import STATE, StateFiles
 from epipole.runs.contents import content_digests
 from epipole.runs.units import Unit, store
 
 SMALL = Camera("PINHOLE", 160, 120, [130.0, 130.0, 79.5, 59.5])
-SENSORS = {"stereo": SlamCamera(SMALL, STEREO.baseline), "mono": SlamCamera(SMALL)}
+SENSOR = SlamCamera(SMALL, STEREO.baseline)
 VIEWS = 4
 
 
@@ -81,47 +78,19 @@ def go_on_training(kind: str) -> Callable[[Path], None]:
 
 
 @cache
-def frames_of(kind: str) -> list[Frame]:
-    """Small pictures of a ride."""
+def frames() -> list[Frame]:
+    """Small images of a ride."""
     out = []
     for n, frame in enumerate(ride("arc", 6).frames("stereo")):
         left, right = frame.grey[::2, ::2].copy(), frame.right_grey[::2, ::2].copy()
-        out.append(Frame(0.1 * n, left, right if kind == "stereo" else None))
+        out.append(Frame(0.1 * n, left, right))
     return out
-
-
-def put_state(kind: str) -> Callable[[Path], None]:
-    """SLAM after four frames: in a map, or before the start of one."""
-
-    def write(folder: Path) -> None:
-        system, files = Slam(SENSORS[kind]), StateFiles(folder)
-        for frame in frames_of(kind)[:4]:
-            system.track(frame)
-        for _ in range(2):
-            files.write(vars(system), known_to(system), {"num_lines": 4, "num_bytes": 9})
-        files.close()
-
-    return write
-
-
-def go_on_tracking(kind: str) -> Callable[[Path], None]:
-    """Restore it, and track two frames."""
-
-    def read(folder: Path) -> None:
-        system = Slam(SENSORS[kind])
-        vars(system).update(read_state(system, StateFiles(folder)).state)
-        for frame in frames_of(kind)[4:]:
-            if system._before is not None and system._before.timestamp_s >= frame.timestamp_s:
-                return  # refused, as a frame that is not later
-            system.track(frame)
-
-    return read
 
 
 def put_map(folder: Path) -> None:
     """Of a pair of cameras."""
-    system = Slam(SENSORS["stereo"])
-    for frame in frames_of("stereo")[:4]:
+    system = Slam(SENSOR)
+    for frame in frames()[:4]:
         system.track(frame)
     names = [f"{n}.png" for n in range(len(system.map.keyframes))]
     write_slam_map(folder / "map.npz", system.map, names, system.camera)
@@ -130,9 +99,9 @@ def put_map(folder: Path) -> None:
 def go_on_in_map(folder: Path) -> None:
     """Draw it, and track two frames in it."""
     sketch_of_map(folder / "map.npz")
-    known = read_slam_map(folder / "map.npz", SENSORS["stereo"])
-    system = Slam(SENSORS["stereo"], known=known.model)
-    for frame in frames_of("stereo")[4:]:
+    known = read_slam_map(folder / "map.npz", SENSOR)
+    system = Slam(SENSOR, known=known.model)
+    for frame in frames()[4:]:
         system.track(frame)
 
 
@@ -203,7 +172,6 @@ SEALED: dict[str, tuple[Callable[[Path], None], str, Callable[[Path], None], flo
         f"checkpoint-{kind}": (put_checkpoint(kind), CHECKPOINT, go_on_training(kind), weight)
         for kind, weight in (("splat", 1.0), ("hash", 0.1), ("grid", 0.3))
     },
-    **{f"slam-{kind}-going-on": (put_state(kind), STATE, go_on_tracking(kind), 1.0) for kind in SENSORS},
     "slam-map-going-on": (put_map, "map.npz", go_on_in_map, 0.7),
     "unit-features": (put_features, "a.npz", use_features, 1.0),
     "unit-matches": (put_matches, "a.npz", use_matches, 1.0),

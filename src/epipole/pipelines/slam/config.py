@@ -213,7 +213,7 @@ class JobOptions:
     """The true path, for errors in the summary and the report: a trajectory (TUM, KITTI or EuRoC), or a folder that
     brings one (7-Scenes, TUM RGB-D, KITTI)."""
     resume: bool = False
-    """Go on with the run that was stopped in the output folder, wherever it was killed; refused where that was another."""
+    """Continue the run that was stopped in the output folder; one whose frames can be read again is started again."""
     view: bool = False
     """Show path, map and picture in the browser while it runs, and after it until Ctrl-C."""
     port: int | None = None

@@ -69,17 +69,15 @@ class SlamCamera:
         """Whether a single frame has depth."""
         return self.depth is not None or self.baseline is not None
 
-    def checked(self, frame: Frame, before: Frame | None = None) -> Frame:
-        """The frame, without the pixels that have no ray, once it is known to be this camera's and later than the one before.
+    def checked(self, frame: Frame, after_s: float = -np.inf) -> Frame:
+        """The frame, without the pixels that have no ray, once it is known to be this camera's and later than `after_s`.
 
         Raises:
             ShapeError: the pictures are not of the camera's size.
             ConfigError: the frame is not later, or lacks what tells depth.
         """
-        if before is not None and frame.timestamp_s <= before.timestamp_s:
-            raise ConfigError(
-                f"a frame of {frame.timestamp_s:.6f} s comes after one of {before.timestamp_s:.6f} s"
-            )
+        if frame.timestamp_s <= after_s:
+            raise ConfigError(f"a frame of {frame.timestamp_s:.6f} s comes after one of {after_s:.6f} s")
         lens = self.camera
         if frame.grey.shape != (lens.height, lens.width):
             size = f"{frame.grey.shape[1]} x {frame.grey.shape[0]}"

@@ -21,6 +21,7 @@ from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video
 from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
+from epipole.pipelines.slam import autosave
 from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.feeding import Feed
@@ -44,13 +45,7 @@ from epipole.pipelines.slam.results import (
     keyframe_names,
     write_results,
 )
-from epipole.pipelines.slam.resuming import (
-    CHECKPOINT,
-    TakenUp,
-    key_of,
-    settled,
-    take_up,
-)
+from epipole.pipelines.slam.resuming import Continued, completing, key_of, start_or_continue
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.source import FrameSource, open_sequence
 from epipole.pipelines.slam.truth import true_path_at
@@ -109,16 +104,17 @@ def slam(
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
         run.warnings += _notes(found, system)
-        key = key_of(run.folder.source.sketch, frames, system, wanted, model)
-        stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
+        key = key_of(run.folder.source.sketch, frames, system, wanted)
+        stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
+        run.warnings += stands.notes
         feed = Feed(stands.source, stands.job, is_stopped)
         feed.num_dropped = stands.num_dropped
-        with run.stage("track"), closing(stands.checkpoint):
-            records = _track(feed, system, progress, live, stands)
+        with run.stage("track"), closing(stands.autosave):
+            records = _track(feed, system, progress, live, stands, known)
         with run.stage("adjust"):
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
-        with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
+        with completing(run.root / autosave.FOLDER, key, is_complete=not feed.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
 
@@ -245,9 +241,14 @@ def _input(source: Path) -> Path:
 
 
 def _track(
-    feed: Feed, system: Slam, progress: ProgressCallback, live: LiveView, stands: TakenUp
+    feed: Feed,
+    system: Slam,
+    progress: ProgressCallback,
+    live: LiveView,
+    stands: Continued,
+    known: KnownMap | None,
 ) -> list[FrameRecord]:
-    """Every frame in turn; one that cannot be read, or does not fit, is left out and named."""
+    """Track every frame; one that cannot be read, or does not fit, is left out and named."""
     records, before = stands.records, len(stands.records)
     for queued in feed:
         answer, problem, begin, compiling = None, "", perf_counter(), compile_seconds()
@@ -260,9 +261,9 @@ def _track(
             problem = f"frame {number} is left out: {error}"
         seconds = perf_counter() - begin - (compile_seconds() - compiling)
         records.append(FrameRecord(number, queued.name, seconds, answer, problem))
-        stands.checkpoint.add(system, records)
+        stands.autosave.add(system, records, lambda: keyframe_names(system, records, known))
         if answer is not None:
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
-    stands.checkpoint.keep(system)
+    stands.autosave.save_map(system, lambda: keyframe_names(system, records, known))
     return records

@@ -47,7 +47,7 @@ class Slam(SlamState):
             ShapeError: the pictures are not of the camera's size.
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
-        frame = self.camera.checked(frame, self._before)
+        frame = self.camera.checked(frame, self._time_s)
         self._look = self._watch.look(frame)
         if not self.map.num_points:
             answer = self._begin(frame)
@@ -55,7 +55,7 @@ class Slam(SlamState):
             answer = self._find_place(frame)
         else:
             answer = self._follow(frame)
-        self._before = frame
+        self._before, self._time_s = frame, frame.timestamp_s
         self._num_frames += 1
         return self._look.told(self._with_doubts(answer))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from epipole._declared import checked
@@ -79,6 +81,7 @@ class SlamState:
         self._turning: Turning | None = None
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
+        self._time_s = -np.inf
         self._watch, self._look = PictureWatch(), Look()
         self._cam_from_world = Rigid3.identity()
         self._path = Path(self.first_number)
@@ -90,6 +93,36 @@ class SlamState:
         self.map = model
         self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
         self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
+
+    def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
+        """Continue in a map after frames that another process tracked; the camera is to be relocalized in it.
+
+        Each frame keeps its motion relative to the last keyframe before it, as it was estimated when the frame came. Answers
+        in other maps lose their poses.
+
+        Args:
+            model: the map; one without points if none was saved.
+            answers: of all frames that were tracked, in their order.
+        """
+        self.maps = [model]
+        self._enter(model)
+        self._num_maps = 1 + max([model.number, *(answer.map_number for answer in answers)])
+        keyframes = {keyframe.number: keyframe for keyframe in model.keyframes}
+        reference: tuple[Keyframe, Rigid3] | None = None
+        for number, answer in enumerate(answers, self.first_number):
+            keyframe, pose = keyframes.get(number), answer.world_from_body
+            pose = pose if answer.map_number == model.number else None
+            if keyframe is not None:
+                reference = keyframe, keyframe.cam_from_world if pose is None else pose.inverse()
+            if reference is not None and pose is not None:
+                keyframe, then = reference
+                cam_from_world = pose.inverse() @ then.inverse() @ keyframe.cam_from_world
+                covariance = np.zeros((6, 6)) if answer.covariance is None else answer.covariance
+                self._path.add(number, answer.timestamp_s, keyframe, cam_from_world, covariance)
+        self._num_frames = self.first_number + len(answers)
+        self._time_s = answers[-1].timestamp_s if answers else -np.inf
+        if model.num_points:
+            self.state, self._num_lost = TrackingState.LOST, 1
 
     def trajectory(self, number: int = 0) -> Trajectory:
         """Every frame that has a place in one of the maps, the first by default, with the map as it is now."""
