@@ -29,10 +29,10 @@ from benchmarks.peers.slam_frames import SlamFrames, load_frames
 from benchmarks.tasks.slam import prepare
 from epipole.geometry import Rigid3
 from epipole.io.trajectories import read_trajectory
-from epipole.pipelines.slam.autosave import Autosave
 from epipole.pipelines.slam.frames import Frame
-from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import keyframe_names
+from epipole.pipelines.slam.output.autosave import Autosave
+from epipole.pipelines.slam.output.record import FrameRecord
+from epipole.pipelines.slam.output.results import keyframe_names
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs import thread_scope
 

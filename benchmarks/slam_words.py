@@ -13,8 +13,8 @@ import numpy as np
 from epipole.features import describe_upright, train_vocabulary
 from epipole.io.photographs import read_grey
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.corners import new_corners
-from epipole.pipelines.slam.place_recognition import WORDS
+from epipole.pipelines.slam.loops.recognition import WORDS
+from epipole.pipelines.slam.tracking.corners import new_corners
 
 SETS = ("sfm", "failure/moving_person", "failure/panorama", "calibration/opencv_stereo", "twoview/graf")
 NUM_WORDS = 64

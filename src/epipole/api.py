@@ -46,9 +46,9 @@ from epipole.pipelines.slam.frames import DepthCamera as DepthCamera
 from epipole.pipelines.slam.frames import Frame as Frame
 from epipole.pipelines.slam.frames import SlamCamera as SlamCamera
 from epipole.pipelines.slam.frames import TrackedFrame as TrackedFrame
-from epipole.pipelines.slam.map_files import read_slam_map as read_slam_map
-from epipole.pipelines.slam.map_files import write_slam_map as write_slam_map
-from epipole.pipelines.slam.results import SlamResult as SlamResult
+from epipole.pipelines.slam.output.map_file import read_slam_map as read_slam_map
+from epipole.pipelines.slam.output.map_file import write_slam_map as write_slam_map
+from epipole.pipelines.slam.output.results import SlamResult as SlamResult
 from epipole.pipelines.slam.run import slam as slam
 from epipole.pipelines.slam.slam import Slam as Slam
 from epipole.pipelines.stereo.config import StereoConfig as StereoConfig

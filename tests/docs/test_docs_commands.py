@@ -25,7 +25,7 @@ from docs_worlds import AFTER_RECONSTRUCTING, WORLDS
 from epipole.cli.main import main
 from epipole.lesson import command as lesson
 from epipole.pipelines.slam import command as slam
-from epipole.pipelines.slam import moving_sources
+from epipole.pipelines.slam.sources import streams as moving_sources
 from epipole.pipelines.viewing import command as viewing
 
 BLOCKS = {

@@ -88,11 +88,11 @@ from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.fields.kinds import read_neural, read_voxels
 from epipole.pipelines.sfm.pairing import read_pairs
-from epipole.pipelines.slam.answer_log import ANSWERS, line_of, read_answers
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.map_files import read_slam_map, write_slam_map
-from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers
+from epipole.pipelines.slam.output.map_file import read_slam_map, write_slam_map
+from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.stereo.files import read_stereo, write_picture
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs.folder import OutputFolder, read_mark

@@ -23,7 +23,7 @@ from epipole.pipelines.sfm.match_stage import load_putative, load_view_graph
 from epipole.pipelines.sfm.pair_blocks import PairBlock, filled
 from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES
 from epipole.pipelines.slam.frames import Frame, SlamCamera
-from epipole.pipelines.slam.map_files import read_slam_map, sketch_of_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import read_slam_map, sketch_of_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs.contents import content_digests
 from epipole.runs.units import Unit, store

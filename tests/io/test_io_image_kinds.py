@@ -26,7 +26,7 @@ from epipole.io.photographs import (
 )
 from epipole.io.rgba_pictures import read_rgba
 from epipole.io.sequences import read_sequence
-from epipole.pipelines.slam.source import open_sequence
+from epipole.pipelines.slam.sources.folder import open_sequence
 
 
 def smooth_rgb(height: int = 40, width: int = 56) -> np.ndarray:

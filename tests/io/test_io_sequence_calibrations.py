@@ -8,7 +8,7 @@ import pytest
 
 from epipole.errors import ConfigError
 from epipole.io import SequenceKind, read_sequence
-from epipole.pipelines.slam.source import open_sequence
+from epipole.pipelines.slam.sources.folder import open_sequence
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 

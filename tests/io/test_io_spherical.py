@@ -17,7 +17,7 @@ from epipole.io.video_files import write_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
-from epipole.pipelines.slam.found_camera import find_camera
+from epipole.pipelines.slam.sources.intrinsics import find_camera
 from io_models import small_model
 
 FAULTS = Path(__file__).parents[2].parent / "shared" / "data" / "faults"

@@ -12,7 +12,7 @@ from epipole.io.video import frame_orientation
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.moving_sources import open_video_frames
+from epipole.pipelines.slam.sources.streams import open_video_frames
 from epipole.runs import ignore_progress
 
 W, H = 96, 64

@@ -11,9 +11,9 @@ from epipole import CameraOptions, Slam, read_slam_map
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError
 from epipole.geometry import align_points
-from epipole.pipelines.slam.anchors import anchor_map
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.map_files import MAP_FILE, TABLE, VERSION
+from epipole.pipelines.slam.output.map_file import MAP_FILE, TABLE, VERSION
+from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.runs.units import load, store
 

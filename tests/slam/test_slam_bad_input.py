@@ -12,10 +12,10 @@ from epipole.geometry import Rigid3
 from epipole.io import read_sequence
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.depth_range import DepthRange
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.source import FrameSource, QueuedFrame
+from epipole.pipelines.slam.sources.depth_range import DepthRange
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 KNOWN = CameraOptions(camera_params=PARAMS)

@@ -5,7 +5,7 @@ import pytest
 from slam_rides import ride
 
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.corners import LEAST_NOISE, new_corners, noise_of
+from epipole.pipelines.slam.tracking.corners import LEAST_NOISE, new_corners, noise_of
 from epipole.synthetic import courtyard, render
 
 NONE = np.zeros((0, 2))

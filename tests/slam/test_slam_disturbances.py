@@ -6,8 +6,8 @@ from slam_rides import RGBD, STEREO, drawn, errors, followed, ride
 
 from epipole import _parallel
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam.doubts import doubts
 from epipole.pipelines.slam.frames import Frame, TrackingState
+from epipole.pipelines.slam.output.warnings import doubts
 from epipole.pipelines.slam.slam import Slam
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked

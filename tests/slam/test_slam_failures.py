@@ -10,12 +10,12 @@ from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.camera_params import camera_of_text
 from epipole.pipelines.slam.config import CameraOptions, SlamConfig
-from epipole.pipelines.slam.doubts import doubts, moving_things, rest
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
-from epipole.pipelines.slam.lens_check import check_lens, lens_warnings
-from epipole.pipelines.slam.picture_watch import PictureWatch
+from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings
+from epipole.pipelines.slam.output.warnings import doubts, moving_things, rest
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.second_motion import second_motion
+from epipole.pipelines.slam.tracking.frame_quality import PictureWatch
+from epipole.pipelines.slam.tracking.moving_objects import second_motion
 from epipole.scene import Trajectory
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")

@@ -7,11 +7,11 @@ import pytest
 from tests.slam.slam_rides import RGBD, followed, ride
 
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam import forgetting
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.path import Path
+from epipole.pipelines.slam.map import culling as forgetting
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 
 OFTEN = SlamConfig(keyframe_gap=2)
 """A keyframe every second frame."""

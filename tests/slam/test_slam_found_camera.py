@@ -9,7 +9,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.io.calibration_files import read_calibration
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.map_files import camera_of_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import camera_of_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 
 

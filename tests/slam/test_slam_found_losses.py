@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from slam_rides import CAMERA
 
-from epipole.pipelines.slam import found_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
+from epipole.pipelines.slam.sources import intrinsics as found_camera
 from epipole.runs import ignore_progress
 
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from epipole.pipelines.slam.found_camera import _honest_sigma_px
+from epipole.pipelines.slam.sources.intrinsics import _honest_sigma_px
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

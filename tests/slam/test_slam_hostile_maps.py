@@ -7,7 +7,13 @@ import pytest
 from slam_rides import STEREO, ride
 
 from epipole.errors import FileFormatError
-from epipole.pipelines.slam.map_files import TABLE, VERSION, read_slam_map, sketch_of_map, write_slam_map
+from epipole.pipelines.slam.output.map_file import (
+    TABLE,
+    VERSION,
+    read_slam_map,
+    sketch_of_map,
+    write_slam_map,
+)
 from epipole.pipelines.slam.slam import Slam
 from epipole.runs.units import load, store
 

@@ -12,8 +12,8 @@ from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
-from epipole.pipelines.slam.anchors import anchor_map
-from epipole.pipelines.slam.inertial_ties import InertialTies
+from epipole.pipelines.slam.map.imu import InertialTies
+from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic.inertial import imu_along, inertial_path

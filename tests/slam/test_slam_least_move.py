@@ -5,7 +5,7 @@ import pytest
 from slam_rides import drawn, followed
 
 from epipole.geometry import Rigid3, Similarity3
-from epipole.pipelines.slam.least_move import least_move
+from epipole.pipelines.slam.map.gauge import least_move
 
 
 @pytest.mark.parametrize("count", [2, 3, 30])

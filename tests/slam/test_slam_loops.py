@@ -8,7 +8,7 @@ from slam_rides import drawn, errors
 
 from epipole.geometry import Rigid3, Rotation3
 from epipole.pipelines.slam.frames import Frame, TrackingState
-from epipole.pipelines.slam.loop_closing import LoopCloser
+from epipole.pipelines.slam.loops.closing import LoopCloser
 from epipole.pipelines.slam.slam import Slam
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked

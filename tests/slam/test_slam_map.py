@@ -7,13 +7,13 @@ import pytest
 from slam_rides import CAMERA, MONO, RGBD, followed, ride
 
 from epipole.geometry import Rigid3, Similarity3
-from epipole.pipelines.slam import loop_closing
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.loop_closing import LoopCloser, Tie
-from epipole.pipelines.slam.loop_correction import spread_drift
-from epipole.pipelines.slam.path import Path
-from epipole.pipelines.slam.place_recognition import Recognition, View
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.loops import closing as loop_closing
+from epipole.pipelines.slam.loops.closing import LoopCloser, Tie
+from epipole.pipelines.slam.loops.correction import spread_drift
+from epipole.pipelines.slam.loops.recognition import Recognition, View
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.trajectory import Path
 
 GREY = np.zeros((240, 320), np.uint8)
 

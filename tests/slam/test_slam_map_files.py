@@ -11,7 +11,7 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import DepthCamera, SlamCamera, TrackingState
-from epipole.pipelines.slam.map_files import MAP_FILE
+from epipole.pipelines.slam.output.map_file import MAP_FILE
 from epipole.pipelines.slam.run import slam as run_slam
 
 

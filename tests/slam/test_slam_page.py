@@ -13,14 +13,14 @@ from slam_rides import MONO, STEREO, followed, ride, write_pairs
 from epipole import api
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.pipelines.slam import page as slam_page
-from epipole.pipelines.slam import results as slam_results
 from epipole.pipelines.slam import run as slam_run
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.drawing import LOOPS, loop_curve, path_curve, upright_from_world
 from epipole.pipelines.slam.frames import TrackingState
-from epipole.pipelines.slam.live import BrowserView
-from epipole.pipelines.slam.scene import is_mine
+from epipole.pipelines.slam.output import page as slam_page
+from epipole.pipelines.slam.output import results as slam_results
+from epipole.pipelines.slam.output.drawing import LOOPS, loop_curve, path_curve, upright_from_world
+from epipole.pipelines.slam.output.live import BrowserView
+from epipole.pipelines.slam.output.scene import is_mine
 from epipole.scene import Trajectory
 from epipole.viewer.live import PLACED_RGB, WAITING_RGB, Budget, frusta_pieces, picture_with_points
 

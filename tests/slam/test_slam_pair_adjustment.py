@@ -6,9 +6,9 @@ from slam_rides import CAMERA, STEREO
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.local_mapping import LEAST_TOGETHER, LocalMapper
-from epipole.pipelines.slam.pair_adjustment import LEAST_SHIFT_PX
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.local_mapping import LEAST_TOGETHER, LocalMapper
+from epipole.pipelines.slam.map.pair_adjustment import LEAST_SHIFT_PX
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 
 FOCAL_BASELINE = 31.2
 

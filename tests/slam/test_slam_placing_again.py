@@ -6,11 +6,11 @@ from slam_rides import CAMERA, MONO, RGBD
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.map_tracking import MapTracker
-from epipole.pipelines.slam.path import Path
-from epipole.pipelines.slam.placing_again import KEYFRAMES_LATER, place_again
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
-from epipole.pipelines.slam.tracking import SeenFrame
+from epipole.pipelines.slam.map.past_poses import KEYFRAMES_LATER, place_again
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.trajectory import Path
+from epipole.pipelines.slam.tracking.points import SeenFrame
+from epipole.pipelines.slam.tracking.tracker import MapTracker
 
 NUM_FRAMES = 3 * KEYFRAMES_LATER + 3
 FOCAL_BASELINE, OFF = 31.2, Rigid3.exp(np.array([0.03, -0.02, 0.04, 0.01, 0.02, -0.01]))

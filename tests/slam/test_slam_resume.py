@@ -15,11 +15,12 @@ from epipole.geometry import Rigid3
 from epipole.io import read_trajectory
 from epipole.io.frame_tables import read_frame_table
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam import autosave, resuming, run
-from epipole.pipelines.slam.answer_log import ANSWERS, read_answers
-from epipole.pipelines.slam.resuming import STARTED_AGAIN
+from epipole.pipelines.slam import run
+from epipole.pipelines.slam.output import autosave, resuming
+from epipole.pipelines.slam.output.answer_log import ANSWERS, read_answers
+from epipole.pipelines.slam.output.resuming import STARTED_AGAIN
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.source import FrameSource, QueuedFrame
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 
 WRITTEN = ("trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt", "map/map.npz")
 

@@ -9,8 +9,8 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rotation3
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.export import reconstruction_of
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackingState
+from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.slam import Slam
 
 

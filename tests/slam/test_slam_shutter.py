@@ -10,11 +10,11 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import CameraOptions
-from epipole.pipelines.slam.recent_motion import RecentMotion, motion_among
-from epipole.pipelines.slam.shutter import at_middle, refine_while_moving, shutter_shifts
-from epipole.pipelines.slam.shutter_check import find_readout
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.shutter.check import find_readout
+from epipole.pipelines.slam.shutter.motion import at_middle, refine_while_moving, shutter_shifts
+from epipole.pipelines.slam.shutter.recent_motion import RecentMotion, motion_among
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
 
 CAMERA, READOUT_S = Camera("PINHOLE", 640, 480, [450.0, 450.0, 319.5, 239.5]), 0.03
 BY_THE_FRAMES = 0.09

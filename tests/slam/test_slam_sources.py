@@ -22,12 +22,12 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error
-from epipole.pipelines.slam import moving_sources
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
-from epipole.pipelines.slam.feeding import Clock, Feed
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.source import FrameSource, QueuedFrame
+from epipole.pipelines.slam.sources import streams as moving_sources
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
+from epipole.pipelines.slam.sources.frame_stream import Clock, Feed
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 KNOWN = CameraOptions(camera_params=PARAMS)

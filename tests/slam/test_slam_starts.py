@@ -10,11 +10,11 @@ from slam_rides import CAMERA, MONO, RGBD, followed, ride
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory
-from epipole.pipelines.slam import starting
-from epipole.pipelines.slam.doubts import doubts
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
+from epipole.pipelines.slam.output.warnings import doubts
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.start_motions import Judged, judge, motions_of_plane, rival_of
+from epipole.pipelines.slam.start import two_view as starting
+from epipole.pipelines.slam.start.candidate_motions import Judged, judge, motions_of_plane, rival_of
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 

@@ -16,9 +16,9 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
-from epipole.pipelines.slam.record import FrameRecord, stretches, without_numbers, write_records
+from epipole.pipelines.slam.output.record import FrameRecord, stretches, without_numbers, write_records
+from epipole.pipelines.slam.output.truth import errors_of, true_path_at, truth_at_frames, truth_summary
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.truth import errors_of, true_path_at, truth_at_frames, truth_summary
 from epipole.scene import Trajectory
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))

@@ -13,7 +13,7 @@ from epipole.io.photographs import read_grey
 from epipole.io.sequences import read_sequence
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
-from epipole.pipelines.slam.source import open_sequence
+from epipole.pipelines.slam.sources.folder import open_sequence
 
 W, H = 64, 48
 

@@ -26,8 +26,8 @@ from epipole.io.trajectories import write_trajectory
 from epipole.pipelines.fields.kinds import KINDS as KINDS_OF_FIELDS
 from epipole.pipelines.sfm.scene import picture_loader
 from epipole.pipelines.slam.frames import SlamCamera
-from epipole.pipelines.slam.map_files import write_slam_map
-from epipole.pipelines.slam.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.output.map_file import write_slam_map
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.scene import RectifiedRig, Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud

@@ -15,7 +15,7 @@ from epipole.pipelines.sfm.command import STAGES
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 
 if TYPE_CHECKING:
-    from epipole.pipelines.slam.results import SlamResult
+    from epipole.pipelines.slam.output.results import SlamResult
 
 DEFAULTS, NO_CAMERA, ALL_FRAMES = SlamConfig(), CameraOptions(), JobOptions()
 LEAST_SHIFT_TOLD_PX = 0.1
@@ -144,7 +144,7 @@ def _error_words(found: dict[str, Any], *, is_metric: bool) -> str:
 def _stay(out: Path, job: JobOptions) -> None:
     """Go on to show what was made, at the live view's address, until Ctrl-C."""
     from epipole.errors import FileFormatError
-    from epipole.pipelines.slam.scene import scene
+    from epipole.pipelines.slam.output.scene import scene
     from epipole.viewer import view_scene
 
     try:

@@ -21,22 +21,13 @@ from epipole.io.photographs import read_header
 from epipole.io.sequences import read_sequence
 from epipole.io.video import is_video
 from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
-from epipole.pipelines.slam import autosave
-from epipole.pipelines.slam.anchors import anchor_map, check_known_map, check_one_camera
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
-from epipole.pipelines.slam.feeding import Feed
-from epipole.pipelines.slam.found_camera import FoundCamera, find_camera
-from epipole.pipelines.slam.live import LiveView, open_live
-from epipole.pipelines.slam.local_mapping import LAST_STEPS
-from epipole.pipelines.slam.map_files import KnownMap, read_slam_map, require_map
-from epipole.pipelines.slam.moving_sources import (
-    camera_index,
-    open_bag_frames,
-    open_camera,
-    open_video_frames,
-)
-from epipole.pipelines.slam.record import FrameRecord
-from epipole.pipelines.slam.results import (
+from epipole.pipelines.slam.map.local_mapping import LAST_STEPS
+from epipole.pipelines.slam.output import autosave
+from epipole.pipelines.slam.output.live import LiveView, open_live
+from epipole.pipelines.slam.output.map_file import KnownMap, read_slam_map, require_map
+from epipole.pipelines.slam.output.record import FrameRecord
+from epipole.pipelines.slam.output.results import (
     PLACED,
     PLACED_WORDS,
     Given,
@@ -45,10 +36,19 @@ from epipole.pipelines.slam.results import (
     keyframe_names,
     write_results,
 )
-from epipole.pipelines.slam.resuming import Continued, completing, key_of, start_or_continue
+from epipole.pipelines.slam.output.resuming import Continued, completing, key_of, start_or_continue
+from epipole.pipelines.slam.output.scale import anchor_map, check_known_map, check_one_camera
+from epipole.pipelines.slam.output.truth import true_path_at
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.source import FrameSource, open_sequence
-from epipole.pipelines.slam.truth import true_path_at
+from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
+from epipole.pipelines.slam.sources.frame_stream import Feed
+from epipole.pipelines.slam.sources.intrinsics import FoundCamera, find_camera
+from epipole.pipelines.slam.sources.streams import (
+    camera_index,
+    open_bag_frames,
+    open_camera,
+    open_video_frames,
+)
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
 from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_place

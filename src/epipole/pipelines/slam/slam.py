@@ -9,21 +9,21 @@ import numpy as np
 from epipole._declared import checked
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
-from epipole.pipelines.slam.forgetting import forget
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
-from epipole.pipelines.slam.loop_closing import Tie
-from epipole.pipelines.slam.loop_correction import fuse, spread_drift
-from epipole.pipelines.slam.map_covariance import carry_covariance, own_covariance
-from epipole.pipelines.slam.new_points import place_from, triangulate
-from epipole.pipelines.slam.place_recognition import describe_keyframe
-from epipole.pipelines.slam.placing_again import place_again
-from epipole.pipelines.slam.relocalizing import relocalize
-from epipole.pipelines.slam.settling_start import settle_start
-from epipole.pipelines.slam.slam_map import SlamMap
+from epipole.pipelines.slam.loops.closing import Tie
+from epipole.pipelines.slam.loops.correction import fuse, spread_drift
+from epipole.pipelines.slam.loops.recognition import describe_keyframe
+from epipole.pipelines.slam.loops.relocalization import relocalize
+from epipole.pipelines.slam.map.covariance import carry_covariance, own_covariance
+from epipole.pipelines.slam.map.culling import forget
+from epipole.pipelines.slam.map.past_poses import place_again
+from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.map.triangulation import place_from, triangulate
 from epipole.pipelines.slam.slam_state import SlamState
-from epipole.pipelines.slam.starting import Begun, Confirmation, OneCameraStart, place_in_map
-from epipole.pipelines.slam.tracking import Tracks
-from epipole.pipelines.slam.turning import Turned, Turning
+from epipole.pipelines.slam.start.bootstrap import settle_start
+from epipole.pipelines.slam.start.rotation import Turned, Turning
+from epipole.pipelines.slam.start.two_view import Begun, Confirmation, OneCameraStart, place_in_map
+from epipole.pipelines.slam.tracking.points import Tracks
 
 LOOP_ITERATIONS = 10
 """Of the adjustment of the whole map after a loop; the last frame is followed by a longer one."""

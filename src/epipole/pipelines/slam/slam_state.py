@@ -12,16 +12,16 @@ from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
-from epipole.pipelines.slam.local_mapping import LocalMapper, focal_baseline_of
-from epipole.pipelines.slam.loop_closing import LoopCloser
-from epipole.pipelines.slam.map_covariance import with_map_error
-from epipole.pipelines.slam.map_tracking import MapTracker
-from epipole.pipelines.slam.path import Path
-from epipole.pipelines.slam.picture_watch import Look, PictureWatch
-from epipole.pipelines.slam.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.loops.closing import LoopCloser
+from epipole.pipelines.slam.map.covariance import with_map_error
+from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
-from epipole.pipelines.slam.starting import OneCameraStart
-from epipole.pipelines.slam.turning import Turning
+from epipole.pipelines.slam.start.rotation import Turning
+from epipole.pipelines.slam.start.two_view import OneCameraStart
+from epipole.pipelines.slam.tracking.frame_quality import Look, PictureWatch
+from epipole.pipelines.slam.tracking.tracker import MapTracker
 from epipole.scene import Trajectory
 
 UNCONFIRMED = "the map's initialization is not confirmed yet"

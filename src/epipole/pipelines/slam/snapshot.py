@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float64
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import TrackingState
-from epipole.pipelines.slam.slam_map import SlamMap
-from epipole.pipelines.slam.tracking import Tracks
+from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.tracking.points import Tracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)

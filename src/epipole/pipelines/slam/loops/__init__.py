@@ -1,0 +1,1 @@
+"""Recognizing revisited parts of a map, and correcting the drift."""

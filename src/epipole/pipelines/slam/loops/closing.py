@@ -1,0 +1,205 @@
+"""Places seen again: looked for at every keyframe, believed only after several keyframes tell the same, all written down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.geometry import Rotation3, Similarity3
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.loops.recognition import (
+    Recognition,
+    describe_keyframe,
+    is_same_place,
+    most_alike,
+    recognize,
+    rival_of,
+)
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+
+CANDIDATES = 3
+CONFIRMATIONS = 3
+"""Keyframes that must tell the same motion between what is remembered and what is seen."""
+PATIENCE = 4
+"""Keyframes that may tell nothing in between."""
+LOCAL_POINTS = 10
+"""Keyframes that share as many points are neighbours: to see a neighbour again tells nothing."""
+MIN_APART = 10
+"""Keyframes between, at least."""
+LARGEST_SCALE = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCandidate:
+    """A line of the ledger: a place that looked like one seen before."""
+
+    frame: int
+    """Number of the frame that saw it."""
+    keyframe: int
+    """Number of the frame that had seen it before."""
+    verdict: str
+    """accepted, waiting (for more keyframes that tell the same), or rejected."""
+    reason: str
+    num_matches: int
+    num_agreeing: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tie:
+    """Two places of maps that are one."""
+
+    there: SlamMap
+    keyframe: int
+    """In `there`."""
+    there_from_here: Similarity3
+    found: Recognition
+
+
+@dataclass(slots=True, eq=False)
+class _Hypothesis:
+    there: SlamMap
+    keyframe: int
+    there_from_here: Similarity3
+    count: int
+    age: int
+
+
+class LoopCloser:
+    """Looks for places seen before, at every keyframe, in the map itself and in maps from before the camera was lost."""
+
+    def __init__(self, camera: Camera, config: SlamConfig, *, is_metric: bool) -> None:
+        self.camera, self.config, self.is_metric = camera, config, is_metric
+        self.ledger: list[LoopCandidate] = []
+        self._waiting: list[_Hypothesis] = []
+
+    def forget(self) -> None:
+        """Give up what waits for confirmation: the map has changed."""
+        self._waiting.clear()
+
+    def reject_last(self, reason: str) -> None:
+        """What was accepted last does not fit after all."""
+        self.ledger[-1] = replace(self.ledger[-1], verdict="rejected", reason=reason)
+
+    def consider(self, here: SlamMap, there: SlamMap) -> Tie | None:
+        """Whether the newest keyframe of `here` shows a place of `there`; None until it is sure."""
+        newest = here.keyframes[-1]
+        view = describe_keyframe(newest)
+        excluded, unwanted = self._surroundings(here, there)
+        for hypothesis in self._waiting:
+            hypothesis.age += hypothesis.there is there
+        self._waiting = [h for h in self._waiting if h.age <= PATIENCE]
+        again = [h.keyframe for h in self._waiting if h.there is there and h.keyframe < len(there.keyframes)]
+        alike = [k for k, _ in most_alike(view.look, there, excluded, CANDIDATES)]
+        found = [
+            recognize(view, there, k, self.camera, self.config, unwanted)
+            for k in dict.fromkeys([*alike, *again])
+        ]
+        plausible = []
+        for one in found:
+            reason = one.reason or self._implausible(here, there, one)
+            if reason:
+                self._note(newest, there, one, "rejected", reason)
+            else:
+                plausible.append(one)
+        return self._believe(here, there, plausible)
+
+    def _surroundings(self, here: SlamMap, there: SlamMap) -> tuple[np.ndarray, np.ndarray | None]:
+        """Keyframes of `there` around the newest of `here`, and the points that they see."""
+        if there is not here:
+            return np.zeros(len(there.keyframes), bool), None
+        count = len(here.keyframes)
+        near = here.num_shared([count - 1]) >= LOCAL_POINTS
+        near[max(0, count - MIN_APART) :] = True
+        local = [int(k) for k in np.flatnonzero(near)]
+        points = np.unique(np.concatenate([here.keyframes[k].point for k in local]))
+        excluded = near | (here.num_shared(local) >= LOCAL_POINTS)
+        return excluded, points
+
+    def _implausible(self, here: SlamMap, there: SlamMap, found: Recognition) -> str:
+        """Why a place cannot be the same: the way between would have to be wrong by more than it can be."""
+        if there is not here:
+            return ""
+        way, turn = _way_since(here, found.keyframe)
+        place = here.keyframes[-1].cam_from_world
+        off = float(np.linalg.norm((place @ found.cam_from_world.inverse()).translation))
+        turned = float(np.degrees(Rotation3(place.rotation @ found.cam_from_world.rotation.T).angle_rad()))
+        share, depth = (0.06 if self.is_metric else 0.3), _median_depth(here)
+        if off > share * way + 0.05 * depth:
+            return f"the way of {way:.3g} since would be wrong by {off:.3g}"
+        if turned > 5.0 + 0.04 * turn:
+            return f"the turns of {turn:.0f} degrees since would be wrong by {turned:.0f}"
+        return ""
+
+    def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> Tie | None:
+        newest = here.keyframes[-1]
+        if not plausible:
+            return None
+        best = max(plausible, key=lambda f: len(f.points))
+        if rival_of(best, plausible, there, self.camera) is not None:
+            self._note(newest, there, best, "rejected", "two places look like this one")
+            return None
+        motion = self._motion(newest, here, there, best)
+        if not 1 / LARGEST_SCALE < float(motion.scale) < LARGEST_SCALE:
+            self._note(
+                newest, there, best, "rejected", f"the scale would change by {float(motion.scale):.3g}"
+            )
+            return None
+        for hypothesis in self._waiting:
+            told = hypothesis.there_from_here.move_cam_from_source(newest.cam_from_world)
+            if hypothesis.there is there and is_same_place(told, best, there, self.camera):
+                hypothesis.count, hypothesis.age = hypothesis.count + 1, 0
+                hypothesis.keyframe, hypothesis.there_from_here = best.keyframe, motion
+                break
+        else:
+            hypothesis = _Hypothesis(there, best.keyframe, motion, 1, 0)
+            self._waiting.append(hypothesis)
+        is_sure = hypothesis.count >= CONFIRMATIONS
+        words = f"told by {hypothesis.count} keyframes of {CONFIRMATIONS}"
+        self._note(newest, there, best, "accepted" if is_sure else "waiting", words)
+        return Tie(there, best.keyframe, motion, best) if is_sure else None
+
+    def _motion(self, newest: Keyframe, here: SlamMap, there: SlamMap, found: Recognition) -> Similarity3:
+        """From the world of `here` to that of `there`; of one camera the unit, too, by the depths of the same points."""
+        scale = 1.0
+        if not self.is_metric:
+            rows = paired_rows(newest, found.pixels)
+            rows[rows >= 0] = np.where(here.has_place(newest.point[rows[rows >= 0]]), rows[rows >= 0], -1)
+            both = np.flatnonzero(rows >= 0)
+            now = newest.cam_from_world.apply(here.xyz[newest.point[rows[both]]])[:, 2]
+            then = found.cam_from_world.apply(there.xyz[found.points[both]])[:, 2]
+            scale = float(np.median(then / now)) if len(both) >= 5 else 1.0
+        rotation, place = found.cam_from_world.rotation.T, newest.cam_from_world
+        moved = rotation @ (scale * place.translation - found.cam_from_world.translation)
+        return Similarity3(np.array(scale), rotation @ place.rotation, moved)
+
+    def _note(self, newest: Keyframe, there: SlamMap, found: Recognition, verdict: str, reason: str) -> None:
+        number = there.keyframes[found.keyframe].number
+        self.ledger.append(
+            LoopCandidate(newest.number, number, verdict, reason, found.num_matches, len(found.points))
+        )
+
+
+def paired_rows(keyframe: Keyframe, pixels: np.ndarray, radius_px: float = 2.0) -> np.ndarray:
+    """(n,) the keyframe's observation nearest to each pixel; -1 where none is near."""
+    if not len(keyframe.pixels) or not len(pixels):
+        return np.full(len(pixels), -1)
+    apart = np.linalg.norm(keyframe.pixels[None] - pixels[:, None], axis=2)
+    nearest = apart.argmin(axis=1)
+    return np.where(apart[np.arange(len(pixels)), nearest] <= radius_px, nearest, -1)
+
+
+def _way_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
+    """Length of the way from a keyframe to the newest, and degrees turned on it."""
+    places = [k.cam_from_world for k in model.keyframes[keyframe:]]
+    steps = [b @ a.inverse() for a, b in pairwise(places)]
+    way = sum(float(np.linalg.norm(s.translation)) for s in steps)
+    return way, sum(float(np.degrees(Rotation3(s.rotation).angle_rad())) for s in steps)
+
+
+def _median_depth(model: SlamMap) -> float:
+    newest = model.keyframes[-1]
+    points = newest.point[model.has_place(newest.point)]
+    return float(np.median(newest.cam_from_world.apply(model.xyz[points])[:, 2])) if len(points) else 0.0

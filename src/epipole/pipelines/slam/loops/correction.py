@@ -1,0 +1,142 @@
+"""A loop is closed: its drift is spread over the way by a pose graph, and what was seen twice becomes one."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid2, Rigid3, Similarity3
+from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
+from epipole.pipelines.slam.loops.closing import Tie, paired_rows
+from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.tracking.patches import hold
+from epipole.pipelines.slam.tracking.redetection import find_again
+
+EDGES_EACH, EDGE_POINTS = 5, 30
+"""Every keyframe is tied to so many that share most points with it, if they share enough."""
+LENGTH_SHARE, DEPTH_SHARE, TURN_RAD, SCALE = 0.03, 0.005, 0.01, 0.03
+"""Standard deviations: a share of an edge's length; for each keyframe that it goes over, a share of the scene's depth, rotation,
+and logarithm of the scale.
+
+Drift is systematic, and edges that overlap repeat each other: a graph of edges as good as they are alone would not bend. An even
+drift grows with an edge, and so must its deviation: with the same for all, the long ones forbid what the short ones allow.
+"""
+CONFIDENCE = 1.0 - 1e-9
+"""A loop that bends the way by more than these deviations allow is rejected. What is usual is no measure: drift is not noise."""
+LOOP_DEPTH_SHARE, LOOP_TURN_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
+
+
+def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
+    """Move keyframes and points so that the newest keyframe lies where the loop says.
+
+    Every keyframe is tied to those that it shares points with by the motion between them as it is, and to the place seen
+    again by the loop, which graduated non-convexity may reject. Without a metre the edges are similarities (Strasdat,
+    Montiel and Davison, RSS 2010).
+
+    Returns:
+        whether the loop fits the edges; nothing is moved if not.
+    """
+    places = _places(model)
+    world_from_cam = places.inverse()
+    first, second = _edges(model)
+    newest = len(model.keyframes) - 1
+    here = Similarity3(np.array(1.0), world_from_cam.rotation[newest], world_from_cam.translation[newest])
+    then = Similarity3(np.array(1.0), places.rotation[tie.keyframe], places.translation[tie.keyframe])
+    loop = then @ tie.there_from_here @ here
+    between = places[first] @ world_from_cam[second]
+    depth = _median_depth(model)
+    length = np.linalg.norm(between.translation, axis=1)
+    deviation = np.empty((len(length) + 1, 7))
+    steps = np.minimum(second - first, EDGES_EACH)
+    deviation[:-1, :3] = (LENGTH_SHARE * length + DEPTH_SHARE * depth * steps)[:, None]
+    deviation[:-1, 3:] = steps[:, None] * [TURN_RAD, TURN_RAD, TURN_RAD, SCALE]
+    deviation[-1, :3], deviation[-1, 3:] = LOOP_DEPTH_SHARE * depth, [*3 * [LOOP_TURN_RAD], LOOP_SCALE]
+    first, second = np.append(first, tie.keyframe), np.append(second, newest)
+    size = 6 if is_metric else 7
+    information = np.eye(size) / deviation[:, :size, None] ** 2
+    rotation = np.concatenate([between.rotation, loop.rotation[None]])
+    translation = np.concatenate([between.translation, loop.translation[None]])
+    scale = np.append(np.ones(len(between.translation)), loop.scale)
+    is_loop = np.arange(len(first)) == len(first) - 1
+    if is_metric:
+        graph = PoseGraph(world_from_cam, first, second, Rigid3(rotation, translation), information)
+    else:
+        ones = Similarity3(np.ones(len(places)), world_from_cam.rotation, world_from_cam.translation)
+        graph = PoseGraph(ones, first, second, Similarity3(scale, rotation, translation), information)
+    found = optimize_pose_graph_robustly(graph, is_loop, PoseGraphConfig(confidence=CONFIDENCE))
+    if not found.kept_mask[-1]:
+        return False
+    assert not isinstance(found.world_from_body, Rigid2)
+    _move(model, places, found.world_from_body)
+    return True
+
+
+def _places(model: SlamMap) -> Rigid3:
+    places = [k.cam_from_world for k in model.keyframes]
+    return Rigid3(np.stack([p.rotation for p in places]), np.stack([p.translation for p in places]))
+
+
+def _median_depth(model: SlamMap) -> float:
+    depths = [
+        np.median(k.cam_from_world.apply(model.xyz[k.point[model.has_place(k.point)]])[:, 2])
+        for k in model.keyframes
+        if model.has_place(k.point).any()
+    ]
+    return float(np.median(depths)) if depths else 1.0
+
+
+def _edges(model: SlamMap) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (older, newer) of keyframes that follow each other or share many points."""
+    n = len(model.keyframes)
+    point = np.concatenate([k.point for k in model.keyframes])
+    view = np.repeat(np.arange(n), [len(k.point) for k in model.keyframes])
+    seen = csr_array((np.ones(len(point), np.int64), (view, point)), shape=(n, model.num_points))
+    shared = (seen @ seen.T).toarray()
+    np.fill_diagonal(shared, 0)
+    pairs = {(k, k + 1) for k in range(n - 1)}
+    for k in range(n):
+        best = np.argsort(-shared[k], kind="stable")[:EDGES_EACH]
+        pairs |= {(min(k, int(b)), max(k, int(b))) for b in best if shared[k, b] >= EDGE_POINTS}
+    first, second = np.array(sorted(pairs), np.int64).reshape(-1, 2).T
+    return first, second
+
+
+def _move(model: SlamMap, before: Rigid3, after: Rigid3 | Similarity3) -> None:
+    """Every point goes with the keyframe that saw it first."""
+    n = len(model.keyframes)
+    scale = after.scale if isinstance(after, Similarity3) else np.ones(n)
+    moved = Similarity3(scale, after.rotation, after.translation)
+    then = Similarity3(np.ones(n), before.rotation, before.translation)
+    new_from_old = moved @ then
+    model.xyz[:] = new_from_old[model.anchor].apply(model.xyz)
+    for k, keyframe in enumerate(model.keyframes):
+        keyframe.cam_from_world = Rigid3(after.rotation[k], after.translation[k]).inverse()
+        keyframe.unit *= float(scale[k])
+
+
+def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
+    """Show keyframes all points that should be in sight: those that they know under another row become one point.
+
+    Returns:
+        (p,) what each row of the map's points has become.
+    """
+    into = np.arange(model.num_points)
+    for k in keyframes:
+        keyframe = model.keyframes[k]
+        place = keyframe.cam_from_world
+        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point)
+        pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
+        good = is_same & ~is_stale
+        pixels, points = pixels[good], points[good]
+        rows = paired_rows(keyframe, pixels)
+        fresh = rows < 0
+        keyframe.add(pixels[fresh], np.full(int(fresh.sum()), np.nan), points[fresh])
+        # The one that was there first stays.
+        one, other = points[~fresh], keyframe.point[rows[~fresh]]
+        pairs = np.stack([np.maximum(one, other), np.minimum(one, other)])
+        _, firsts = np.unique(pairs[0], return_index=True)
+        gone, kept = pairs[:, firsts]
+        is_free = ~np.isin(kept, gone) & model.has_place(kept)
+        into = model.merge_points(gone[is_free], kept[is_free])[into]
+    return into

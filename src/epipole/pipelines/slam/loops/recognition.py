@@ -1,0 +1,211 @@
+"""Which place of a map a picture shows: pictures that look alike, points that match, and a pose with which they agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.config import MatchConfig, RansacConfig
+from epipole.features import describe_image, describe_upright, match_descriptors
+from epipole.geometry import Rigid3
+from epipole.mapping import refine_pose
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.tracking.patches import hold
+from epipole.robust import estimate_absolute_pose
+
+WORDS = Path(__file__).parent / "assets" / "words.npy"
+NEIGHBOURS = 3
+"""Further keyframes whose points are compared together with those of one that looks alike."""
+MIN_SAMPLE, MIN_SHARE = 12, 0.25
+"""Fewest matches, and the share of them, that a pose must agree with. Patches that look alike by chance agree less."""
+SAME_PLACE_PX, RIVAL_SHARE = 12.0, 0.6
+ROUNDS, RIM_PX = 2, 5.0
+MIN_AGREEING = 30
+"""... and fewest points when those that only the pose lets find are counted, too."""
+
+
+class View(NamedTuple):
+    """A picture to be recognised."""
+
+    grey: np.ndarray
+    pixels: np.ndarray  # (n, 2)
+    descriptors: np.ndarray  # (n, 128)
+    look: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recognition:
+    """What came of comparing a picture with a place of the map."""
+
+    keyframe: int
+    """The keyframe that looks alike."""
+    num_matches: int
+    reason: str
+    """Why it is not the same place; empty if it is."""
+    cam_from_world: Rigid3
+    pixels: np.ndarray
+    """(n, 2) of points in agreement."""
+    points: np.ndarray
+    """(n,) rows of the map."""
+
+
+@cache
+def _words() -> np.ndarray:
+    return np.load(WORDS).astype(np.float32)
+
+
+def look_size() -> int:
+    """Numbers of the vector that a picture is compared by."""
+    return _words().size
+
+
+def view_of(grey: np.ndarray, pixels: np.ndarray) -> View:
+    """A picture described at its corners."""
+    descriptors = describe_upright(grey, pixels)
+    return View(grey, pixels, descriptors, describe_image(descriptors, _words()))
+
+
+def describe_keyframe(keyframe: Keyframe) -> View:
+    """Describe a keyframe's observations, once."""
+    if keyframe.look is None:
+        made = view_of(keyframe.grey, keyframe.pixels)
+        keyframe.descriptors, keyframe.look = made.descriptors, made.look
+    described = keyframe.descriptors.any(axis=1)
+    return View(keyframe.grey, keyframe.pixels[described], keyframe.descriptors[described], keyframe.look)
+
+
+def most_alike(look: np.ndarray, model: SlamMap, excluded: np.ndarray, count: int) -> list[tuple[int, float]]:
+    """(keyframe, cosine) of the keyframes that look most like a picture, best first.
+
+    Args:
+        look: of the picture.
+        model: the map.
+        excluded: (k,) keyframes not to be considered.
+        count: how many.
+    """
+    numbers = [k for k in np.flatnonzero(~excluded) if model.keyframes[k].look is not None]
+    if not numbers:
+        return []
+    cosine = np.stack([model.keyframes[k].look for k in numbers]) @ look  # type: ignore[misc]
+    return [(int(numbers[n]), float(cosine[n])) for n in np.argsort(-cosine, kind="stable")[:count]]
+
+
+def recognize(
+    view: View,
+    model: SlamMap,
+    number: int,
+    camera: Camera,
+    config: SlamConfig,
+    unwanted: np.ndarray | None = None,
+) -> Recognition:
+    """Compare a picture with a keyframe and its neighbours.
+
+    Descriptors are matched, P3P in RANSAC finds a pose, and at this pose all points that should be in sight are looked for.
+
+    Args:
+        view: the picture.
+        model: the map.
+        number: of the keyframe.
+        camera: of both.
+        config: thresholds.
+        unwanted: rows of points that are not to be used: those of the picture's own surroundings.
+    """
+    points, descriptors = _points_around(model, number, unwanted)
+    matches = match_descriptors(view.descriptors, descriptors, MatchConfig(max_ratio=0.85))
+    none = Rigid3.identity(), np.zeros((0, 2)), np.zeros(0, np.int64)
+    if len(matches) < MIN_SAMPLE:
+        return Recognition(
+            number, len(matches), f"{len(matches)} points match, {MIN_SAMPLE} are needed", *none
+        )
+    pixels, rows = view.pixels[matches[:, 0]], points[matches[:, 1]]
+    limit = config.max_error_px
+    ransac = RansacConfig(max_error_px=limit, min_inliers=MIN_SAMPLE, seed=config.seed)
+    sought = estimate_absolute_pose(model.xyz[rows], pixels, camera, ransac)
+    if not sought.success:
+        return Recognition(number, len(matches), f"no pose agrees with {MIN_SAMPLE} matches", *none)
+    refined = refine_pose(model.xyz[rows], pixels, camera, sought.model)
+    agrees = refined.error_sq <= limit**2
+    if agrees.sum() < max(MIN_SAMPLE, MIN_SHARE * len(matches)):
+        words = f"a pose agrees with {int(agrees.sum())} of {len(matches)} matches only"
+        return Recognition(number, len(matches), words, *none)
+    return _grown(
+        view,
+        model,
+        Recognition(number, len(matches), "", refined.cam_from_world, pixels, points),
+        camera,
+        config,
+    )
+
+
+def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, config: SlamConfig) -> Recognition:
+    """All points that should be in sight at a pose and look so, and the pose that agrees with them."""
+    place, points = found.cam_from_world, found.points
+    in_cam = place.apply(model.xyz[points])
+    pixels = camera.project(in_cam)
+    size = np.array([camera.width, camera.height])
+    inside = (in_cam[:, 2] > 0) & (pixels >= RIM_PX).all(axis=1) & (pixels < size - RIM_PX).all(axis=1)
+    points, pixels = points[inside], pixels[inside]
+    # A few rounds: each is held to where a better pose foretells it.
+    agrees = np.zeros(len(points), bool)
+    for _ in range(ROUNDS):
+        held, is_same, is_stale = hold(model, camera, view.grey, place, points, pixels)
+        looks = is_same & ~is_stale
+        if looks.sum() < MIN_AGREEING:
+            words = (
+                f"{int(looks.sum())} of {len(points)} points look the same there, {MIN_AGREEING} are needed"
+            )
+            return replace(found, reason=words, pixels=held[looks], points=points[looks])
+        refined = refine_pose(model.xyz[points[looks]], held[looks], camera, place)
+        place = refined.cam_from_world
+        agrees = looks.copy()
+        agrees[looks] = refined.error_sq <= config.max_error_px**2
+        pixels = camera.project(place.apply(model.xyz[points]))
+    reason = ""
+    if agrees.sum() < MIN_AGREEING:
+        reason = f"{int(agrees.sum())} points that look the same agree, {MIN_AGREEING} are needed"
+    return replace(found, reason=reason, cam_from_world=place, pixels=held[agrees], points=points[agrees])
+
+
+def is_same_place(cam_from_world: Rigid3, found: Recognition, model: SlamMap, camera: Camera) -> bool:
+    """Whether another pose sees the recognised points where they were seen."""
+    points = model.xyz[found.points]
+    one = camera.project(cam_from_world.apply(points))
+    off = np.linalg.norm(one - camera.project(found.cam_from_world.apply(points)), axis=1)
+    return float(np.median(np.where(np.isfinite(off), off, np.inf))) <= SAME_PLACE_PX
+
+
+def rival_of(
+    best: Recognition, others: list[Recognition], model: SlamMap, camera: Camera
+) -> Recognition | None:
+    """Another place with which nearly as many points agree: of two that look alike neither can be believed."""
+    for other in others:
+        is_near = len(other.points) > RIVAL_SHARE * len(best.points)
+        if is_near and not is_same_place(other.cam_from_world, best, model, camera):
+            return other
+    return None
+
+
+def _points_around(model: SlamMap, number: int, unwanted: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """(points, descriptors) of a keyframe, and those of its neighbours that it does not see itself."""
+    shared = model.num_shared([number])
+    shared[number] = np.iinfo(np.int64).max
+    taken = np.zeros(model.num_points, bool)
+    taken[~np.isfinite(model.xyz[:, 0])] = True
+    if unwanted is not None:
+        taken[unwanted] = True
+    points, descriptors = [np.zeros(0, np.int64)], [np.zeros((0, 128), np.uint8)]
+    for k in np.argsort(-shared, kind="stable")[: 1 + NEIGHBOURS]:
+        own = model.keyframes[int(k)]
+        fresh = np.flatnonzero(~taken[own.point] & own.descriptors.any(axis=1))
+        if shared[k] == 0:
+            continue
+        points.append(own.point[fresh])
+        descriptors.append(own.descriptors[fresh])
+        taken[points[-1]] = True
+    return np.concatenate(points), np.concatenate(descriptors)

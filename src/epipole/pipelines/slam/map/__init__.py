@@ -1,0 +1,1 @@
+"""The map: keyframes and points, and how they are extended, optimized and culled."""

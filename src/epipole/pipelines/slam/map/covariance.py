@@ -1,0 +1,205 @@
+"""How well places are known in the map's world: the map's own error, and that of the frame before the map.
+
+Cameras that tell depth alone: of one camera the scale is open, and its frames tell their own part only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.errors import DegenerateGeometryError
+from epipole.geometry import Rigid3
+from epipole.mapping import RefinedPose
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    adjust_bundle,
+    bundle_covariance,
+    with_result,
+)
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import SlamCamera
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+
+
+class CalibrationSigma(NamedTuple):
+    """Standard deviations of a calibration."""
+
+    focal_share: float
+    """Relative, of the focal length."""
+    center_px: float
+    """Of the principal point."""
+    depth_share: float
+    """Relative, of the baseline or of measured depth."""
+
+    @staticmethod
+    def of(sensor: SlamCamera, config: SlamConfig) -> CalibrationSigma:
+        """From the options; default values where they are None."""
+        usual = OF_PAIR if sensor.depth is None else OF_SENSOR
+        given = config.focal_sigma, config.center_sigma_px, config.depth_sigma
+        return CalibrationSigma(*(u if g is None else g for u, g in zip(usual, given)))
+
+    def in_words(self) -> str:
+        """For the summary."""
+        return (
+            f"{100 * self.focal_share:g} % of the focal length, {self.center_px:g} px of the principal point,"
+            f" {100 * self.depth_share:g} % of depth"
+        )
+
+
+OF_PAIR, OF_SENSOR = CalibrationSigma(3e-3, 1.0, 3e-3), CalibrationSigma(1e-2, 3.0, 1.5e-2)
+"""Rectified pairs are usually calibrated with a board. Depth sensors often come with the manufacturer's values: the three sensors of
+TUM RGB-D differ by 3 % in focal length, 16 px in the principal point and 3 % in depth scale."""
+LEAST_NOISE_PX = 0.01
+SHARED_PX = 0.02
+"""What all disparities are off by together: patches hold more than their points. On rendered pairs they were 0.003 to 0.036 px
+too large, most at edges."""
+
+
+def own_covariance(refined: RefinedPose, model: SlamMap, number: int, *, tells_depth: bool) -> np.ndarray:
+    """(6, 6) of a frame's place before the map: none where it has become a keyframe, which knows its own.
+
+    Args:
+        refined: the frame's place.
+        model: the map.
+        number: of the frame.
+        tells_depth: whether the map knows its error: then the noise is that which the frame's own errors show, else a pixel.
+    """
+    if not tells_depth:
+        return refined.covariance()
+    newest = next((k for k in reversed(model.keyframes) if len(k.point)), None)
+    if newest is not None and newest.number == number and newest.covariance.any():
+        return np.zeros((6, 6))
+    return by_errors(refined)
+
+
+def by_errors(refined: RefinedPose) -> np.ndarray:
+    """(6, 6) of a place by the errors of its points, which are never none."""
+    return refined.covariance_by_errors() + LEAST_NOISE_PX**2 * refined.covariance()
+
+
+def carry_covariance(model: SlamMap, refined: RefinedPose) -> None:
+    """Give the newest keyframe the covariance of the one before, carried along, and its own part, until an adjustment knows."""
+    before, newest = model.keyframes[-2:]
+    if before.covariance.any():
+        between = newest.cam_from_world @ before.cam_from_world.inverse()
+        newest.covariance = with_map_error(before.covariance, between, by_errors(refined))
+
+
+def with_map_error(
+    keyframe_covariance: np.ndarray, cam_from_keyframe: Rigid3, covariance: np.ndarray
+) -> np.ndarray:
+    """(..., 6, 6) of places told from keyframes: Ad C_keyframe Ad^T, and their own part.
+
+    Args:
+        keyframe_covariance: (..., 6, 6).
+        cam_from_keyframe: batch shape (...).
+        covariance: (..., 6, 6) of cam_from_keyframe; may be infinite.
+    """
+    adjoint = cam_from_keyframe.adjoint()
+    return adjoint @ keyframe_covariance @ np.swapaxes(adjoint, -1, -2) + covariance
+
+
+def learn_covariances(
+    keyframes: Sequence[Keyframe],
+    num_free: int,
+    problem: BundleProblem,
+    result: BundleResult,
+    config: BundleConfig,
+) -> None:
+    """Give the adjusted keyframes the covariances of their places in the world.
+
+    What the adjustment tells given the held keyframes, with errors that go on from keyframe to keyframe and one that all
+    disparities share, plus the covariance of the newest held keyframe, carried along rigidly.
+
+    Args:
+        keyframes: those of the problem's frames, in their order.
+        num_free: how many of the first were adjusted.
+        problem: what was adjusted.
+        result: its minimum.
+        config: the loss that was minimised.
+    """
+    try:
+        own = bundle_covariance(problem, result, config, clustered=True).rig_from_world
+    except DegenerateGeometryError:
+        return
+    shared = _by_shared_error(problem, result, config)
+    held = [k for k in range(num_free, len(keyframes)) if keyframes[k].covariance.any()]
+    for k in range(num_free):
+        covariance = own[k] + np.outer(shared[k], shared[k])
+        if held:
+            near = keyframes[max(held, key=lambda n: keyframes[n].number)]
+            between = result.rig_from_world[k] @ near.cam_from_world.inverse()
+            covariance = with_map_error(near.covariance, between, covariance)
+        if np.isfinite(covariance).all():
+            keyframes[k].covariance = covariance
+
+
+def add_calibration_error(
+    keyframes: Sequence[Keyframe],
+    problem: BundleProblem,
+    result: BundleResult,
+    config: BundleConfig,
+    sigma: CalibrationSigma,
+) -> None:
+    """Add the effect of calibration errors to the covariances of all keyframes, to first order.
+
+    Each parameter is changed by one standard deviation and the poses are optimized again; their change xi adds xi xi^T.
+
+    Args:
+        keyframes: those of the problem's frames, in their order.
+        problem: what was adjusted.
+        result: its minimum.
+        config: the loss that was minimised.
+        sigma: standard deviations of the parameters.
+    """
+    if not any(sigma):
+        return
+    found = replace(with_result(problem, result), params_free=np.zeros_like(problem.params_free))
+    found = replace(found, priors=_of_places(found))
+    for changed in _off_calibrations(found, sigma):
+        moved = adjust_bundle(changed, replace(config, max_iterations=1)).rig_from_world
+        steps = (moved @ result.rig_from_world.inverse()).log()
+        for keyframe, step in zip(keyframes, steps, strict=True):
+            if np.isfinite(step).all():
+                keyframe.covariance = keyframe.covariance + np.outer(step, step)
+
+
+def _off_calibrations(problem: BundleProblem, sigma: CalibrationSigma) -> Iterator[BundleProblem]:
+    """The problem with one parameter of both cameras changed by a standard deviation; last, with another baseline."""
+    params = problem.camera_params
+    for columns, step in (
+        (slice(0, 2), sigma.focal_share * params[:, :2]),
+        (slice(2, 3), sigma.center_px),
+        (slice(3, 4), sigma.center_px),
+    ):
+        off = params.copy()
+        off[:, columns] += step
+        yield replace(problem, camera_params=off)
+    beside = problem.cam_from_rig
+    longer = Rigid3(beside.rotation, beside.translation * (1.0 + sigma.depth_share))
+    yield replace(problem, cam_from_rig=longer)
+
+
+def _by_shared_error(problem: BundleProblem, result: BundleResult, config: BundleConfig) -> np.ndarray:
+    """(f, 6) where the frames would go, as xi of exp(xi) @ cam_from_world, were all disparities smaller by `SHARED_PX`."""
+    found = with_result(problem, result)
+    params = found.camera_params.copy()
+    params[1, 2] += SHARED_PX
+    fixed = replace(
+        found, camera_params=params, params_free=np.zeros_like(found.params_free), priors=_of_places(found)
+    )
+    moved = adjust_bundle(fixed, replace(config, max_iterations=1)).rig_from_world
+    return (moved @ result.rig_from_world.inverse()).log()
+
+
+def _of_places(problem: BundleProblem) -> BundlePriors | None:
+    """The priors, without those of parameters, which are held."""
+    known = problem.priors
+    return None if known is None else replace(known, params_expected=None, params_sigma=None)

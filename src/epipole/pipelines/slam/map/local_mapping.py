@@ -1,0 +1,397 @@
+"""The map grows and settles: triangulation, adjustment over a window of keyframes, and what does not fit is forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole.cameras import CameraModel
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.geometry import Rigid3
+from epipole.inertial import MountedImu
+from epipole.optim import (
+    BundleConfig,
+    BundlePriors,
+    BundleProblem,
+    BundleResult,
+    Loss,
+    adjust_bundle,
+    with_fixed_gauge,
+)
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
+from epipole.pipelines.slam.map.gauge import least_move
+from epipole.pipelines.slam.map.imu import InertialTies, pixel_variance
+from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.pipelines.slam.map.triangulation import places_of
+from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shifts, straighten
+from epipole.pipelines.slam.tracking.corners import new_corners
+from epipole.pipelines.slam.tracking.depth import disparities_of
+from epipole.pipelines.slam.tracking.points import Tracks
+from epipole.pipelines.slam.tracking.redetection import find_again, tie_together
+
+LOSS_SCALE_PX = 1.0
+LAST_SCALES_PX = (8.0, 2.0, 1.0)
+"""Of the loss, in the last rounds: wide at first, so that what has drifted apart is drawn together."""
+FIRST_SETTLED, GROWTH = 6, 1.25
+"""Keyframes at the begin of a map, and by how much more all of them are adjusted again."""
+LAST_STEPS = 1 + 2 * len(LAST_SCALES_PX)
+COVARIANCES_EVERY = 3
+"""Keyframes: those between carry the covariance of the one before on, and their own part."""
+MOST_TIED = 30
+"""Keyframes of one camera's map that are all tied together again: 12 ms for each."""
+LEAST_TOGETHER = 8
+"""Keyframes, adjusted all together, that tell where the second camera's principal point lies."""
+SHIFT_SIGMA_PX = 0.3
+"""Deviation of a pair's rectification along the rows."""
+
+
+class Adjusted(NamedTuple):
+    """What was adjusted, in the map's world, and how."""
+
+    problem: BundleProblem
+    result: BundleResult
+    config: BundleConfig
+    views: list[int]
+    """Rows of the keyframes."""
+
+
+class LocalMapper:
+    """Adjusts a map. Depth of a single frame, where there is any, enters as the pixel of a second camera beside the first."""
+
+    def __init__(
+        self,
+        model: SlamMap,
+        sensor: SlamCamera,
+        focal_baseline: float | None,
+        config: SlamConfig,
+        imu: MountedImu | None = None,
+    ) -> None:
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.focal_baseline = focal_baseline
+        """Focal length times baseline; None for one camera."""
+        self.positions: dict[int, np.ndarray] = {}
+        """Measured places of keyframes in the world, by the frames' numbers; used where all are adjusted."""
+        self.position_sigma = 1.0
+        self.inertial = None if imu is None else InertialTies(imu)
+        self._num_settled = FIRST_SETTLED
+        """Keyframes when all were adjusted last."""
+
+    def insert_keyframe(
+        self, frame: Frame, number: int, place: Rigid3, tracks: Tracks, stale: np.ndarray
+    ) -> Tracks:
+        """A keyframe: points that are followed, older ones found again, and new ones; all of them are followed on.
+
+        Args:
+            frame: the pictures.
+            number: of the frame.
+            place: cam_from_world.
+            tracks: points that are followed.
+            stale: rows of points that look otherwise by now: they are known by their present look from here on.
+        """
+        if self.map.keyframes:
+            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
+            tracks.keep(frame.is_used(tracks.pixels))
+        corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
+        index = len(self.map.keyframes)
+        pixels = np.concatenate([tracks.pixels, corners])
+        points = np.concatenate([tracks.point, np.full(len(corners), -1)])
+        disparity = self._disparities(frame, pixels, points, place)
+        fresh = points < 0
+        made = self._from_depth(pixels, disparity, place)
+        points[fresh] = self.map.add_points(made[fresh], pixels[fresh], index)
+        lacking = ~self.map.has_place(points) & ~fresh
+        self.map.xyz[points[lacking]] = made[lacking]
+        seen = Observations(pixels, disparity, points)
+        keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
+        keyframe.motion, keyframe.ignored_mask = self.map.motion, frame.ignored_mask
+        shutter = keyframe.motion, self.camera, self.sensor.readout_s
+        keyframe.shift_px = shutter_shifts(self.map, keyframe, *shutter)
+        self.map.keyframes.append(keyframe)
+        anew = np.isin(points, stale)
+        self.map.anchor[points[anew]], self.map.anchor_px[points[anew]] = index, pixels[anew]
+        return Tracks(pixels.copy(), points.copy(), pixels.copy())
+
+    def _disparities(self, frame: Frame, pixels: np.ndarray, points: np.ndarray, place: Rigid3) -> np.ndarray:
+        guess = np.full(len(pixels), np.nan)
+        if self.focal_baseline is None:
+            return guess
+        known = points >= 0
+        depth = place.apply(self.map.xyz[points[known]])[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            guess[known] = np.where(depth > 0, self.focal_baseline / depth, np.nan) - self.map.right_shift_px
+        return disparities_of(frame, pixels, guess, self.sensor, self.config)
+
+    def _from_depth(self, pixels: np.ndarray, disparity: np.ndarray, place: Rigid3) -> np.ndarray:
+        """Places of points by their disparities; NaN without one, or where it says little."""
+        if self.focal_baseline is None:
+            return np.full((len(pixels), 3), np.nan)
+        most = self.config.max_depth_baselines
+        seen, motion = Observations(pixels, disparity, np.full(len(pixels), -1)), self.map.motion
+        in_cam = points_by_depth(self.map, seen, motion, self.sensor, self.focal_baseline, most)
+        return place.inverse().apply(in_cam)
+
+    def window_of(self, newest: int) -> tuple[list[int], list[int]]:
+        """Keyframes that share most points with the newest, and those that share points with these."""
+        # One camera's scale drifts in a narrow window.
+        width = self.config.window * (2 if self.focal_baseline is None else 1)
+        shared = self.map.num_shared([newest])
+        shared[newest] = len(self.map.xyz) + 1
+        order = np.argsort(-shared, kind="stable")[:width]
+        window = sorted(int(k) for k in order if shared[k] > 0)
+        shared = self.map.num_shared(window)
+        shared[window] = 0
+        order = np.argsort(-shared, kind="stable")[: self.config.max_fixed]
+        return window, sorted(int(k) for k in order if shared[k] > 0)
+
+    def adjust_around(self, newest: int) -> None:
+        """Adjust the window of the newest keyframe; keyframes outside hold it.
+
+        Each time that the map has grown by a quarter all of it is adjusted: for a keyframe that is five times its share of
+        the whole, whatever the map's size. One camera's keyframes, in a larger map the new ones, are then shown all points in
+        sight: only what is seen from many sides keeps its scale.
+        """
+        if len(self.map.keyframes) >= GROWTH * self._num_settled:
+            since, self._num_settled = self._num_settled, len(self.map.keyframes)
+            if self.focal_baseline is None:
+                first = since if len(self.map.keyframes) > MOST_TIED else 0
+                tie_together(self.map, self.camera, self.map.keyframes[first:])
+            self.adjust_all(max_iterations=8)
+            self.learn_inertial()
+            return
+        window, fixed = self.window_of(newest)
+        self.adjust(window, fixed, 8)
+
+    def adjust_all(self, loss_scale_px: float = LOSS_SCALE_PX, max_iterations: int = 40) -> Adjusted | None:
+        """Adjust every keyframe and every point."""
+        return self.adjust(list(range(len(self.map.keyframes))), [], max_iterations, loss_scale_px)
+
+    def adjust_for_good(self, number: int, count: int, goes_on: Callable[[int, int], bool]) -> bool:
+        """After the last frame: tie keyframes together that see the same, and adjust all, again and again.
+
+        Args:
+            number: of the map among all that are adjusted.
+            count: of them.
+            goes_on: called with the steps done and those of all maps; where it returns False the rest is left out.
+
+        Returns:
+            whether all was done.
+        """
+        if len(self.map.keyframes) < 2:
+            return True
+        adjusted = self.adjust_all()
+        self.learn_inertial()
+        done, total = number * LAST_STEPS + 1, count * LAST_STEPS
+        for loss_scale_px in LAST_SCALES_PX:
+            if not goes_on(done, total):
+                break
+            tie_together(self.map, self.camera, self.map.keyframes)
+            if not goes_on(done + 1, total):
+                break
+            adjusted = self.adjust_all(loss_scale_px)
+            done += 2
+        if adjusted is not None and self.focal_baseline is not None:
+            views, sigma = adjusted.views, CalibrationSigma.of(self.sensor, self.config)
+            add_calibration_error([self.map.keyframes[k] for k in views], *adjusted[:3], sigma)
+        return done == (number + 1) * LAST_STEPS and goes_on(done, total)
+
+    def adjust(
+        self, window: list[int], fixed: list[int], max_iterations: int, loss_scale_px: float = LOSS_SCALE_PX
+    ) -> Adjusted | None:
+        """Adjust keyframes and the points that they see, with others held, and forget observations that do not fit.
+
+        Returns:
+            what was adjusted, and its minimum; None where there was nothing.
+        """
+        # Rotation-only keyframes see no point with a place.
+        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        if len(window) < 2:
+            return None
+        views = [*window, *fixed]
+        if self.sensor.readout_s:
+            for keyframe in (self.map.keyframes[k] for k in views):
+                straighten(self.map, keyframe, self.camera, self.sensor.readout_s, self.config.min_tracked)
+        rows, held = self._built(window, views)
+        if not len(rows):
+            return None
+        config = BundleConfig(
+            loss=Loss.CAUCHY,
+            loss_scale_px=loss_scale_px,
+            max_iterations=max_iterations,
+            function_tolerance=1e-3,
+        )
+        held, result = self._adjusted(held, views, config)
+        if self.focal_baseline is not None:
+            self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
+        # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
+        if self.focal_baseline is None and not fixed and not self.positions:
+            back = least_move(result.rig_from_world, places_of(self.map, window))
+            result = replace(
+                result,
+                rig_from_world=back.move_cam_from_source(result.rig_from_world),
+                points_in_world=back.apply(result.points_in_world),
+            )
+        for place, k in enumerate(window):
+            self.map.keyframes[k].cam_from_world = result.rig_from_world[place]
+        is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
+        if self.focal_baseline is not None and is_due:
+            learn_covariances([self.map.keyframes[k] for k in views], len(window), held, result, config)
+        self.map.xyz[rows] = result.points_in_world
+        self.forget_mistakes(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
+        return Adjusted(held, result, config, views)
+
+    def cost_of(self, window: list[int]) -> float:
+        """What is left over after an adjustment of keyframes, which the map does not learn of."""
+        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        rows, held = self._built(window, window)
+        if not len(rows):
+            return 0.0
+        config = BundleConfig(loss=Loss.CAUCHY, max_iterations=15, function_tolerance=1e-4)
+        return adjust_bundle(held, config).final_cost
+
+    def _built(self, window: list[int], views: list[int]) -> tuple[np.ndarray, BundleProblem]:
+        """Rows of the points that take part, and the problem of the views, of which the first are free."""
+        is_seen = (self.map.counts(window) > 0) & np.isfinite(self.map.xyz[:, 0])
+        frame, point, pixels, disparity = self._observations(views, is_seen)
+        enough = np.bincount(point, 1.0 + np.isfinite(disparity), len(is_seen)) >= 2
+        kept = enough[point]
+        rows, local = np.unique(point[kept], return_inverse=True)
+        seen = frame[kept], local, pixels[kept], disparity[kept]
+        return rows, self._held(self._problem(views, len(window), rows, seen))
+
+    def _held(self, problem: BundleProblem) -> BundleProblem:
+        """With what the pictures leave open held: one place, and the scale where nothing tells it."""
+        is_held = (~problem.frame_free.any(axis=1)).any()
+        if self.focal_baseline is None:
+            return with_fixed_gauge(problem)
+        if not is_held:
+            problem.frame_free[0] = 0.0
+        return problem
+
+    def _adjusted(
+        self, problem: BundleProblem, views: list[int], config: BundleConfig
+    ) -> tuple[BundleProblem, BundleResult]:
+        """With what an inertial unit tells of the motion between the views, unless they contradict each other."""
+        if self.inertial is None:
+            return adjust_pair(problem, config)
+        keyframes = [self.map.keyframes[k] for k in views]
+        paths = self.inertial.factors(keyframes, pixel_variance(problem, self.camera))
+        if paths:
+            tied = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
+            with suppress(DegenerateGeometryError):
+                tied, result = adjust_pair(tied, config)
+                if self.inertial.agrees(paths, result.rig_from_world):
+                    return tied, result
+        return adjust_pair(problem, config)
+
+    def learn_inertial(self) -> None:
+        """Align the map with the inertial unit, where there is one."""
+        if self.inertial is not None:
+            self.inertial.learn([k for k in self.map.keyframes if self.map.has_place(k.point).any()])
+
+    def _observations(
+        self, views: list[int], is_wanted: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        parts = []
+        for place, k in enumerate(views):
+            own = self.map.keyframes[k]
+            mask = is_wanted[own.point]
+            parts.append(
+                (
+                    np.full(int(mask.sum()), place),
+                    own.point[mask],
+                    own.straight_px[mask],
+                    own.straight_disparity_px[mask],
+                )
+            )
+        return tuple(np.concatenate(column) for column in zip(*parts))  # type: ignore[return-value]
+
+    def _problem(
+        self, views: list[int], num_free: int, rows: np.ndarray, seen: tuple[np.ndarray, ...]
+    ) -> BundleProblem:
+        frame, point, pixels, disparity = seen
+        sensor = np.zeros(len(frame), np.int32)
+        deep = np.flatnonzero(np.isfinite(disparity))
+        frame, point = np.concatenate([frame, frame[deep]]), np.concatenate([point, point[deep]])
+        beside = pixels[deep] - np.stack([disparity[deep], np.zeros(len(deep))], axis=1)
+        pixels = np.concatenate([pixels, beside])
+        sensor = np.concatenate([sensor, np.ones(len(deep), np.int32)])
+        order = np.argsort(point, kind="stable")
+        free = np.zeros((len(views), 6))
+        free[:num_free] = 1.0
+        baseline = 0.0 if self.focal_baseline is None else self.focal_baseline / self.camera.focal_px
+        params = np.tile(self.camera.padded_params(), (2, 1))
+        shifted, params_free, priors = self._right_camera(params, views, num_free)
+        return BundleProblem(
+            places_of(self.map, views),
+            Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-baseline, 0.0, 0.0]])),
+            np.full(2, int(self.camera.model), np.int32),
+            shifted,
+            self.map.xyz[rows].copy(),
+            np.concatenate([[0], np.cumsum(np.bincount(point, minlength=len(rows)))]).astype(np.int64),
+            frame[order].astype(np.int32),
+            sensor[order],
+            sensor[order],
+            pixels[order],
+            free,
+            params_free,
+            np.ones(len(rows)),
+            priors=priors,
+        )
+
+    def _right_camera(
+        self, params: np.ndarray, views: list[int], num_free: int
+    ) -> tuple[np.ndarray, np.ndarray, BundlePriors | None]:
+        """Parameters of both cameras, which of them are free, and what is known of these.
+
+        A constant error of all disparities bends the scene, and the frames' motion shows it: where a pair's pictures are
+        adjusted all together, the second one's principal point is found, too.
+        """
+        shifted, free = params.copy(), np.zeros((2, params.shape[1]))
+        shifted[1, 2] += self.map.right_shift_px
+        if num_free < len(views):
+            return shifted, free, None
+        if self.positions:
+            return shifted, free, self._known_places(views)
+        if self.sensor.baseline is None or num_free < LEAST_TOGETHER:
+            return shifted, free, None
+        free[1, 2] = 1.0
+        sigma = np.full(params.shape, np.inf)
+        sigma[1, 2] = SHIFT_SIGMA_PX
+        return shifted, free, BundlePriors(params_expected=params, params_sigma=sigma)
+
+    def _known_places(self, views: list[int]) -> BundlePriors:
+        none = np.full(3, np.nan)
+        measured = np.array([self.positions.get(self.map.keyframes[k].number, none) for k in views])
+        return BundlePriors(position_in_world=measured, position_sigma=self.position_sigma)
+
+    def forget_mistakes(self, keyframes: list[int], max_error_px: float) -> None:
+        """Drop observations that are off by more, and points that are behind a camera that saw them."""
+        for k in keyframes:
+            own = self.map.keyframes[k]
+            placed = self.map.has_place(own.point)
+            at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
+            off = np.zeros(len(own.point), bool)
+            off[placed] = ~(np.linalg.norm(at - own.straight_px[placed], axis=1) <= max_error_px)
+            if off.any():
+                own.keep(~off)
+
+
+def focal_baseline_of(sensor: SlamCamera, config: SlamConfig) -> float | None:
+    """Focal length times baseline, of a depth sensor that of a pair with errors like its own; None for one camera.
+
+    Raises:
+        ConfigError: the camera tells depth and is no pinhole: a second one beside it has not the same rows.
+    """
+    baseline = sensor.baseline if sensor.depth is None else config.sensor_baseline_m
+    if baseline is None:
+        return None
+    if sensor.camera.model != CameraModel.PINHOLE:
+        raise ConfigError("with depth, or a second camera, pictures are undistorted and the camera a PINHOLE")
+    return sensor.camera.focal_px * baseline

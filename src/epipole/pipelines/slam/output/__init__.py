@@ -1,0 +1,1 @@
+"""What a run writes: results, checks, pages, and the files that a stopped run is continued from."""

@@ -1,0 +1,121 @@
+"""The log of a live run: a line of JSON per frame with what was known when the frame came."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import EpipoleError
+from epipole.geometry import Rigid3
+from epipole.io.files import file_bytes
+from epipole.io.json_files import json_values
+from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.output.record import FrameRecord
+
+ANSWERS = "frames.jsonl"
+_ROTATION_TOLERANCE = 1e-6
+
+
+def line_of(record: FrameRecord) -> bytes:
+    """A frame as a line: a checksum and JSON. Poses in separate maps and moving objects are not in it."""
+    answer = record.answer
+    content: dict[str, Any] = {
+        "number": record.number,
+        "name": record.name,
+        "seconds": record.seconds,
+        "problem": record.problem,
+        "answer": None,
+    }
+    if answer is not None:
+        pose = answer.world_from_body
+        content["answer"] = {
+            "timestamp_s": answer.timestamp_s,
+            "state": answer.state.value,
+            "reason": answer.reason,
+            "rotation": None if pose is None else pose.rotation.tolist(),
+            "translation": None if pose is None else pose.translation.tolist(),
+            "covariance": None if answer.covariance is None else answer.covariance.tolist(),
+            "num_points": answer.num_points,
+            "is_keyframe": answer.is_keyframe,
+            "map_number": answer.map_number,
+        }
+    text = json.dumps(content, separators=(",", ":")).encode()
+    return b"%08x %b\n" % (zlib.crc32(text), text)
+
+
+def read_answers(path: Path) -> list[FrameRecord]:
+    """The frames of a log, up to the first line that is damaged: a killed process, or a full disk, cuts the last one.
+
+    Raises:
+        FileFormatError: there is no such file.
+    """
+    out: list[FrameRecord] = []
+    time_s = -np.inf
+    for line in file_bytes(path).splitlines():
+        try:
+            record = _record_of(path, line)
+        except (EpipoleError, KeyError, TypeError, ValueError, OverflowError, RecursionError):
+            break
+        if record.number <= (out[-1].number if out else -1):
+            break
+        if record.answer is not None:
+            if record.answer.timestamp_s <= time_s:
+                break
+            time_s = record.answer.timestamp_s
+        out.append(record)
+    return out
+
+
+def _record_of(path: Path, line: bytes) -> FrameRecord:
+    """A frame, checked value by value: anybody can compute the checksum."""
+    checksum, _, text = line.partition(b" ")
+    if int(checksum, 16) != zlib.crc32(text):
+        raise ValueError("the line is cut off")
+    held = json_values(path, text.decode(), allow_nan=True)
+    seconds, problem = float(held["seconds"]), _text(held["problem"])
+    answer = None if held["answer"] is None else _answer_of(held["answer"])
+    return FrameRecord(_count(held["number"]), _text(held["name"]), seconds, answer, problem)
+
+
+def _answer_of(held: Any) -> TrackedFrame:
+    timestamp_s = float(held["timestamp_s"])
+    if not np.isfinite(timestamp_s):
+        raise ValueError("the time is not finite")
+    covariance = None if held["covariance"] is None else np.array(held["covariance"], np.float64)
+    if covariance is not None and covariance.shape != (6, 6):
+        raise ValueError("a covariance must be 6 x 6")
+    return TrackedFrame(
+        timestamp_s=timestamp_s,
+        state=TrackingState(held["state"]),
+        reason=_text(held["reason"]),
+        world_from_body=None if held["rotation"] is None else _pose(held["rotation"], held["translation"]),
+        covariance=covariance,
+        num_points=_count(held["num_points"]),
+        is_keyframe=held["is_keyframe"] is True,
+        map_number=_count(held["map_number"]),
+    )
+
+
+def _pose(rotation: Any, translation: Any) -> Rigid3:
+    matrix, vector = np.array(rotation, np.float64), np.array(translation, np.float64)
+    if matrix.shape != (3, 3) or vector.shape != (3,) or not np.isfinite(vector).all():
+        raise ValueError("a pose must be finite numbers, 3 x 3 and 3")
+    if not np.allclose(matrix @ matrix.T, np.eye(3), atol=_ROTATION_TOLERANCE) or np.linalg.det(matrix) < 0:
+        raise ValueError("the matrix is not a rotation")
+    return Rigid3(matrix, vector)
+
+
+def _count(value: Any) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 53:
+        raise ValueError("not a count")
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("not a text")
+    return value

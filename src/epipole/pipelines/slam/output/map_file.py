@@ -1,0 +1,260 @@
+"""Maps on disk: one file, whole or not there, from which SLAM goes on or finds its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole._checks import as_path
+from epipole._declared.tables import TEXT, Arrays, Expected, Table
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
+from epipole.geometry import Rigid3
+from epipole.io.contents_in_words import with_what_it_is
+from epipole.pipelines.slam.frames import SlamCamera
+from epipole.pipelines.slam.loops.recognition import describe_keyframe
+from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
+from epipole.runs.units import is_done, load, store, stored_key
+
+MAP_FILE = Path("map") / "map.npz"
+VERSION = "epipole map 1"
+TABLE: Table = {
+    "camera_model": Expected("int64"),
+    "camera_params": Expected("float64", "_"),
+    "size": Expected("int64", "2", least=1),
+    "is_metric": Expected("bool"),
+    "scale": Expected(TEXT, is_optional=True),  # older files lack it
+    "right_shift_px": Expected("float64"),
+    "number": Expected("int64", "k", least=0, most=1 << 53),
+    "name": Expected(TEXT, "k"),
+    "timestamp_s": Expected("float64", "k"),
+    "rotation": Expected("float64", "k 3 3", is_rotation=True),
+    "translation": Expected("float64", "k 3"),
+    "grey": Expected("uint8", "k h w"),
+    "offsets": Expected("int64", "k+1", rises_to="n"),
+    "pixels": Expected("float64", "n 2"),
+    "disparity_px": Expected("float64", "n", may_be_nan=True),
+    "point": Expected("int64", "n", below="p"),
+    "xyz": Expected("float64", "p 3", may_be_nan=True),
+    "anchor": Expected("int64", "p", least=-1, below="k"),
+    "anchor_px": Expected("float64", "p 2"),
+    "num_agreed": Expected("int64", "p", least=0),
+}
+"""What the file holds: k keyframes, n observations, p points."""
+
+
+class KnownMap(NamedTuple):
+    """A map from disk."""
+
+    model: SlamMap
+    names: tuple[str, ...]
+    """Of the keyframes' pictures."""
+    numbers: tuple[int, ...]
+    """Of the keyframes' frames."""
+    is_metric: bool
+    scale: str = ""
+    """Where its metres come from, in the words of the run that found them; empty where that is not told."""
+
+
+def write_slam_map(
+    path: str | Path, model: SlamMap, names: Sequence[str], sensor: SlamCamera, scale: str = ""
+) -> None:
+    """Write a map.
+
+    Args:
+        path: the file.
+        model: the map; keyframes of turns, which see no point, are left out.
+        names: of the keyframes' pictures, a name for each of the model's keyframes.
+        sensor: whose map it is.
+        scale: where its metres come from, in words; empty: it is up to scale, unless the camera tells depth.
+
+    Raises:
+        WorkspaceError: the place is not writable.
+    """
+    number = {id(k): n for n, k in enumerate(k for k in model.keyframes if len(k.point))}
+    keyframes = [k for k in model.keyframes if len(k.point)]
+    column = np.array([number.get(id(k), -1) for k in model.keyframes], np.int64)
+    lens = sensor.camera
+    size = (lens.height, lens.width)
+    arrays = {
+        "camera_model": np.array(int(lens.model)),
+        "camera_params": lens.params,
+        "size": np.array([lens.width, lens.height]),
+        "is_metric": np.array(sensor.tells_depth or bool(scale)),
+        "scale": np.array(scale),
+        "right_shift_px": np.array(model.right_shift_px),
+        "number": np.array([k.number for k in keyframes], np.int64),
+        "name": np.array([n for n, k in zip(names, model.keyframes) if len(k.point)], np.str_),
+        "timestamp_s": np.array([k.timestamp_s for k in keyframes], np.float64),
+        "rotation": np.array([k.cam_from_world.rotation for k in keyframes]).reshape(-1, 3, 3),
+        "translation": np.array([k.cam_from_world.translation for k in keyframes]).reshape(-1, 3),
+        "grey": np.array([k.grey for k in keyframes], np.uint8).reshape(-1, *size),
+        "offsets": np.concatenate([[0], np.cumsum([len(k.point) for k in keyframes])]).astype(np.int64),
+        "pixels": np.concatenate([np.zeros((0, 2)), *(k.pixels for k in keyframes)]),
+        "disparity_px": np.concatenate([np.zeros(0), *(k.disparity_px for k in keyframes)]),
+        "point": np.concatenate([np.zeros(0, np.int64), *(k.point for k in keyframes)]),
+        "xyz": model.xyz,
+        "anchor": column[model.anchor],
+        "anchor_px": model.anchor_px,
+        "num_agreed": model.num_agreed,
+    }
+    store(as_path(path), VERSION, arrays)
+
+
+class MapSketch(NamedTuple):
+    """What there is to see of a map."""
+
+    camera: Camera
+    names: tuple[str, ...]
+    """Of the keyframes' pictures."""
+    cams_from_world: Rigid3
+    grey: np.ndarray
+    """Pictures of the keyframes (k, h, w)."""
+    xyz_in_world: np.ndarray
+    """Points that have a place (n, 3)."""
+    num_agreed: np.ndarray
+    is_metric: bool
+
+
+def sketch_of_map(path: str | Path) -> MapSketch:
+    """A map as it can be drawn, without what is needed to go on in it.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    arrays = _arrays(_file_of(as_path(path)))
+    placed = np.isfinite(arrays["xyz"]).all(axis=1) & (arrays["anchor"] >= 0)
+    return MapSketch(
+        _camera_of(arrays),
+        tuple(str(n) for n in arrays["name"]),
+        Rigid3(arrays["rotation"], arrays["translation"]),
+        arrays["grey"],
+        arrays["xyz"][placed],
+        arrays["num_agreed"][placed],
+        bool(arrays["is_metric"]),
+    )
+
+
+def camera_of_map(path: str | Path) -> Camera:
+    """The lens of the camera that made a map.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    return _camera_of(_arrays(_file_of(as_path(path))))
+
+
+def require_map(path: Path) -> None:
+    """Check that a path is a map, or holds one.
+
+    Raises:
+        FileFormatError: it is none, of another version, or damaged.
+    """
+    file = _file_of(as_path(path))
+    if not is_done(file, VERSION):
+        _arrays(file)
+
+
+def _file_of(path: Path) -> Path:
+    return next((p for p in (path / MAP_FILE, path / MAP_FILE.name) if p.exists()), path)
+
+
+def read_slam_map(path: str | Path, sensor: SlamCamera) -> KnownMap:
+    """Read a map, and make its keyframes ready to be recognised.
+
+    Args:
+        path: the file, the folder `map`, or the output folder of a run.
+        sensor: the camera that is to be followed in it.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+        ConfigError: it is the map of another camera, or its unit is not this camera's.
+    """
+    path = _file_of(as_path(path))
+    arrays = _arrays(path)
+    lens = sensor.camera
+    size, params = arrays["size"], arrays["camera_params"]
+    if (int(size[0]), int(size[1])) != (lens.width, lens.height):
+        raise ConfigError(
+            f"{path} is of pictures of {size[0]}x{size[1]}, these are {lens.width}x{lens.height}"
+        )
+    if int(arrays["camera_model"]) != int(lens.model) or not np.allclose(params, lens.params, rtol=0.02):
+        raise ConfigError(f"{path} is the map of another camera: {params} against {lens.params}")
+    if sensor.tells_depth and not arrays["is_metric"]:
+        raise ConfigError(f"{path} has no metre, one camera made it: go on in it with one camera, too")
+    scale = arrays.get("scale")
+    return KnownMap(
+        _model_of(arrays),
+        tuple(str(n) for n in arrays["name"]),
+        tuple(int(n) for n in arrays["number"]),
+        bool(arrays["is_metric"]),
+        "" if scale is None else str(scale),
+    )
+
+
+def _arrays(path: Path) -> Arrays:
+    """What the file of a map holds, checked.
+
+    Raises:
+        FileFormatError: it is no map, damaged, or its arrays do not fit each other.
+    """
+    if not is_done(path, VERSION):
+        key = stored_key(path) if path.is_file() else ""
+        why = f"it is of another version ({key})" if key not in ("", VERSION) else "it is no map, or damaged"
+        if not path.is_file():
+            why = f"holds no map of SLAM ({MAP_FILE})"
+        advice = "give the output folder of an earlier `epipole slam`"
+        raise FileFormatError(path, with_what_it_is(why, path, advice))
+    try:
+        arrays = load(path, TABLE)
+        _check(arrays)
+        _camera_of(arrays)
+    except (EpipoleError, ValueError) as error:
+        raise FileFormatError(path, f"its arrays are no map's: {error}") from error
+    return arrays
+
+
+def _camera_of(arrays: Arrays) -> Camera:
+    width, height = (int(side) for side in arrays["size"])
+    return Camera(CameraModel(int(arrays["camera_model"])), width, height, arrays["camera_params"])
+
+
+def _check(arrays: Arrays) -> None:
+    """Check what the table does not say.
+
+    Raises:
+        ShapeError: the pictures are not of the camera's size, or a keypoint is outside its picture.
+    """
+    width, height = arrays["size"].tolist()
+    if arrays["grey"].shape[1:] != (height, width):
+        raise ShapeError(f"grey must be pictures of {width} x {height}, got {arrays['grey'].shape}")
+    for name in ("pixels", "anchor_px"):
+        if not ((arrays[name] > -1.0) & (arrays[name] < arrays["size"])).all():
+            raise ShapeError(f"{name} must be within the picture")
+
+
+def _model_of(arrays: Arrays) -> SlamMap:
+    model, offsets = SlamMap(), arrays["offsets"]
+    # Points that were first seen in a keyframe that is not there are of no use.
+    xyz = np.where(arrays["anchor"][:, None] >= 0, arrays["xyz"], np.nan)
+    rows = model.add_points(xyz, arrays["anchor_px"], np.maximum(arrays["anchor"], 0))
+    model.num_agreed[rows] = arrays["num_agreed"]
+    model.right_shift_px = float(arrays["right_shift_px"])
+    for k, number in enumerate(arrays["number"]):
+        own = slice(offsets[k], offsets[k + 1])
+        place = Rigid3(arrays["rotation"][k], arrays["translation"][k])
+        seen = Observations(*(arrays[name][own].copy() for name in ("pixels", "disparity_px", "point")))
+        grey = np.ascontiguousarray(arrays["grey"][k], np.uint8)
+        keyframe = Keyframe(int(number), float(arrays["timestamp_s"][k]), grey, place, seen)
+        describe_keyframe(keyframe)
+        model.keyframes.append(keyframe)
+    return model

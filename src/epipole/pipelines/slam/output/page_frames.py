@@ -1,0 +1,80 @@
+"""What the page shows of single frames: states, points in agreement, how sure each place is, time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from epipole.pipelines.slam.output.record import FrameRecord, stretches
+from epipole.report.series import Band, Line, draw_lines, draw_strip
+
+PERCENTILES = (50, 90, 95, 99, 100)
+
+
+def state_strip(records: Sequence[FrameRecord]) -> Markup:
+    """States of all frames, with the keyframes as ticks."""
+    bands = []
+    for part in stretches(records):
+        frames = f"frame {part.first}" if part.count == 1 else f"frames {part.first} to {part.last}"
+        hint = f"{frames}: {part.state}" + (f", {part.reason}" if part.reason else "")
+        bands.append(Band(part.first, part.last, part.state.replace(" ", "-"), hint))
+    marks = [r.number for r in records if r.answer is not None and r.answer.is_keyframe]
+    return draw_strip(bands, marks, _span(records))
+
+
+def keyframe_reasons(records: Sequence[FrameRecord]) -> list[tuple[str, int]]:
+    """Why keyframes were made, and how many; most first."""
+    out: dict[str, int] = {}
+    for record in records:
+        if record.answer is not None and record.answer.is_keyframe:
+            reason = record.answer.reason.split("; ")[0]
+            out[reason] = out.get(reason, 0) + 1
+    return sorted(out.items(), key=lambda row: -row[1])
+
+
+def frame_charts(records: Sequence[FrameRecord], unit: str) -> list[tuple[str, Markup, str]]:
+    """Title, drawing and caption of each chart over the frames."""
+    numbers = np.array([record.number for record in records], np.float64)
+    span = _span(records)
+    points = np.array([_num_points(record) for record in records])
+    ms = np.array([1e3 * record.seconds for record in records])
+    sigma = np.array([record.sigma_position for record in records])
+    charts = (
+        (
+            "Points in agreement",
+            Line("", numbers, points),
+            "points",
+            "Points of the map that agree with the frame's place. A gap is a frame without one.",
+        ),
+        (
+            "How sure the place is",
+            Line("", numbers, sigma),
+            f"1 sigma of the position ({unit})",
+            "With depth, by the frame's points and the map's own error; of one camera by the frame's points alone, without drift.",
+        ),
+        ("Time for a frame", Line("", numbers, ms), "ms", _time_words(ms)),
+    )
+    drawn = [(title, draw_lines([line], span, label), words) for title, line, label, words in charts]
+    return [row for row in drawn if row[1]]
+
+
+def _time_words(ms: np.ndarray) -> str:
+    """Percentiles of the time for a frame."""
+    names = ("median", *(f"{p} %" for p in PERCENTILES[1:-1]), "longest")
+    told = ", ".join(f"{name} {value:.1f}" for name, value in zip(names, np.percentile(ms, PERCENTILES)))
+    return (
+        f"{told} ms. To follow a frame, with the keyframe and the local adjustment that it may bring; not to read its"
+        " file, nor to compile what a first run has to."
+    )
+
+
+def _num_points(record: FrameRecord) -> float:
+    if record.answer is None or record.answer.world_from_body is None:
+        return float("nan")
+    return float(record.answer.num_points)
+
+
+def _span(records: Sequence[FrameRecord]) -> tuple[float, float]:
+    return (0.0, float(max(len(records) - 1, 1)))

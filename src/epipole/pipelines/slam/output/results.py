@@ -1,0 +1,349 @@
+"""What a run of SLAM writes: paths, map, table of frames, summary and report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from epipole.errors import NoModelError
+from epipole.geometry import Rigid3
+from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
+from epipole.io.colmap import write_colmap_model
+from epipole.io.frame_tables import FRAME_TABLE
+from epipole.io.ply import write_scene_ply
+from epipole.io.trajectories import write_trajectory
+from epipole.io.true_paths import Truth
+from epipole.mapping import Anchoring
+from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
+from epipole.pipelines.slam.loops.recognition import MIN_SAMPLE
+from epipole.pipelines.slam.map.covariance import CalibrationSigma
+from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.output.export import reconstruction_of
+from epipole.pipelines.slam.output.formats import missing_rows, write_in_format
+from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings
+from epipole.pipelines.slam.output.map_file import MAP_FILE, KnownMap, write_slam_map
+from epipole.pipelines.slam.output.page import SlamPage, render_page
+from epipole.pipelines.slam.output.record import FrameRecord, without_numbers, write_records
+from epipole.pipelines.slam.output.scale import moved_path
+from epipole.pipelines.slam.output.truth import truth_at_frames, truth_summary
+from epipole.pipelines.slam.output.warnings import doubts, moving_things, poor_pictures
+from epipole.pipelines.slam.shutter.check import find_readout, with_readout
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.sources.folder import FrameSource
+from epipole.pipelines.slam.sources.frame_stream import Feed
+from epipole.pipelines.slam.sources.intrinsics import FoundCamera
+from epipole.runs import Run
+from epipole.runs.earlier import note_on_poorer, refuse_poorer
+from epipole.scene import Reconstruction, Trajectory
+
+TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"
+CAMERA = "camera.json"
+PLACED, PLACED_WORDS = "num_placed", "localized frames"
+"""What `summary.json` calls their number."""
+
+IN_OTHER_MAP = "tracked in a separate map that is not connected to the main one"
+WARM = 2
+"""Keyframes after which all that is needed was loaded: the largest times are those of later frames."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamResult:
+    """What `slam` returns; everything is also in the output folder."""
+
+    out: Path
+    trajectory: Trajectory
+    """Every frame that has a place, by the whole map."""
+    causal: Trajectory
+    """What was known when each frame came."""
+    summary: dict[str, Any]
+    """As in `summary.json`."""
+    warnings: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"SlamResult({self.trajectory!r} in {self.out})"
+
+
+class Given(NamedTuple):
+    """What was known besides the frames."""
+
+    truth: Truth | None
+    """The true path, to compare with."""
+    map: KnownMap | None
+    """The map that the run went on in."""
+    anchoring: Anchoring | None
+    """What made the map metric."""
+    camera: FoundCamera | None = None
+    """The camera, where it was found from the pictures."""
+
+
+def write_results(
+    feed: Feed,
+    system: Slam,
+    records: list[FrameRecord],
+    given: Given,
+    job: JobOptions,
+    run: Run,
+) -> SlamResult:
+    """Write what was found, and tell it.
+
+    Args:
+        feed: where the frames came from.
+        system: what followed them.
+        records: what became of each frame.
+        given: what was known besides the frames.
+        job: what is written.
+        run: the output folder.
+
+    Raises:
+        NoModelError: no frame got a place.
+    """
+    source, truth = feed.source, given.truth
+    tracked = [record.answer for record in records if record.answer is not None]
+    problems = [record.problem for record in records if record.problem] + feed.notes()
+    if not len(system.trajectory()):
+        raise NoModelError(f"no frame got a place: {_last_reason(tracked, problems)}")
+    came, anchoring = _causal(system, tracked), given.anchoring
+    if anchoring is not None:
+        came = moved_path(came, anchoring.world_from_model)
+    final, causal = (_of_body(path, source) for path in (system.trajectory(), came))
+    names = keyframe_names(system, records, given.map)
+    model = reconstruction_of(system.maps[0], source.camera.camera, names)
+    num_frames = len(records) + feed.num_dropped
+    run.warnings += [*problems, *missing_rows(final, num_frames, job.trajectory_format)]
+    checked = _checked(system, tracked, final, run)
+    run.warnings += system.start_doubts
+    facts = _summary(system, records, model, run.warnings)
+    summary, known = {**facts, **feed.summary(), **checked}, None
+    if given.camera is not None:
+        summary["camera_found"] = given.camera.summary()
+    metres, told = _metres(given, source, is_map_fixed=job.localize)
+    summary |= told
+    if truth is not None:
+        known = truth_at_frames(truth, records)
+        summary["truth"], odd = truth_summary(truth, known, (final, causal), len(records))
+        run.warnings += odd
+    with run.stage("write"), run.folder.publish("slam") as aside:
+        submaps = [_of_body(system.trajectory(n), source) for n in range(1, len(system.maps))]
+        _write(model, (final, causal), submaps, records, aside)
+        write_slam_map(aside / MAP_FILE, system.maps[0], names, source.camera, metres)
+        if given.camera is not None:
+            given.camera.write(aside / CAMERA)
+        write_in_format((final, causal), (TRAJECTORY, CAUSAL), job.trajectory_format, aside)
+    with run.stage("report"):
+        title = run.job.inputs[0].resolve().name
+        paths = (final, causal, known)
+        page = SlamPage(title, summary, records, model, *paths, run.job.settings, run.timings_s)
+        run.folder.write_text("report.html", render_page(page))
+    run.finish({**summary, "timings_s": run.timings_s})
+    return SlamResult(run.root, final, causal, summary, tuple(run.warnings))
+
+
+def keep_better(system: Slam, run: Run, *, can_repeat: bool) -> None:
+    """Refuse to replace a result that has more frames; frames that cannot be read again are written, with a warning.
+
+    Raises:
+        WorkspaceError: an earlier result has more frames, and these can be read again.
+    """
+    num_placed = len(system.trajectory())
+    if num_placed and can_repeat:
+        refuse_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+    else:
+        run.warnings += note_on_poorer(run.root, PLACED, num_placed, PLACED_WORDS)
+
+
+def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, run: Run) -> dict[str, Any]:
+    """Facts for the summary, and warnings, of what may be wrong with lens, pictures and scene."""
+    with run.stage("check"):
+        model, config = system.maps[0], system.config
+        mapper = LocalMapper(model, system.camera, system.focal_baseline, config)
+        shutter = None if system.camera.readout_s else find_readout(mapper, system.trajectory())
+        with with_readout(mapper, system.trajectory(), 0.0 if shutter is None else shutter.readout_s):
+            lens = check_lens(model, system.camera.camera)
+        blind = pixels_without_ray(system.camera.camera)
+        run.warnings += no_ray_warning(system.camera.camera)
+        run.warnings += [] if shutter is None else [shutter.warning()]
+        run.warnings += [*lens_warnings(lens, model.right_shift_px), *doubts(tracked, path)]
+        return {
+            "readout_s": system.camera.readout_s if shutter is None else shutter.readout_s,
+            "lens": None if lens is None else asdict(lens),
+            "fraction_without_ray": 0.0 if blind is None else float(blind.mean()),
+            "right_principal_point_shift_px": model.right_shift_px,
+            "poor_pictures": poor_pictures(tracked),
+            "moving": moving_things(tracked),
+        }
+
+
+def _covariance_words(system: Slam) -> str:
+    """Which errors the covariances of the trajectory cover, and which they exclude."""
+    if not system.camera.tells_depth:
+        return (
+            "they cover the image noise of each frame (one pixel); they exclude errors of the map, of its scale and of the"
+            " calibration"
+        )
+    if system.is_map_fixed:
+        return "they cover image noise and exclude errors of the known map and of the calibration"
+    sigma = CalibrationSigma.of(system.camera, system.config).in_words()
+    return (
+        f"they cover image noise and, in the final trajectory, calibration errors of {sigma} (one standard deviation each); they"
+        " exclude a rolling shutter, lens distortion that the camera model lacks, depth errors that vary over the image, and wrong"
+        " matches"
+    )
+
+
+def _median_sigma(path: Trajectory) -> float | None:
+    """Median standard deviation of the positions, in the trajectory's unit; None if none is known."""
+    if path.covariance is None:
+        return None
+    variance = np.trace(path.covariance[:, :3, :3], axis1=1, axis2=2)
+    known = variance[np.isfinite(variance) & (variance > 0)]
+    return float(np.sqrt(np.median(known))) if len(known) else None
+
+
+def keyframe_names(system: Slam, records: Sequence[FrameRecord], known: KnownMap | None) -> list[str]:
+    """Names of the pictures of the first map's keyframes."""
+    names = [record.name for record in records if record.answer]
+    named = {} if known is None else dict(zip(known.numbers, known.names))
+    named |= {system.first_number + n: name for n, name in enumerate(names)}
+    return [named[keyframe.number] for keyframe in system.maps[0].keyframes]
+
+
+def _causal(system: Slam, tracked: Sequence[TrackedFrame]) -> Trajectory:
+    """The poses in the main map as they were estimated when the frames came."""
+    first = system.first_frame - system.first_number
+    own = [t for t in tracked[first:] if t.map_number == system.maps[0].number]
+    rows = [
+        (t, t.submap_from_body if t.world_from_body is None else t.world_from_body, t.covariance) for t in own
+    ]
+    placed = [(t.timestamp_s, place, covariance) for t, place, covariance in rows if place is not None]
+    return Trajectory(
+        np.array([time for time, _, _ in placed], np.float64).reshape(-1),
+        Rigid3(
+            np.array([place.rotation for _, place, _ in placed]).reshape(-1, 3, 3),
+            np.array([place.translation for _, place, _ in placed]).reshape(-1, 3),
+        ),
+        np.array([np.zeros((6, 6)) if c is None else c for _, _, c in placed]).reshape(-1, 6, 6),
+    )
+
+
+def _of_body(trajectory: Trajectory, source: FrameSource) -> Trajectory:
+    """The path of the camera that took the pictures, not of its rectified picture."""
+    turned = source.body_from_camera
+    if np.array_equal(turned.rotation, np.eye(3)) and not turned.translation.any():
+        return trajectory
+    places = trajectory.world_from_body @ turned.inverse()
+    adjoint = turned.adjoint()
+    covariance = trajectory.covariance
+    if covariance is not None:
+        covariance = adjoint @ covariance @ adjoint.T
+    return Trajectory(trajectory.timestamp_s, places, covariance)
+
+
+def _write(
+    model: Reconstruction,
+    paths: tuple[Trajectory, Trajectory],
+    submaps: Sequence[Trajectory],
+    records: Sequence[FrameRecord],
+    folder: Path,
+) -> None:
+    final, causal = paths
+    write_trajectory(final, folder / TRAJECTORY)
+    write_trajectory(causal, folder / CAUSAL)
+    write_trajectory(final, folder / WITH_COVARIANCE, with_covariance=True)
+    write_records(records, folder / FRAME_TABLE)
+    for number, path in enumerate(submaps, 1):
+        write_trajectory(path, folder / f"trajectory_submap_{number}.txt")
+    if len(model.images) >= 2:
+        write_colmap_model(model, folder / "sparse" / "0")
+        write_scene_ply(folder / "points.ply", model)
+
+
+def _summary(
+    slam: Slam,
+    records: Sequence[FrameRecord],
+    model: Reconstruction,
+    warnings: list[str],
+) -> dict[str, Any]:
+    tracked = [record.answer for record in records if record.answer is not None]
+    states = [t.state for t in tracked]
+    ms = 1e3 * np.array([record.seconds for record in records]) if records else np.zeros(1)
+    keyframes = [n for n, record in enumerate(records) if record.answer and record.answer.is_keyframe]
+    warm = ms[keyframes[WARM - 1] + 1 :] if len(keyframes) >= WARM else ms
+    placed, error_px = len(slam.trajectory()), model.mean_reprojection_error_px()
+    return {
+        "num_frames": len(records),
+        PLACED: placed,
+        "num_placed_causal": len(_causal(slam, tracked)),
+        "states": {state.value: states.count(state) for state in TrackingState},
+        "num_keyframes": len(slam.maps[0].keyframes),
+        "num_points": int(np.isfinite(slam.maps[0].xyz[:, 0]).sum()),
+        "mean_reprojection_error_px": error_px if np.isfinite(error_px) else None,
+        "ms_per_frame": {
+            "median": float(np.median(ms)),
+            "p95": float(np.percentile(warm if len(warm) else ms, 95)),
+            "max": float(warm.max() if len(warm) else ms.max()),
+        },
+        "reasons": _reasons(tracked),
+        "covariances": _covariance_words(slam),
+        "sigma_position_median": _median_sigma(slam.trajectory()),
+        "submaps": [_submap_words(slam, n) for n in range(1, len(slam.maps))],
+        "num_places_compared": len(slam.loops),
+        "loops": [asdict(loop) for loop in slam.loops if loop.num_matches >= MIN_SAMPLE],
+        "warnings": warnings,
+    }
+
+
+def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
+    """A part of the path that no place seen again ties to the first map."""
+    path = slam.trajectory(number)
+    return {
+        "num_frames": len(path),
+        "num_keyframes": len(slam.maps[number].keyframes),
+        "from_s": float(path.timestamp_s[0]) if len(path) else None,
+        "to_s": float(path.timestamp_s[-1]) if len(path) else None,
+        "is_metric": slam.camera.tells_depth,
+    }
+
+
+def _metres(given: Given, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
+    """Where the map's metres come from, for its file (empty: it is up to scale), and the same for this run's summary."""
+    known, more = given.map, {}
+    if given.anchoring is not None:
+        words = scale = given.anchoring.scale.in_words()
+        more = {"anchor": given.anchoring.scale.summary()}
+    elif source.camera.tells_depth and not is_map_fixed:
+        words = scale = _scale_words(source)
+    elif known is not None and known.is_metric:
+        whence = f" ({known.scale.removeprefix('metres, ')})" if known.scale else ""
+        words, scale = known.scale or "metres", f"metres, as in the known map{whence}"
+    else:
+        words, scale = "", "up to scale: one camera cannot tell lengths"
+    return words, {"scale": scale, "is_metric": bool(words), **more}
+
+
+def _scale_words(source: FrameSource) -> str:
+    if source.camera.depth is not None:
+        return "metres, from the depth sensor"
+    return f"metres, from the baseline of {source.camera.baseline:.4g} m"
+
+
+def _reasons(tracked: Sequence[TrackedFrame]) -> dict[str, int]:
+    """Why frames had no place when they came, and how many; reasons that differ in numbers alone are told by the last."""
+    last: dict[str, str] = {}
+    count: dict[str, int] = {}
+    for frame in tracked:
+        if frame.world_from_body is None:
+            reason = frame.reason if frame.submap_from_body is None else IN_OTHER_MAP
+            words = without_numbers(reason)
+            last[words], count[words] = reason, count.get(words, 0) + 1
+    return {last[words]: number for words, number in count.items()}
+
+
+def _last_reason(tracked: Sequence[TrackedFrame], problems: Sequence[str]) -> str:
+    if tracked:
+        return tracked[-1].reason
+    return problems[0] if problems else "there is no frame"

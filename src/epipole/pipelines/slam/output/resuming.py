@@ -1,0 +1,242 @@
+"""Continuing a run that was stopped.
+
+Frames that can be read again (folders, videos, recordings) are tracked again from the first one, which gives the result of an
+undisturbed run. A live run keeps the answers that it saved, and the camera is relocalized in the saved map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from epipole._version import __version__
+from epipole.errors import ConfigError, FileFormatError, NoModelError
+from epipole.io.atomic import atomic_write, reporting
+from epipole.io.files import read_json
+from epipole.io.json_files import json_text
+from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.output.answer_log import ANSWERS, read_answers
+from epipole.pipelines.slam.output.autosave import KEY, SAVED_MAP, Autosave, remove_checkpoint
+from epipole.pipelines.slam.output.map_file import read_slam_map
+from epipole.pipelines.slam.output.record import FrameRecord
+from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
+from epipole.runs import digest
+
+_FREE_OPTIONS = ("resume", "max_frames", "trajectory_format", "truth", "map", "view", "port", "host")
+"""Options of the job that may differ: no answer depends on them, or their content is compared."""
+
+STARTED_AGAIN = (
+    "the stopped run was started again from its first frame: the source's frames can be read again"
+)
+
+Key = dict[str, str]
+"""Everything that the answers depend on, by names."""
+
+
+class Continued(NamedTuple):
+    """A run where it continues, or starts."""
+
+    autosave: Autosave
+    records: list[FrameRecord]
+    """Of the frames that an earlier process tracked."""
+    source: FrameSource
+    """With the frames that are left."""
+    job: JobOptions
+    """For the frames that are left."""
+    first_number: int
+    """Number of the source's next frame, if it counts from zero again."""
+    num_dropped: int
+    """Frames that were dropped before."""
+    notes: tuple[str, ...] = ()
+    """What the user should know of it."""
+
+
+def key_of(sketch: Sequence[str], source: FrameSource, system: Slam, job: JobOptions) -> Key:
+    """What identifies a live run: another source, camera, map, version or option gives other answers.
+
+    Args:
+        sketch: of the source's files; not used for a camera, which has none.
+        source: the frames.
+        system: its camera, options and known map.
+        job: options.
+    """
+    camera, depth = source.camera, source.camera.depth
+    lens = camera.camera
+    seen: list[Any] = [
+        int(lens.model),
+        lens.width,
+        lens.height,
+        lens.params,
+        camera.baseline,
+        camera.readout_s,
+    ]
+    if depth is not None:
+        other, pose = depth.camera, depth.depth_from_color
+        seen += [int(other.model), other.width, other.height, other.params, depth.scale]
+        seen += [pose.rotation, pose.translation]
+    known = system.maps[0]
+    own = {name: value for name, value in asdict(job).items() if name not in _FREE_OPTIONS}
+    return {
+        "the version of epipole": __version__,
+        "the source's files": "" if source.is_live else digest(*sketch),
+        "the camera": digest(*seen),
+        "the known map": digest(known.xyz, [k.number for k in known.keyframes]) if known.num_points else "",
+        **{
+            f"--{name.replace('_', '-')}": str(value)
+            for name, value in _flat({**own, **asdict(system.config)})
+        },
+    }
+
+
+def start_or_continue(
+    folder: Path, key: Key, system: Slam, source: FrameSource, job: JobOptions
+) -> Continued:
+    """Continue the live run that was stopped in a folder if `job.resume` asks for it, or start one.
+
+    Args:
+        folder: of the checkpoint.
+        key: of this run.
+        system: SLAM before its first frame; it is given the saved map.
+        source: all frames.
+        job: options.
+
+    Raises:
+        ConfigError: the stopped run had another source or other options, or would be lost.
+        FileFormatError: what it saved is damaged.
+        WorkspaceError: the folder is not ours, or cannot be written.
+    """
+    can_repeat = not (source.is_live or job.realtime)
+    records = _saved(folder, key, system, job) if not can_repeat else []
+    notes = (STARTED_AGAIN,) if can_repeat and job.resume and (folder / KEY).is_file() else ()
+    if not records:
+        remove_checkpoint(folder)
+        with reporting(folder):
+            folder.mkdir(exist_ok=True)
+        mark_checkpoint(folder, key, is_written=False)
+    autosave = Autosave(folder, source.body_from_camera, can_repeat=can_repeat)
+    autosave.start(system, records)
+    if not records:
+        return Continued(autosave, [], source, job, 0, 0, notes)
+    last = records[-1].number
+    num_dropped = max(0, (last - job.start) // job.stride + 1 - len(records))
+    left = source if source.is_live else _after(source, last)
+    job = replace(job, start=job.stride - 1)
+    if job.max_frames is not None:
+        num_left = job.max_frames - len(records)
+        left = left if num_left > 0 else replace(left, num_frames=0, frames=_no_frames)
+        job = replace(job, max_frames=max(num_left, 1))
+    return Continued(autosave, records, left, job, last + 1 if source.is_live else 0, num_dropped)
+
+
+@contextmanager
+def completing(folder: Path, key: Key, *, is_complete: bool) -> Iterator[None]:
+    """Write the results in the block; afterwards, a run that has tracked all of its frames cannot be continued.
+
+    Raises:
+        WorkspaceError: the folder is not writable.
+    """
+    no_model = None
+    try:
+        yield
+    except NoModelError as error:  # there is nothing to write
+        no_model = error
+    if is_complete:
+        remove_checkpoint(folder)
+    else:
+        mark_checkpoint(folder, key, is_written=True)
+    if no_model is not None:
+        raise no_model
+
+
+def mark_checkpoint(folder: Path, key: Key, *, is_written: bool) -> None:
+    """Write which run the checkpoint belongs to, and whether the results of all its frames have been written.
+
+    Raises:
+        WorkspaceError: the folder is not writable.
+    """
+    with atomic_write(folder / KEY) as aside:
+        aside.write_text(json_text({"key": key, "is_written": is_written}, indent=1), encoding="utf-8")
+
+
+def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameRecord]:
+    """The frames of a stopped live run, after its map was given to `system`; empty if there is none to continue.
+
+    Raises:
+        ConfigError: the folder holds a run that is not this one, and must not be lost.
+        FileFormatError: what is there is damaged.
+    """
+    if not (folder / KEY).is_file() or not (folder / ANSWERS).is_file():
+        return []
+    advice = f"remove {folder} to start again"
+    try:
+        held = read_json(folder / KEY)
+        before, is_written = dict(held["key"]), bool(held["is_written"])
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise FileFormatError(folder / KEY, f"is damaged ({error}); {advice}") from error
+    if not job.resume:
+        if is_written:
+            return []
+        raise ConfigError(
+            f"{folder} holds a trajectory whose frames cannot be read again, of a run that was stopped: continue it with"
+            " --resume, or choose another output folder"
+        )
+    other = [name for name in {**before, **key} if before.get(name) != key.get(name)]
+    if other:
+        differences = "; ".join(_difference(name, before.get(name), key.get(name)) for name in other)
+        raise ConfigError(f"{folder} is of a run that cannot be continued like this: {differences}; {advice}")
+    records = read_answers(folder / ANSWERS)
+    try:
+        _restore(folder, system, records)
+    except (FileFormatError, ConfigError) as error:
+        raise FileFormatError(folder, f"{error}; {advice}") from error
+    return records
+
+
+def _restore(folder: Path, system: Slam, records: Sequence[FrameRecord]) -> None:
+    """Continue in the saved map; a camera whose map was not saved yet starts a new one.
+
+    Raises:
+        FileFormatError: the map is damaged.
+        ConfigError: it is the map of another camera.
+    """
+    tracked = [record.answer for record in records if record.answer is not None]
+    for path in folder.glob(SAVED_MAP.format("*")):
+        number = path.stem.partition("-")[2]
+        if number.isdecimal() and len(number) < 16:
+            model = read_slam_map(path, system.camera).model
+            model.number = int(number)
+            system.continue_in(model, tracked)
+            return
+    system.continue_in(system.maps[0], tracked)
+
+
+def _difference(name: str, then: str | None, now: str | None) -> str:
+    if not name.startswith("--") and name != "the version of epipole":
+        return f"{name} have changed" if name.endswith("files") else f"{name} has changed"
+    return f"{name} was {then or 'not given'}, and is {now or 'not given'} now"
+
+
+def _after(source: FrameSource, last: int) -> FrameSource:
+    """The frames after one that was tracked."""
+    frames = source.frames()
+    for queued in frames:
+        if queued.number == last:
+            break
+    return replace(source, num_frames=max(source.num_frames - last - 1, 0), frames=lambda: frames)
+
+
+def _no_frames() -> Generator[QueuedFrame, None, None]:
+    yield from ()
+
+
+def _flat(options: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Options of options by names with a dot."""
+    out: list[tuple[str, Any]] = []
+    for name, value in options.items():
+        own = f"{before}{name}"
+        out += _flat(value, f"{own}.") if isinstance(value, dict) else [(own, value)]
+    return out

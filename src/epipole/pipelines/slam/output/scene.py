@@ -1,0 +1,195 @@
+"""What the viewer shows of a followed camera: its path, keyframes, points and loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import EpipoleError, FileFormatError
+from epipole.image import color_map
+from epipole.io.convert import read_model
+from epipole.io.files import read_json
+from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
+from epipole.io.photographs import read_rgb
+from epipole.io.sequences import read_sequence
+from epipole.io.trajectories import read_trajectory, trajectory_format
+from epipole.pipelines.slam.output.drawing import (
+    CAUSAL,
+    CAUSAL_RGB,
+    FINAL,
+    FINAL_RGB,
+    loop_curve,
+    path_curve,
+    upright_from_world,
+)
+from epipole.pipelines.slam.output.map_file import MAP_FILE, sketch_of_map
+from epipole.report.markup import plural
+from epipole.report.space_model import scene_of_model
+from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, PointLayer, PointMeasure, SpaceScene
+from epipole.runs.folder import read_mark
+
+TRAJECTORY, CAUSAL_TRAJECTORY = "trajectory.txt", "trajectory_causal.txt"
+PICTURE_PX = 640
+UNIT_OF_FILE = "units of the file"
+MANY_PLACES = 300
+
+
+def is_mine(path: Path) -> bool:
+    """Whether a folder holds the path of a followed camera."""
+    return (path / CAUSAL_TRAJECTORY).is_file() and (path / TRAJECTORY).is_file()
+
+
+def scene(path: Path) -> SpaceScene:
+    """The map's points, keyframes with their pictures where they are still there, the path and the loops.
+
+    Raises:
+        FileFormatError: there is no map, or a file is damaged.
+    """
+    if not (path / "sparse" / "0").is_dir():
+        raise FileFormatError(path, "holds a path, but no map: a single keyframe has none")
+    model = read_model(path / "sparse" / "0")
+    final, causal = read_trajectory(path / TRAJECTORY), read_trajectory(path / CAUSAL_TRAJECTORY)
+    numbers = _frame_numbers(path)
+    summary = _summary(path)
+    loops = loop_curve(_loops(summary), model, [numbers.get(name, -1) for name in model.images.name])
+    curves = (
+        path_curve(FINAL, final, FINAL_RGB),
+        path_curve(CAUSAL, causal, CAUSAL_RGB, is_shown=False),
+        loops,
+    )
+    found = scene_of_model(
+        model,
+        title=path.resolve().name,
+        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        cameras="Keyframes",
+        load_picture=picture_loader(path),
+        curves=curves,
+    )
+    return replace(found, upright_from_world=upright_from_world(final.world_from_body).rotation)
+
+
+def is_trajectory(path: Path) -> bool:
+    """Whether a file is a path of TUM's, KITTI's or EuRoC's form."""
+    if path.suffix.lower() not in (".txt", ".csv", ".tum", ".kitti") or not path.is_file():
+        return False
+    try:
+        trajectory_format(path)
+    except FileFormatError:
+        return False
+    return True
+
+
+def scene_of_trajectory(path: Path) -> SpaceScene:
+    """A path alone, with its places in the colours of their times.
+
+    A world that begins at the first body is seen upright by the bodies, taken to be cameras; in any other, a map's or a
+    survey's, +z is up.
+
+    Raises:
+        FileFormatError: the file is damaged, or holds no place.
+    """
+    found = read_trajectory(path)
+    if not len(found):
+        raise FileFormatError(path, "holds no place")
+    begins_at_first = np.abs(found.world_from_body[0].as_matrix() - np.eye(4)).max() < 1e-3
+    upright = upright_from_world(found.world_from_body).rotation if begins_at_first else None
+    covariances = None
+    if found.covariance is not None:
+        turned = found.world_from_body.rotation
+        covariances = turned @ found.covariance[:, :3, :3] @ np.swapaxes(turned, 1, 2)
+    times = found.timestamp_s - found.timestamp_s[0]
+    has_times = trajectory_format(path) != "kitti"  # its lines are numbered alone
+    instants = PointLayer(
+        "Places",
+        found.world_from_body.translation,
+        color_map(times),
+        (PointMeasure("time", times, "s") if has_times else PointMeasure("number", times),),
+        covariances,
+        "as the file tells",
+    )
+    over = f" over {times[-1]:.1f} s" if has_times else ""
+    return SpaceScene(
+        title=path.resolve().name,
+        words=f"{plural(len(found), 'place')}{over}, a way of {found.path_length():.4g}",
+        unit=UNIT_OF_FILE,
+        points=(instants,),
+        # Many places are a line by themselves, in their colours, which one drawn over them would hide.
+        curves=(path_curve("path", found, FINAL_RGB, is_shown=len(found) < MANY_PLACES),),
+        upright_from_world=upright,
+    )
+
+
+def is_map(path: Path) -> bool:
+    """Whether a path is that of a map's file, or of the folder that holds it alone."""
+    return (path.is_file() and path.suffix == ".npz") or (path / MAP_FILE.name).is_file()
+
+
+def scene_of_map(path: Path) -> SpaceScene:
+    """Points and keyframes of a map, with the pictures that it keeps of them.
+
+    Raises:
+        FileFormatError: it is no map, or damaged.
+    """
+    found = sketch_of_map(path)
+    upright = upright_from_world(found.cams_from_world.inverse()).rotation
+    points = found.xyz_in_world
+    rgb = np.full((len(points), 3), 200, np.uint8)
+    agreed = PointMeasure("keyframes that agree", found.num_agreed.astype(np.float64), "", is_at_least=True)
+    pictures = dict(zip(found.names, found.grey))
+    n = len(found.names)
+    keyframes = CameraLayer(
+        "Keyframes",
+        found.names,
+        found.cams_from_world,
+        np.broadcast_to(found.camera.K, (n, 3, 3)).copy(),
+        np.broadcast_to([found.camera.width, found.camera.height], (n, 2)).copy(),
+        lambda name: np.repeat(pictures[name][..., None], 3, axis=2),
+    )
+    words = f"A map of {plural(n, 'keyframe')} and {plural(len(points), 'point')}"
+    unit = METRES if found.is_metric else NO_UNIT
+    layers = (PointLayer("Points", points, rgb, (agreed,)),)
+    return SpaceScene(path.resolve().name, words, unit, layers, keyframes, upright_from_world=upright)
+
+
+def picture_loader(out: Path) -> Callable[[str], np.ndarray | None]:
+    """Reads a keyframe's picture from the frames that the path was made from; gives None where they are gone."""
+    mark = read_mark(out)
+    files: dict[str, Path] = {}
+    if mark is not None and mark.source.paths:
+        try:
+            frames = read_sequence(mark.source.paths[0]).frames
+        except EpipoleError:
+            frames = ()
+        files = {frame.picture.name: frame.picture for frame in frames}
+
+    def load_picture(name: str) -> np.ndarray | None:
+        try:
+            return read_rgb(files[name], PICTURE_PX) if name in files else None
+        except FileFormatError:
+            return None
+
+    return load_picture
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    summary = read_json(path / "summary.json")
+    return summary if isinstance(summary, dict) else {}
+
+
+def _loops(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """None where it has none."""
+    loops = summary.get("loops", [])
+    return [loop for loop in loops if isinstance(loop, dict)] if isinstance(loops, list) else []
+
+
+def _frame_numbers(path: Path) -> dict[str, int]:
+    """Numbers of the frames by their pictures' names; those that were dropped or left out are not counted."""
+    if not (path / FRAME_TABLE).is_file():
+        return {}
+    table = read_frame_table(path / FRAME_TABLE)
+    followed = np.flatnonzero(np.isfinite(table.timestamp_s))
+    return {table.picture[row]: number for number, row in enumerate(followed)}

@@ -1,0 +1,108 @@
+"""The path against a known one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.geometry import Similarity3
+from epipole.io.true_paths import Truth
+from epipole.io.true_paths import true_path_at as true_path_at
+from epipole.metrics import absolute_error, associate, score_trajectory
+from epipole.metrics.numbered_truth import at_numbers_of_pictures
+from epipole.pipelines.slam.output.record import FrameRecord
+from epipole.scene import Trajectory
+
+MAX_DIFFERENCE_S = 0.01
+"""Frames and truth further apart in time are not compared."""
+LEAST_COVERAGE = 0.2
+"""Share of the frames, or of the truth where that has fewer rows, below which no error is told."""
+
+
+def truth_at_frames(truth: Truth, records: Sequence[FrameRecord]) -> Trajectory:
+    """The truth with the frames' times, where it brings none: its rows are those of all frames of the source.
+
+    Raises:
+        ConfigError: there are not as many rows, and the pictures are not named by the rows' numbers either.
+    """
+    if truth.has_times:
+        times = np.array([r.answer.timestamp_s if r.answer else np.nan for r in records])
+        names = [record.name for record in records]
+        return at_numbers_of_pictures(truth.trajectory, names, times, MAX_DIFFERENCE_S) or truth.trajectory
+    rows = np.array([record.number for record in records])
+    if len(truth.trajectory) != len(records):
+        stems = [Path(record.name).stem for record in records]
+        rows = np.array([int(stem) if stem.isdecimal() else -1 for stem in stems])
+        if not len(rows) or rows.min() < 0 or rows.max() >= len(truth.trajectory):
+            raise ConfigError(
+                f"the truth holds no times (KITTI's form) and {len(truth.trajectory)} rows for"
+                f" {len(records)} frames: which belong together cannot be told"
+            )
+    told = [(row, record.answer.timestamp_s) for row, record in zip(rows, records) if record.answer]
+    places = truth.trajectory.world_from_body[np.array([row for row, _ in told], np.int64)]
+    return Trajectory(np.array([time for _, time in told], np.float64), places)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathErrors:
+    """Distances of a path from the truth, instant by instant."""
+
+    timestamp_s: np.ndarray
+    distance: np.ndarray
+    """In the truth's unit, after the alignment."""
+    estimate_from_truth: Similarity3
+    """Brings the truth into the path's world, with the same alignment."""
+
+
+def errors_of(estimate: Trajectory, truth: Trajectory, *, with_scale: bool) -> PathErrors | None:
+    """Errors after an alignment, with scale for a path of unknown scale; None where none can be made."""
+    try:
+        rows, rows_of_truth = associate(estimate, truth, MAX_DIFFERENCE_S)
+        ours, theirs = estimate.world_from_body[rows], truth.world_from_body[rows_of_truth]
+        found = absolute_error(ours, theirs, "similarity" if with_scale else "rigid")
+    except DegenerateGeometryError:
+        return None
+    return PathErrors(estimate.timestamp_s[rows], found.position.values, found.truth_from_estimate.inverse())
+
+
+def truth_summary(
+    truth: Truth, known: Trajectory, paths: tuple[Trajectory, Trajectory], num_frames: int
+) -> tuple[dict[str, Any], list[str]]:
+    """What the summary says of a known path, and warnings.
+
+    Args:
+        truth: as read.
+        known: it, at the frames' times.
+        paths: the final one, and the causal one.
+        num_frames: of the source.
+    """
+    out: dict[str, Any] = {
+        "source": str(truth.path),
+        "max_difference_s": MAX_DIFFERENCE_S,
+        "read_as": list(truth.assumptions),
+    }
+    warnings = []
+    for name, path in zip(("final", "causal"), paths):
+        try:
+            found = score_trajectory(path, known, MAX_DIFFERENCE_S)
+            if found.num_compared < LEAST_COVERAGE * min(found.num_instants, found.num_truth):
+                raise DegenerateGeometryError(
+                    f"{found.num_compared} of {found.num_instants} places have a true one within {MAX_DIFFERENCE_S:g} s: are "
+                    "the clocks and their units the same?"
+                )
+        except DegenerateGeometryError as error:
+            out[name] = None
+            warnings.append(f"the {name} path is not compared with the truth: {error}")
+            continue
+        out[name] = {**asdict(found), "coverage": found.num_compared / num_frames}
+        if name == "final" and 2 * found.num_compared < min(found.num_instants, found.num_truth):
+            warnings.append(
+                f"{found.num_compared} of {found.num_instants} places have a true one within"
+                f" {MAX_DIFFERENCE_S:g} s: are the clocks and their units the same?"
+            )
+    return out, warnings

@@ -1,0 +1,1 @@
+"""Rolling shutters: the motion during the readout, and a check for one that nobody mentioned."""

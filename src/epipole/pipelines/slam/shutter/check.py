@@ -1,0 +1,109 @@
+"""Whether a map's pictures were read out row by row, and how long the readout takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.shutter.motion import motions_at, shutter_shifts
+from epipole.scene import Trajectory
+
+LEAST_KEYFRAMES, MOST_KEYFRAMES = 10, 60
+TRIED = (0.5, 0.25, 0.75, 1.0)
+"""Readouts, as shares of the time between two frames."""
+NEAR = 0.1
+"""Further ones, around the best."""
+LEAST_GAIN = 0.1
+"""Of the cost: what is left over must fall by that share before a readout is believed."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadoutFound:
+    """A rolling shutter."""
+
+    readout_s: float
+    """From the first row to the one after the last."""
+    gain: float
+    """Share of the cost that goes with it."""
+
+    def warning(self) -> str:
+        """What that means, in words."""
+        return (
+            f"the rows of the pictures are read one after another, in {1e3 * self.readout_s:.1f} ms, and the path is bent by "
+            f"it: follow again with --readout-s {self.readout_s:.4f}"
+        )
+
+
+@contextmanager
+def with_readout(mapper: LocalMapper, path: Trajectory, readout_s: float) -> Iterator[None]:
+    """The map's keyframes as a shutter of one instant would have seen them, inside the block.
+
+    Args:
+        mapper: of the map.
+        path: of all its frames.
+        readout_s: from the first row to the one after the last; 0 leaves the keyframes as they are.
+    """
+    keyframes = [keyframe for keyframe in mapper.map.keyframes if len(keyframe.point)]
+    kept = [keyframe.shift_px for keyframe in keyframes]
+    try:
+        if readout_s > 0:
+            for keyframe, motion in zip(keyframes, motions_at(path, keyframes)):
+                keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, mapper.camera, readout_s)
+        yield
+    finally:
+        for keyframe, shift in zip(keyframes, kept):
+            keyframe.shift_px = shift
+
+
+def find_readout(mapper: LocalMapper, path: Trajectory) -> ReadoutFound | None:
+    """The readout with which a map's keyframes fit best; None for a shutter of one instant, or too little motion.
+
+    Pictures that are read out row by row leave residuals that go with the row and the motion. Each readout tried takes the
+    motion out of the pixels, by the frames beside each keyframe, and adjusts the map; the best of a parabola through the
+    costs is told.
+
+    Args:
+        mapper: of the map, which is left as it is.
+        path: of all its frames.
+    """
+    keyframes = [k for k in mapper.map.keyframes if len(k.point)][:MOST_KEYFRAMES]
+    if len(keyframes) < LEAST_KEYFRAMES or len(path) < LEAST_KEYFRAMES:
+        return None
+    numbers = [n for n, k in enumerate(mapper.map.keyframes) if any(k is own for own in keyframes)]
+    interval = float(np.median(np.diff(path.timestamp_s)))
+    motions = motions_at(path, keyframes)
+    kept = [k.shift_px for k in keyframes]
+
+    def cost(share: float) -> float:
+        for keyframe, motion in zip(keyframes, motions):
+            keyframe.shift_px = shutter_shifts(mapper.map, keyframe, motion, mapper.camera, share * interval)
+        return mapper.cost_of(numbers)
+
+    try:
+        costs = {0.0: cost(0.0)}
+        for share in TRIED:
+            costs[share] = cost(share)
+            if costs[0.5] >= costs[0.0]:
+                return None
+        if 1.0 - min(costs.values()) / costs[0.0] < LEAST_GAIN:
+            return None
+        best = _lowest(costs)
+        near = {share: cost(share) for share in (best - NEAR, best, best + NEAR)}
+    finally:
+        for keyframe, shift in zip(keyframes, kept):
+            keyframe.shift_px = shift
+    return ReadoutFound(_lowest(near) * interval, 1.0 - min(near.values()) / costs[0.0])
+
+
+def _lowest(costs: dict[float, float]) -> float:
+    """Where a parabola through the lowest cost and those beside it is lowest."""
+    shares = np.array(sorted(costs))
+    values = np.array([costs[share] for share in shares])
+    middle = int(np.clip(np.argmin(values), 1, len(shares) - 2))
+    a, b, _ = np.polyfit(shares[middle - 1 : middle + 2], values[middle - 1 : middle + 2], 2)
+    lowest = -b / (2.0 * a) if a > 0 else shares[int(np.argmin(values))]
+    return float(np.clip(lowest, NEAR, 1.2))

@@ -1,0 +1,317 @@
+"""Frames of any source: what they are made of, and the camera that they are of; and those of folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from epipole.cameras import Camera, CameraModel
+from epipole.cameras.image_fit import ImagePixels, ImageShape, fit_notes
+from epipole.disparity_search.rectification import Rectification, rectify
+from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
+from epipole.geometry import Rigid3
+from epipole.image.undistort import undistorted_camera, undistortion_map_px
+from epipole.io.depth_maps import read_png16
+from epipole.io.photographs import GreyRange, common_range, mask_of, read_grey, read_header, read_mask
+from epipole.io.sequences import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
+from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
+from epipole.pipelines.slam.sources.depth_range import DepthRange
+from epipole.scene import StereoRig
+
+ReadPicture = Callable[[Path], UInt8[np.ndarray, "h w"]]
+
+FAR_MM = 65535
+"""What depth cameras write where they see nothing, besides zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QueuedFrame:
+    """A frame whose pictures are read when its turn has come."""
+
+    number: int
+    """In its source, from 0."""
+    timestamp_s: float
+    name: str
+    """Of the picture."""
+    read: Callable[[], Frame]
+    """Raises an EpipoleError where files are damaged, or do not fit each other."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSource:
+    """Frames to be followed, one after the other."""
+
+    camera: SlamCamera
+    num_frames: int
+    """As announced; 0 for a camera, which does not end."""
+    frames: Callable[[], Generator[QueuedFrame, None, None]]
+    """As they come; raises an EpipoleError where the source is damaged from there on."""
+    body_from_camera: Rigid3
+    """From the camera that is followed (rectified, where it is one of two) to the one that took the pictures."""
+    notes: Callable[[], Sequence[str]] = tuple
+    """What is odd about the frames that were read so far, in words."""
+    is_live: bool = False
+    """A camera, that gives each frame once, at its time."""
+    about: Mapping[str, Any] = field(default_factory=dict)
+    """For the summary: the layout, and where the camera and the unit of the depth come from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Preparation:
+    """How pictures become frames of a camera without distortion, where depth is told."""
+
+    camera: SlamCamera
+    body_from_camera: Rigid3
+    frame: Callable[..., Frame]
+    """Of seconds, the grey picture, and the right grey picture or depth in metres."""
+    notes: Callable[[], Sequence[str]] = tuple
+    flat: Callable[[np.ndarray], np.ndarray] = np.asarray
+    """Of a grey picture of the (left) camera, as the frame has it."""
+
+
+def of_one_camera(lens: Camera) -> Preparation:
+    """Pictures as they are."""
+    return Preparation(SlamCamera(lens), Rigid3.identity(), Frame)
+
+
+def of_pair(rig: StereoRig) -> Preparation:
+    """Pictures of two cameras, rectified unless they are already."""
+    is_flat = (
+        rig.left.model == rig.right.model == CameraModel.PINHOLE
+        and np.array_equal(rig.left.params, rig.right.params)
+        and np.abs(rig.right_from_left.rotation - np.eye(3)).max() < 1e-9
+        and np.abs(rig.right_from_left.translation[1:]).max() < 1e-9 * rig.baseline
+    )
+    if is_flat:
+        return Preparation(SlamCamera(rig.left, rig.baseline), Rigid3.identity(), Frame)
+    found = rectify(rig)
+    flat = found.rig
+    lens = Camera(
+        CameraModel.PINHOLE, *found.size, np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
+    )
+    turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
+    prepared = partial(_rectified, rig, found)
+    return Preparation(
+        *(SlamCamera(lens, rig.baseline), turned, prepared),
+        flat=lambda picture: found.apply(picture, picture)[0],
+    )
+
+
+def of_depth(lens: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:
+    """Pictures with depth, undistorted.
+
+    Args:
+        lens: of the pictures.
+        sensor: of the depth; None: registered to the pictures, with their distortion.
+        depth_from_color: None: registered, or of one place.
+    """
+    flat = lens if lens.model == CameraModel.PINHOLE else undistorted_camera(lens)
+    table = None if flat is lens else undistortion_map_px(lens, flat)
+    depth_camera = DepthCamera(sensor or lens, depth_from_color or Rigid3.identity())
+    ranges = DepthRange()
+
+    def flat_picture(grey: np.ndarray) -> np.ndarray:
+        if table is None:
+            return grey
+        _require_size("picture", grey, lens)
+        return cv2.remap(grey, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+
+    def frame(seconds: float, grey: np.ndarray, depth: np.ndarray) -> Frame:
+        grey = flat_picture(grey)
+        ranges.add(depth)
+        return Frame(seconds, grey, None, depth)
+
+    camera = SlamCamera(flat, None, depth_camera)
+    return Preparation(camera, Rigid3.identity(), frame, ranges.notes, flat_picture)
+
+
+def open_sequence(
+    sequence: ImageSequence,
+    sensor: Literal["auto", "mono", "stereo", "rgbd"],
+    camera: Camera | None,
+    masks: Path | None = None,
+) -> FrameSource:
+    """The frames of a folder.
+
+    Args:
+        sequence: the folder's files.
+        sensor: what to use of them; auto takes depth, else the second camera, where there is one.
+        camera: given intrinsics, instead of the folder's.
+        masks: folder of masks, MASKS/NAME.png, black where a picture is not to be used; None for none.
+
+    Raises:
+        ConfigError: the intrinsics are not known, the sensor asked for is not there, or no picture has a mask.
+    """
+    kind = _kind_of(sequence, sensor)
+    if masks is not None and not any(mask_of(masks, files.picture.name) for files in sequence.frames):
+        raise ConfigError(f"no picture has a mask in {masks} (NAME.png beside the picture's name)")
+    lens = sequence.camera if camera is None else camera
+    if lens is None:
+        why = sequence.camera_problem or next((w for w in sequence.warnings if CALIBRATION_NOT_USED in w), "")
+        why = f"{why}. " if why else ""
+        raise ConfigError(
+            f"{why}Unknown camera intrinsics for {sequence.kind.value}: pass --camera-params fx,fy,cx,cy or --calibration FILE"
+        )
+    notes = [] if camera is not None else _fit_to_folder(sequence, lens)
+    if kind == "stereo":
+        if camera is not None:
+            raise ConfigError("the folder's calibration of both cameras is used: give no other")
+        assert sequence.rig is not None
+        made, read = of_pair(sequence.rig), _read_pair
+    elif kind == "mono":
+        made, read = of_one_camera(lens), _read_one
+    else:
+        assert sequence.depth is not None
+        made = of_depth(lens, sequence.depth.camera, sequence.depth.depth_from_color)
+        read = partial(_read_with_depth, unit=sequence.depth.unit)
+
+    read = partial(read, made)
+
+    def frames() -> Generator[QueuedFrame, None, None]:
+        # All frames are mapped alike: tracking compares their grey.
+        limits = common_range([files.picture for files in sequence.frames])
+        turning = _Turning(sequence.frames[0], limits)
+        for number, files in enumerate(sequence.frames):
+            plain = partial(read, turning, files)
+            masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.picture)
+            yield QueuedFrame(number, files.timestamp_s, files.picture.name, masked)
+
+    return FrameSource(
+        made.camera,
+        len(sequence),
+        frames,
+        made.body_from_camera,
+        lambda: [*notes, *sequence.warnings, *made.notes()],
+        about=_about(sequence, kind, is_camera_given=camera is not None),
+    )
+
+
+def _about(sequence: ImageSequence, kind: str, *, is_camera_given: bool) -> dict[str, Any]:
+    """What was assumed of the folder, for the summary."""
+    out: dict[str, Any] = {"layout": sequence.kind.value, "sensor": kind}
+    out["camera_source"] = "given" if is_camera_given else sequence.camera_source
+    if kind == "rgbd" and sequence.depth is not None:
+        out["depth_scale"], out["depth_scale_source"] = sequence.depth.unit, sequence.depth.unit_source
+        is_registered = sequence.depth.camera is None and sequence.depth.depth_from_color is None
+        out["is_depth_registered"] = is_registered
+    return out
+
+
+def _fit_to_folder(sequence: ImageSequence, lens: Camera) -> list[str]:
+    """Check that a camera of the folder is of its upright images; one image alone may be damaged. Gives what is odd about it.
+
+    Raises:
+        ConfigError: it is of another size than all that were looked at.
+    """
+    shapes = []
+    for row in sorted({0, len(sequence) // 2, len(sequence) - 1}):
+        try:
+            header = read_header(sequence.frames[row].picture)
+        except FileFormatError:
+            continue
+        shapes.append(ImageShape(header.width, header.height, header.orientation))
+    sizes = {(shape.width, shape.height) for shape in shapes}
+    if sizes and (lens.width, lens.height) not in sizes:
+        size = " x ".join(map(str, sizes.pop()))
+        raise ConfigError(
+            f"the camera ({sequence.camera_source}) is of images of {lens.width} x {lens.height} pixels, but these are {size}: pass"
+            " --camera-params fx,fy,cx,cy or --calibration FILE"
+        )
+    return fit_notes(lens, shapes[:1], ImagePixels.UPRIGHT, f"the camera ({sequence.camera_source})")
+
+
+def _with_mask(plain: Callable[[], Frame], made: Preparation, masks: Path, picture: Path) -> Frame:
+    frame = plain()
+    used_mask = read_mask(masks, picture.name)
+    if used_mask is None:
+        return frame
+    ignored_mask = made.flat(np.where(used_mask, 0, 255).astype(np.uint8)) > 0
+    if ignored_mask.shape != frame.grey.shape:
+        raise ShapeError(f"the mask of {picture.name} is not of its size")
+    return replace(frame, ignored_mask=ignored_mask)
+
+
+def _kind_of(sequence: ImageSequence, sensor: str) -> str:
+    has_right = sequence.rig is not None and sequence.frames[0].right is not None
+    if sensor == "stereo" and not has_right:
+        why = f": {sequence.camera_problem}" if sequence.camera_problem else ""
+        raise ConfigError(f"there is no second camera with a calibration in these frames{why}")
+    if sensor == "rgbd" and sequence.depth is None:
+        why = "".join(
+            f"; {words}" for words in sequence.warnings if words.startswith("the depth images are not used")
+        )
+        raise ConfigError(f"there are no depth pictures in these frames{why}")
+    if sensor != "auto":
+        return sensor
+    return "rgbd" if sequence.depth is not None else "stereo" if has_right else "mono"
+
+
+class _Turning:
+    """Reads the images of each camera turned as its first one: a sensor stays as it is mounted, whatever EXIF says later."""
+
+    def __init__(self, first: FrameFiles, limits: GreyRange | None) -> None:
+        self._first = first
+        self._limits = limits
+
+    @cached_property
+    def _left(self) -> int | None:
+        return _orientation_of(self._first.picture)
+
+    @cached_property
+    def _right(self) -> int | None:
+        assert self._first.right is not None
+        return _orientation_of(self._first.right)
+
+    def left(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the (left) camera."""
+        return read_grey(files.picture, limits=self._limits, orientation=self._left)
+
+    def right(self, files: FrameFiles) -> np.ndarray:
+        """The grey image of the right camera."""
+        assert files.right is not None
+        return read_grey(files.right, limits=self._limits, orientation=self._right)
+
+
+def _orientation_of(path: Path) -> int | None:
+    """None where it cannot be read: each image is turned by its own, then."""
+    try:
+        return read_header(path).orientation
+    except EpipoleError:
+        return None
+
+
+def _read_one(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files))
+
+
+def _read_pair(made: Preparation, turning: _Turning, files: FrameFiles) -> Frame:
+    return made.frame(files.timestamp_s, turning.left(files), turning.right(files))
+
+
+def _read_with_depth(made: Preparation, turning: _Turning, files: FrameFiles, *, unit: float) -> Frame:
+    assert files.depth is not None
+    depth = np.nan_to_num(read_png16(files.depth, 1.0), nan=0.0)
+    depth = np.where(depth == FAR_MM, 0.0, depth / unit).astype(np.float32)
+    return made.frame(files.timestamp_s, turning.left(files), depth)
+
+
+def _rectified(
+    rig: StereoRig, found: Rectification, seconds: float, left: np.ndarray, right: np.ndarray
+) -> Frame:
+    _require_size("left picture", left, rig.left)
+    _require_size("right picture", right, rig.right)
+    return Frame(seconds, *found.apply(left, right))
+
+
+def _require_size(what: str, picture: np.ndarray, camera: Camera) -> None:
+    """A table of pixels would read others of a picture of another size."""
+    if picture.shape != (camera.height, camera.width):
+        size = f"{picture.shape[1]} x {picture.shape[0]}"
+        raise ShapeError(f"the {what} is {size}, its camera's {camera.width} x {camera.height}")

@@ -1,0 +1,113 @@
+"""Which frames of a source are followed: all of them; in real time the newest; until there are enough, or Ctrl-C."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from itertools import islice
+from typing import Any
+
+from epipole.errors import EpipoleError
+from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
+
+
+class Clock:
+    """What tells and takes time; time as it is."""
+
+    def now_s(self) -> float:
+        """Seconds, from any begin."""
+        return time.perf_counter()
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        time.sleep(seconds)
+
+
+class Feed:
+    """The frames that are followed, and what became of the others."""
+
+    def __init__(
+        self,
+        source: FrameSource,
+        job: JobOptions,
+        is_stopped: Callable[[], bool] = lambda: False,
+        clock: Clock | None = None,
+    ) -> None:
+        self.source, self.job = source, job
+        self.num_dropped = 0
+        """Frames whose time passed while another was followed."""
+        self.is_interrupted = False
+        self.problems: list[str] = []
+        """Why the source ended before its end."""
+        self._is_stopped = is_stopped
+        self._clock = Clock() if clock is None else clock
+
+    def __iter__(self) -> Iterator[QueuedFrame]:
+        source = self.source.frames()
+        frames = self._wanted(source)
+        count, last = 0, self.job.start - self.job.stride
+        try:
+            for frame in self._in_real_time(frames) if self._waits else frames:
+                if self._is_stopped():
+                    self.is_interrupted = True
+                    return
+                if self.source.is_live:
+                    self.num_dropped += max(0, frame.number - last - self.job.stride)
+                    last = frame.number
+                yield frame
+                count += 1
+                if count == self.job.max_frames:
+                    return
+        except EpipoleError as error:
+            self.problems.append(f"the source ends after {count} frames: {error}")
+        finally:
+            source.close()
+
+    def _wanted(self, frames: Iterator[QueuedFrame]) -> Iterator[QueuedFrame]:
+        return islice(frames, self.job.start, None, self.job.stride)
+
+    @property
+    def num_expected(self) -> int:
+        """Frames that will be followed, as far as the source tells."""
+        wanted = len(range(self.job.start, self.source.num_frames, self.job.stride))
+        return min(wanted, self.job.max_frames or wanted)
+
+    def notes(self) -> list[str]:
+        """What is odd about the source, in words."""
+        return [*self.problems, *self.source.notes()]
+
+    def summary(self) -> dict[str, Any]:
+        """Facts for the job's summary."""
+        return {
+            "num_dropped": self.num_dropped,
+            "interrupted": self.is_interrupted,
+            "is_live": self.source.is_live,
+            "source": dict(self.source.about),
+        }
+
+    @property
+    def _waits(self) -> bool:
+        return self.job.realtime and not self.source.is_live
+
+    def _in_real_time(self, frames: Iterator[QueuedFrame]) -> Iterator[QueuedFrame]:
+        """The newest frame that a camera would have given by now; waits for the next where none is new.
+
+        Time begins when the first frame is done, for it loads and compiles what is needed.
+        """
+        first = next(frames, None)
+        if first is None:
+            return
+        yield first
+        begin_s = self._clock.now_s() - first.timestamp_s
+        held = next(frames, None)
+        while held is not None:
+            now_s = self._clock.now_s() - begin_s
+            following = next(frames, None)
+            while following is not None and following.timestamp_s <= now_s:
+                self.num_dropped += 1
+                held, following = following, next(frames, None)
+            if held.timestamp_s > now_s:
+                self._clock.wait(held.timestamp_s - now_s)
+            yield held
+            held = following

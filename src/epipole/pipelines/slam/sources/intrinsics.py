@@ -1,0 +1,275 @@
+"""The camera of frames that nothing tells about: some of them are reconstructed as photographs are, and their lens with them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Generator, Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from shutil import copyfile
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.errors import ConfigError, EpipoleError, NoModelError
+from epipole.features.flow import follow_points
+from epipole.geometry import Rigid3
+from epipole.image.encoding import encoded_image
+from epipole.io.bags import is_bag
+from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.io.camera_params import text_of_camera
+from epipole.io.photographs import read_grey, read_header
+from epipole.io.reconstruction_losses import losses_of
+from epipole.io.sequences import read_sequence
+from epipole.io.video import count_frames, is_video, opened_video
+from epipole.mapping import bundle_problem_of
+from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
+from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
+from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
+from epipole.pipelines.slam.output.map_file import camera_of_map
+from epipole.pipelines.slam.sources.streams import camera_index
+from epipole.pipelines.slam.tracking.corners import new_corners
+from epipole.runs import Progress, ProgressCallback
+
+MOST_PICTURES, LEAST_PICTURES = 30, 8
+MOST_FRAMES = 1500
+"""That are looked at."""
+APART = 0.12
+"""Of the picture's width: what points move by from one picture to the next that is taken."""
+LEAST_FOLLOWED = 80
+MOST_SIGMA = 0.005
+"""Of the focal length, as a share of it. In rooms and on an arc it was 0.1 to 0.3 %. On a street and before a cube it was 0.8 and 0.9 %, and
+the focal lengths were 3 and 8 % off: the lens has more than one number of distortion, its middle is not the picture's."""
+ADVICE = "give camera_params (fx,fy,cx,cy), or a calibration"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundCamera:
+    """A camera, and what it was found from."""
+
+    camera: Camera
+    num_pictures: int
+    """0 where it is that of the map that is gone on in."""
+    sigma_px: float
+    """Standard deviation of its focal length."""
+    losses: tuple[str, ...] = ()
+    """Warnings of the reconstruction that it was found by."""
+
+    def notes(self) -> list[str]:
+        """What a user should know."""
+        if not self.num_pictures:
+            return ["nothing tells the camera: it is taken to be that which made the map"]
+        return [
+            f"nothing tells the camera: it was found from {self.num_pictures} of the pictures ({self.camera}; focal length "
+            f"+- {self.sigma_px:.1f} px). A calibration is more accurate",
+            *(f"estimating the camera: {loss}" for loss in self.losses),
+        ]
+
+    @property
+    def source(self) -> str:
+        """Where it comes from, in words."""
+        return (
+            f"found from {self.num_pictures} of the images" if self.num_pictures else "that of the known map"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """For the run's summary."""
+        return {
+            "camera": repr(self.camera),
+            "pictures": self.num_pictures,
+            "focal_sigma_px": self.sigma_px,
+            "warnings": list(self.losses),
+        }
+
+    def write(self, path: Path) -> None:
+        """Write a calibration, for the next run."""
+        lens = CalibrationFile((self.camera,), Rigid3.identity(1))
+        write_calibration(
+            path, lens, {"found_from_pictures": self.num_pictures, "focal_sigma_px": self.sigma_px}
+        )
+
+
+class _Picture(NamedTuple):
+    grey: np.ndarray
+    file: Path | None
+
+
+class _Pictures(NamedTuple):
+    num: int
+    """As announced."""
+    each: Generator[_Picture, None, None]
+
+
+def find_camera(
+    source: Path, job: JobOptions, given: CameraOptions, progress: ProgressCallback
+) -> FoundCamera | None:
+    """The camera of a video, or of a folder of pictures; None where it is told, or the source is of another kind.
+
+    Args:
+        source: of the frames.
+        job: which of them.
+        given: what is known of the camera.
+        progress: of the reconstruction.
+
+    Raises:
+        ConfigError: the pictures do not tell their camera; the message says why.
+        FileFormatError: the source cannot be read.
+    """
+    if given.camera_params or given.calibration or is_bag(source) or camera_index(source) is not None:
+        return None
+    pictures = _pictures(source, job)
+    if pictures is None:
+        return None
+    if job.map is not None:
+        return FoundCamera(camera_of_map(job.map), 0, 0.0)
+    return _camera_of(pictures, job, given, progress)
+
+
+def _pictures(source: Path, job: JobOptions) -> _Pictures | None:
+    """The pictures of a video or a folder; None of a folder that tells its camera, or is not of one camera."""
+    if is_video(source):
+        return _Pictures(count_frames(source)[0], _of_video(opened_video(source)))
+    sequence = read_sequence(source, job.fps)
+    is_known = sequence.camera or sequence.camera_problem or sequence.rig or sequence.depth
+    if job.sensor not in ("auto", "mono") or is_known:
+        return None  # what lies beside the images but does not fit them is refused where they are opened
+    read_header(sequence.frames[0].picture)  # an image of another kind is refused with the reason
+    return _Pictures(len(sequence), _of_files([frame.picture for frame in sequence.frames]))
+
+
+def _of_video(video: cv2.VideoCapture) -> Generator[_Picture, None, None]:
+    try:
+        while True:
+            is_read, picture = video.read()
+            if not is_read:
+                return
+            yield _Picture(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), None)
+    finally:
+        video.release()
+
+
+def _of_files(files: Iterable[Path]) -> Generator[_Picture, None, None]:
+    for file in files:
+        try:
+            yield _Picture(read_grey(file), file)
+        except EpipoleError:
+            continue  # it is named when its turn comes to be followed
+
+
+def _camera_of(
+    pictures: _Pictures, job: JobOptions, given: CameraOptions, progress: ProgressCallback
+) -> FoundCamera:
+    num = max(0, min(job.max_frames or MOST_FRAMES, MOST_FRAMES, (pictures.num - job.start) // job.stride))
+    wanted = islice(pictures.each, job.start, job.start + num * job.stride, job.stride)
+    with tempfile.TemporaryDirectory(prefix="epipole-camera-") as name, closing(pictures.each):
+        folder = Path(name) / "pictures"
+        folder.mkdir()
+        selected = _select(_counted(wanted, num, progress), max(1, num // MOST_PICTURES), folder)
+        progress(Progress("choose", num, num))
+        if len(selected) < LEAST_PICTURES:
+            raise ConfigError(
+                f"nothing tells the camera, and {len(selected)} pictures are too few to find it ({LEAST_PICTURES} are needed): "
+                f"{ADVICE}"
+            )
+        model: dict[str, Any] = {} if given.camera_model is None else {"camera_model": given.camera_model}
+        try:
+            found = reconstruct(folder, Path(name) / "model", progress=progress, single_camera=True, **model)
+        except NoModelError as error:
+            raise ConfigError(
+                f"nothing tells the camera, and the pictures give no model: {error}: {ADVICE}"
+            ) from error
+        losses = []
+        for loss in losses_of(found.summary, None):
+            for copy, name_in_source in selected.items():
+                loss = loss.replace(copy, name_in_source)
+            losses.append(loss)
+        return _judged(found, losses)
+
+
+def _counted(
+    pictures: Iterable[_Picture], num: int, progress: ProgressCallback
+) -> Generator[_Picture, None, None]:
+    for n, picture in enumerate(pictures):
+        progress(Progress("choose", min(n, num - 1), num))
+        yield picture
+
+
+def _select(pictures: Iterable[_Picture], usual: int, folder: Path) -> dict[str, str]:
+    """Write every so-many-th of the pictures, and those between where the points have moved by a part of the width.
+
+    Returns:
+        The name in the source (of a video: the number of the picture, of those looked at) of each file that is written.
+    """
+    view, since = _View(), 0
+    selected: dict[str, str] = {}
+    for number, (grey, file) in enumerate(pictures):
+        since += 1
+        if not view.is_apart(grey) and selected and since < usual:
+            continue
+        name = folder / f"{len(selected):06d}{'.png' if file is None else file.suffix}"
+        if file is None:
+            name.write_bytes(encoded_image(".png", grey))
+        else:
+            copyfile(file, name)  # with what it says of its lens
+        view.begin(grey)
+        selected[name.name], since = f"image {number}" if file is None else file.name, 0
+        if len(selected) == MOST_PICTURES:
+            break
+    return selected
+
+
+class _View:
+    """Points of the picture that was taken last, followed."""
+
+    def __init__(self) -> None:
+        self._config = SlamConfig()
+        self._before: np.ndarray | None = None
+        self._begin = self._now = np.zeros((0, 2))
+
+    def begin(self, grey: np.ndarray) -> None:
+        self._before = grey
+        self._begin = self._now = new_corners(grey, np.zeros((0, 2)), self._config)
+
+    def is_apart(self, grey: np.ndarray) -> bool:
+        """Whether the points have moved, or are gone; the next picture in turn."""
+        if self._before is None or self._before.shape != grey.shape:
+            return self._before is None
+        there, found_mask = follow_points(self._before, grey, self._now, None, self._config.flow)
+        self._before, self._now, self._begin = grey, there[found_mask], self._begin[found_mask]
+        shift = np.linalg.norm(self._now - self._begin, axis=1)
+        return len(shift) < LEAST_FOLLOWED or float(np.median(shift)) > APART * grey.shape[1]
+
+
+def _judged(found: ReconstructionResult, losses: Iterable[str]) -> FoundCamera:
+    """The camera, where the pictures tell its focal length.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    count = int(found.model.is_registered().sum())
+    if count < LEAST_PICTURES:
+        raise ConfigError(
+            f"nothing tells the camera, and only {count} of the pictures that should tell it fit together: {ADVICE}"
+        )
+    config, problem = BundleConfig(loss=Loss.CAUCHY), with_fixed_gauge(bundle_problem_of(found.model))
+    result = adjust_bundle(problem, config)
+    spread = bundle_covariance(problem, result, config, clustered=True).camera_params[0, 0, 0]
+    lens = found.model.cameras[0]
+    sigma_px = float(np.sqrt(spread))
+    if not sigma_px <= MOST_SIGMA * lens.focal_px:
+        known = f"to {sigma_px / lens.focal_px:.1%} alone" if np.isfinite(sigma_px) else "not at all"
+        raise ConfigError(
+            f"nothing tells the camera, and the pictures tell its focal length {known}: {ADVICE}. What they agree with best is "
+            f"--camera-model {lens.model.name} --camera-params {text_of_camera(lens)}"
+        )
+    return FoundCamera(lens, count, _honest_sigma_px(found, sigma_px), tuple(losses))
+
+
+def _honest_sigma_px(found: ReconstructionResult, formal_px: float) -> float:
+    """The deviation of the focal length that the reconstruction tells, with what its lens lacks; else the formal one."""
+    told = [focal["sigma_px"] for focal in found.summary.get("focals", []) if focal["camera"] == 0]
+    return max(formal_px, float(told[0])) if told and told[0] is not None else formal_px

@@ -1,0 +1,279 @@
+"""Frames of videos, of recordings of ROS, and of a camera."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import ImageShape
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
+from epipole.io.video import announced_frames, frame_orientation, opened_video
+from epipole.pipelines.slam.config import CameraOptions, JobOptions
+from epipole.pipelines.slam.frames import Frame
+from epipole.pipelines.slam.sources.folder import (
+    FrameSource,
+    Preparation,
+    QueuedFrame,
+    of_depth,
+    of_one_camera,
+    of_pair,
+)
+
+_USUAL_HZ = 30.0
+_GIVEN = "given"
+_WHOLE = 0.98
+"""Share of the announced frames with which a video or a recording counts as whole: containers round."""
+
+
+def camera_index(source: Path) -> int | None:
+    """The number of a camera, where the source is one of at most three digits and no file is called so."""
+    text = str(source)
+    is_number = len(text) <= 3 and text.isascii() and text.isdecimal()
+    return int(text) if is_number and not source.exists() else None
+
+
+def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = None) -> FrameSource:
+    """The frames of a video.
+
+    Args:
+        path: the file.
+        given: what is known of the camera.
+        found: the camera, where it was found from the pictures.
+
+    Raises:
+        ConfigError: the intrinsics are not given.
+        FileFormatError: it is no video, or none of its frames can be read.
+    """
+    capture = opened_video(path)
+    is_read, first = capture.read()
+    count, is_counted = announced_frames(path, capture)
+    rate = capture.get(cv2.CAP_PROP_FPS)
+    capture.release()
+    if not is_read:
+        raise FileFormatError(path, "no frame of the video can be decoded")
+    shape = ImageShape(first.shape[1], first.shape[0], frame_orientation(path))
+    known = (found, []) if found else given.fitted_camera(shape)
+    if known is None:
+        raise ConfigError(
+            "nothing tells the camera of a video: give camera_params (fx,fy,cx,cy), or a calibration"
+        )
+    rate = rate if 0 < rate < 1e4 else _USUAL_HZ
+    lens, notes = known
+    end = "the video ends after {} of {} announced frames"
+    made, counted = of_one_camera(lens), _Counted(count if is_counted else 0, end)
+
+    def frames() -> Generator[QueuedFrame, None, None]:
+        video, seconds = opened_video(path), -1.0 / rate
+        try:
+            while True:
+                is_read, picture = video.read()
+                if not is_read:
+                    counted.is_over = True
+                    return
+                told = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+                seconds = told if told > seconds and counted.num else seconds + 1.0 / rate
+                yield _queued(counted.num, seconds, partial(_of_color, made, seconds, picture))
+                counted.num += 1
+        finally:
+            video.release()
+
+    def all_notes() -> list[str]:
+        return [*notes, *counted.notes()]
+
+    about = {"layout": "video", "sensor": "mono", "camera_source": _GIVEN}
+    return FrameSource(*(made.camera, max(count, 1), frames, made.body_from_camera, all_notes), about=about)
+
+
+def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
+    """The frames of a recording of ROS.
+
+    Raises:
+        ConfigError: the topics asked for are not there, several could be meant, or the intrinsics are not known.
+        FileFormatError: the recording cannot be read.
+        MissingDependencyError: the package rosbags is not installed.
+    """
+    bag = read_bag(path, job.sensor, job.topic_names)
+    made, factor = _preparation_of(bag, given), _depth_factor(bag, given)
+    what = "could be read" if bag.sensor == "mono" else "have a partner in the other topic, by their stamps"
+    counted = _Counted(bag.num_frames, f"{{}} of {{}} frames of the recording {what}")
+
+    def frames() -> Generator[QueuedFrame, None, None]:
+        for frame in bag_frames(bag):
+            yield _queued(counted.num, frame.timestamp_s, partial(_of_bag, made, factor, frame))
+            counted.num += 1
+        counted.is_over = True
+
+    def notes() -> list[str]:
+        return [*bag.warnings, *counted.notes(), *made.notes()]
+
+    about = _about_bag(bag, given)
+    return FrameSource(made.camera, bag.num_frames, frames, made.body_from_camera, notes, about=about)
+
+
+def open_camera(
+    index: int, given: CameraOptions, capture: Any = None, clock: Callable[[], float] = time.time
+) -> FrameSource:
+    """The frames of a camera at this computer, from now on; a slow tracker gets the newest, and drops are counted.
+
+    Args:
+        index: its number, as OpenCV counts.
+        given: its intrinsics.
+        capture: what gives the pictures (`read`, `release`); None opens the camera.
+        clock: seconds.
+
+    Raises:
+        ConfigError: there is no such camera, or its intrinsics are not given.
+    """
+    capture = _opened_camera(index) if capture is None else capture
+    is_read, first = capture.read()
+    if not is_read:
+        capture.release()
+        raise ConfigError(f"camera {index} gives no picture: another program may use it")
+    lens = given.camera((first.shape[1], first.shape[0]))
+    if lens is None:
+        capture.release()
+        raise ConfigError(
+            "nothing tells the intrinsics of a camera: give camera_params (fx,fy,cx,cy), or a calibration"
+        )
+    made, newest = of_one_camera(lens), _Newest(capture, clock)
+
+    def frames() -> Generator[QueuedFrame, None, None]:
+        for number, seconds, picture in newest.pictures():
+            yield _queued(number, seconds, partial(_of_color, made, seconds, picture))
+
+    about = {"layout": "camera", "sensor": "mono", "camera_source": _GIVEN}
+    return FrameSource(made.camera, 0, frames, made.body_from_camera, is_live=True, about=about)
+
+
+class _Counted:
+    """How many frames came, of those announced."""
+
+    def __init__(self, announced: int, words: str) -> None:
+        self.announced, self.words, self.num, self.is_over = announced, words, 0, False
+
+    def notes(self) -> list[str]:
+        """A warning where a source that was read to its end has fewer."""
+        if not self.is_over or self.num >= _WHOLE * self.announced - 1:
+            return []
+        return [self.words.format(self.num, self.announced)]
+
+
+class _Newest:
+    """Pictures of a camera, read by a thread as they come: the queues of drivers would hand out old ones."""
+
+    def __init__(self, capture: Any, clock: Callable[[], float]) -> None:
+        self._capture, self._clock = capture, clock
+        self._changed = threading.Condition()
+        self._newest: tuple[int, float, np.ndarray] | None = None
+        self._is_over = False
+
+    def pictures(self) -> Iterator[tuple[int, float, np.ndarray]]:
+        """Number, seconds and pixels of the newest picture, each once, until the camera ends or the caller does."""
+        thread = threading.Thread(target=self._read, daemon=True)
+        thread.start()
+        try:
+            while True:
+                with self._changed:
+                    while self._newest is None and not self._is_over:
+                        self._changed.wait(0.2)  # in parts, so that Ctrl-C is heard on every system
+                    taken, self._newest = self._newest, None
+                if taken is None:
+                    return
+                yield taken
+        finally:
+            self._is_over = True
+            thread.join(timeout=5.0)
+            self._capture.release()
+
+    def _read(self) -> None:
+        number = 0
+        while not self._is_over:
+            is_read, picture = self._capture.read()
+            seconds = self._clock()
+            with self._changed:
+                if is_read:
+                    self._newest = (number, seconds, picture)
+                else:
+                    self._is_over = True
+                self._changed.notify()
+            number += 1
+
+
+def _opened_camera(index: int) -> Any:
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below says it in one line
+    try:
+        capture = cv2.VideoCapture(index)
+    finally:
+        cv2.utils.logging.setLogLevel(before)
+    if not capture.isOpened():
+        raise ConfigError(f"camera {index} cannot be opened: there is none, or another program uses it")
+    return capture
+
+
+def _preparation_of(bag: BagSequence, given: CameraOptions) -> Preparation:
+    if bag.sensor == "stereo":
+        rig = given.rig(bag.size) or bag.rig
+        if rig is None:
+            raise ConfigError(
+                f"no CameraInfo of {bag.path} tells both cameras and the baseline: give a calibration of both"
+            )
+        return of_pair(rig)
+    lens = given.camera(bag.size) or bag.camera
+    if lens is None:
+        raise ConfigError(
+            f"no CameraInfo of {bag.path} tells the camera: give camera_params, or a calibration"
+        )
+    if bag.sensor == "mono":
+        return of_one_camera(lens)
+    return of_depth(lens, bag.depth_camera, bag.depth_from_color)
+
+
+def _queued(number: int, seconds: float, read: Callable[[], Frame]) -> QueuedFrame:
+    return QueuedFrame(number, seconds, f"frame_{number:06d}.jpg", read)
+
+
+def _of_bag(made: Preparation, depth_factor: float, frame: BagFrame) -> Frame:
+    if frame.depth is not None:
+        return made.frame(frame.timestamp_s, frame.grey(), np.float32(depth_factor) * frame.depth())
+    return made.frame(
+        frame.timestamp_s, frame.grey(), *([] if frame.right_grey is None else [frame.right_grey()])
+    )
+
+
+def _depth_factor(bag: BagSequence, given: CameraOptions) -> float:
+    """Metres for each metre that the depth would be by its encoding.
+
+    Raises:
+        ConfigError: a depth scale is given, and no depth is used.
+    """
+    if given.depth_scale is None:
+        return 1.0
+    if bag.depth_values_per_m is None:
+        raise ConfigError(f"depth_scale is given, but no depth of {bag.path} is used (sensor, topics)")
+    return bag.depth_values_per_m / given.depth_scale
+
+
+def _about_bag(bag: BagSequence, given: CameraOptions) -> dict[str, Any]:
+    is_given = given.calibration is not None or given.camera_params is not None
+    out: dict[str, Any] = {"layout": "ROS", "sensor": bag.sensor}
+    out["camera_source"] = _GIVEN if is_given else "CameraInfo"
+    if bag.depth_values_per_m is not None:
+        known = given.depth_scale
+        out["depth_scale"] = bag.depth_values_per_m if known is None else known
+        out["depth_scale_source"] = "the encoding (REP 118)" if known is None else _GIVEN
+    return out
+
+
+def _of_color(made: Preparation, seconds: float, picture: np.ndarray) -> Frame:
+    grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    return made.frame(seconds, grey)

@@ -1,0 +1,1 @@
+"""How the map of one camera is initialized."""

@@ -1,0 +1,97 @@
+"""Points held to the look that they had when they were first seen, so that following them does not drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.features.patches import align_patches
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.map.slam_map import SlamMap
+
+STEP_PX = 4.0
+"""Half the distance over which the warp of a patch is measured."""
+STEPS_PX = STEP_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+LEAST_SCORE = 0.6
+FURTHEST_PX = 4.0
+LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
+"""Beyond, a point is given its present look instead."""
+
+
+def hold(
+    model: SlamMap,
+    camera: Camera,
+    grey: np.ndarray,
+    cam_from_world: Rigid3,
+    points: np.ndarray,
+    pixels: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels of points by the pictures in which they were first seen; which are the same things still; which look otherwise.
+
+    Args:
+        model: the map.
+        camera: any model.
+        grey: the present picture.
+        cam_from_world: about where it was taken.
+        points: (n,) rows of the map.
+        pixels: (n, 2) where they are thought to be, to a few pixels.
+
+    Returns:
+        Pixels; a mask of those whose patch correlates; a mask of those that should be given a new look.
+    """
+    out, score = pixels.copy(), np.full(len(points), np.nan)
+    warps = warps_of(model, camera, cam_from_world, points)
+    anchors = model.anchor[points]
+    for k in np.unique(anchors):
+        rows = np.flatnonzero(anchors == k)
+        out[rows], score[rows] = align_patches(
+            model.keyframes[int(k)].grey, grey, model.anchor_px[points[rows]], warps[rows], pixels[rows]
+        )
+    near = np.linalg.norm(out - pixels, axis=1) <= FURTHEST_PX
+    is_same = (score >= LEAST_SCORE) & near
+    scale = np.sqrt(np.abs(np.linalg.det(warps)))
+    is_stale = (scale > LARGEST_SCALE) | (scale < 1 / LARGEST_SCALE) | (score < LEAST_FRESH_SCORE)
+    # A patch at the picture's edge cannot be compared: it is taken as it was followed.
+    return np.where(is_same[:, None], out, pixels), is_same | np.isnan(score), is_stale
+
+
+def warps_of(model: SlamMap, camera: Camera, cam_from_world: Rigid3, points: np.ndarray) -> np.ndarray:
+    """(n, 2, 2) d(pixel now) / d(pixel when first seen), for small surfaces that faced the camera then."""
+    anchors, which = np.unique(model.anchor[points], return_inverse=True)
+    then = [model.keyframes[int(k)].cam_from_world for k in anchors]
+    return warps_between(then, which, model.anchor_px[points], model.xyz[points], camera, cam_from_world)
+
+
+def warps_between(
+    then: list[Rigid3],
+    which: np.ndarray,
+    pixels: np.ndarray,
+    points_in_world: np.ndarray,
+    camera: Camera,
+    cam_from_world: Rigid3,
+) -> np.ndarray:
+    """(n, 2, 2) d(pixel now) / d(pixel then), for small surfaces that faced the camera then.
+
+    Args:
+        then: cam_from_world of other pictures.
+        which: (n,) of these.
+        pixels: (n, 2) in them.
+        points_in_world: (n, 3); NaN: as far as the others (median).
+        camera: any model.
+        cam_from_world: of the present picture.
+    """
+    out = np.tile(np.eye(2), (len(pixels), 1, 1))
+    if not len(pixels):
+        return out
+    there = Rigid3(np.stack([p.rotation for p in then]), np.stack([p.translation for p in then]))
+    motion = cam_from_world @ there.inverse()
+    in_cam = np.einsum("nj,nj->n", there.rotation[which, 2], points_in_world) + there.translation[which, 2]
+    known = in_cam > 0
+    depth = np.where(known, in_cam, np.median(in_cam[known]) if known.any() else 1.0)
+    ends = pixels + STEPS_PX[:, None]
+    rays = camera.unproject(ends.reshape(-1, 2)).reshape(4, -1, 3)
+    moved = np.einsum("nij,snj->sni", motion.rotation[which], rays / rays[..., 2:] * depth[:, None])
+    seen = camera.project((moved + motion.translation[which]).reshape(-1, 3)).reshape(4, -1, 2)
+    warps = np.stack([seen[0] - seen[1], seen[2] - seen[3]], axis=2) / (2 * STEP_PX)
+    good = np.asarray(np.isfinite(warps)).all(axis=(1, 2), keepdims=True)
+    return np.where(good, warps, out)

@@ -1,0 +1,104 @@
+"""Points of the map that should be in sight, but are not followed: found again by the pictures of older keyframes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.features.patches import find_patches
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.frames import is_outside
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.tracking.patches import hold, warps_between
+
+MOST_KEYFRAMES = 4
+LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
+"""Beyond, a patch of the older picture does not look like the new one's."""
+HALF_PX = 10
+LEAST_SCORE = 0.8
+REACH_PX = 2.0
+"""From so far a patch is found without halving the picture."""
+SEARCH_PX, DRIFT_PX = 8.0, 25.0
+"""How far from where the map says a point may be found: at once, and after the last frame."""
+
+
+def find_again(
+    model: SlamMap,
+    camera: Camera,
+    grey: np.ndarray,
+    cam_from_world: Rigid3,
+    followed: np.ndarray,
+    search_px: float = SEARCH_PX,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(pixels, points) of points that are in sight and not followed, by patches of the keyframes that see most of them."""
+    pixels, points = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    missing = np.isfinite(model.xyz[:, 0])
+    missing[followed] = False
+    if not missing.any():
+        return pixels[0], points[0]
+    expected = np.full((model.num_points, 2), np.nan)
+    rows = np.flatnonzero(missing)
+    in_cam = cam_from_world.apply(model.xyz[rows])
+    expected[rows] = camera.project(in_cam)
+    inside = (expected[rows] >= 5).all(axis=1) & (expected[rows] < [camera.width - 5, camera.height - 5]).all(
+        axis=1
+    )
+    missing[rows] = inside & (in_cam[:, 2] > 0)
+    rotations = np.stack([k.cam_from_world.rotation for k in model.keyframes])
+    # The trace of a rotation is 1 + 2 cos of its angle.
+    is_turned = np.einsum("ij,kij->k", cam_from_world.rotation, rotations) < 1 + 2 * LEAST_COSINE
+    none = np.zeros(0, np.int64)
+    views = [
+        none if turned else _usable(k, model, missing, cam_from_world)
+        for k, turned in zip(model.keyframes, is_turned, strict=True)
+    ]
+    for index in np.argsort([-len(v) for v in views], kind="stable")[:MOST_KEYFRAMES]:
+        keyframe, own = model.keyframes[int(index)], views[int(index)]
+        own = own[missing[keyframe.point[own]]]
+        if len(own) < 5:
+            continue
+        at, wanted, xyz = keyframe.pixels[own], expected[keyframe.point[own]], model.xyz[keyframe.point[own]]
+        then = [keyframe.cam_from_world]
+        warps = warps_between(then, np.zeros(len(own), np.int64), at, xyz, camera, cam_from_world)
+        levels = 1 + math.ceil(math.log2(search_px / REACH_PX))
+        there, score = find_patches(keyframe.grey, grey, at, warps, wanted, levels, HALF_PX)
+        found = (score >= LEAST_SCORE) & (np.linalg.norm(there - wanted, axis=1) <= search_px)
+        pixels.append(there[found])
+        points.append(keyframe.point[own[found]])
+        missing[points[-1]] = False
+    return np.concatenate(pixels), np.concatenate(points)
+
+
+def _usable(keyframe: Keyframe, model: SlamMap, missing: np.ndarray, cam_from_world: Rigid3) -> np.ndarray:
+    """Observations of missing points that a like view of the scene made: as near, and from as much the same side."""
+    own = np.flatnonzero(missing[keyframe.point])
+    if not len(own):
+        return own
+    xyz = model.xyz[keyframe.point[own]]
+    there = xyz - keyframe.cam_from_world.inverse().translation
+    here = xyz - cam_from_world.inverse().translation
+    far, near = np.linalg.norm(there, axis=1), np.linalg.norm(here, axis=1)
+    cosine = (there * here).sum(axis=1) / np.maximum(far * near, 1e-12)
+    ratio = near / np.maximum(far, 1e-12)
+    return own[(cosine > LEAST_COSINE) & (ratio < LARGEST_SCALE) & (ratio > 1 / LARGEST_SCALE)]
+
+
+def tie_together(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) -> int:
+    """Let keyframes see all points of the map that are in its picture; returns the number of new observations.
+
+    While the camera moves a point is looked for near its place alone; here also where drift has moved it to.
+    """
+    count = 0
+    for keyframe in keyframes:
+        place = keyframe.cam_from_world
+        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
+        if not len(points):
+            continue
+        pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
+        good = is_same & ~is_stale & is_outside(keyframe.ignored_mask, pixels)
+        keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])
+        count += int(good.sum())
+    return count

@@ -1,0 +1,63 @@
+"""A pair whose left picture shows nothing (a covered lens): the points of the map are followed in the right one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.cameras import Camera
+from epipole.features.flow import follow_points
+from epipole.geometry import Rigid3
+from epipole.mapping import RefinedPose
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.tracking.points import Tracks, locate
+
+
+def place_by_right_picture(
+    model: SlamMap,
+    sensor: SlamCamera,
+    frames: tuple[Frame, Frame],
+    place: Rigid3,
+    points: np.ndarray,
+    config: SlamConfig,
+) -> tuple[RefinedPose, Tracks] | None:
+    """The pose of the left camera of a frame, and the points that agree where it would see them; None if too few do.
+
+    Args:
+        model: the map.
+        sensor: the pair.
+        frames: the one before, and this one.
+        place: cam_from_world of the one before.
+        points: (n,) rows of the map's points that were followed.
+        config: thresholds.
+    """
+    before, frame = frames
+    if before.right_grey is None or frame.right_grey is None or sensor.baseline is None:
+        return None
+    right = _right_camera(sensor.camera, model.right_shift_px)
+    right_from_left = Rigid3(np.eye(3), np.array([-sensor.baseline, 0.0, 0.0]))
+    points = points[model.has_place(points)]
+    was = right.project((right_from_left @ place).apply(model.xyz[points]))
+    inside = ((was >= 0) & (was < [right.width, right.height])).all(axis=1)
+    points, was = points[inside], was[inside]
+    pixels, found = follow_points(before.right_grey, frame.right_grey, was, was, config.flow)
+    points, pixels = points[found], pixels[found]
+    located = locate(model.xyz[points], pixels, right, right_from_left @ place, None, config)
+    if located is None:
+        return None
+    refined, agrees = located
+    here = right_from_left.inverse() @ refined.cam_from_world
+    # exp(xi) right_from_left = right_from_left exp(Ad xi): the information turns with it.
+    adjoint = right_from_left.adjoint()
+    refined = replace(refined, cam_from_world=here, information=adjoint.T @ refined.information @ adjoint)
+    seen = sensor.camera.project(here.apply(model.xyz[points[agrees]]))
+    return refined, Tracks(seen, points[agrees], seen.copy())
+
+
+def _right_camera(left: Camera, shift_px: float) -> Camera:
+    params = left.params.copy()
+    params[left.model.principal_point_indices[0]] += shift_px
+    return Camera(left.model, left.width, left.height, params)

@@ -1,0 +1,314 @@
+"""A frame in a map: points are followed into it, held to their first looks, and a pose is found with which they agree."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epipole.geometry import Rigid3
+from epipole.mapping import Disparities, RefinedPose
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, MovingThing, SlamCamera
+from epipole.pipelines.slam.loops.recognition import Recognition
+from epipole.pipelines.slam.map.slam_map import Observations, SlamMap
+from epipole.pipelines.slam.shutter.motion import (
+    FORETOLD_SIGMA,
+    UNKNOWN_SIGMA,
+    points_by_depth,
+    refine_while_moving,
+    shutter_shifts,
+    straighten_recent,
+)
+from epipole.pipelines.slam.shutter.recent_motion import RecentMotion
+from epipole.pipelines.slam.tracking.depth import disparities_of
+from epipole.pipelines.slam.tracking.frame_quality import shows_something
+from epipole.pipelines.slam.tracking.moving_objects import (
+    LEAST_POINTS,
+    off_px_of_scene,
+    second_motion,
+    second_motion_in_picture,
+)
+from epipole.pipelines.slam.tracking.patches import hold
+from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_sure, locate, predict_pixels
+from epipole.pipelines.slam.tracking.redetection import find_again
+from epipole.pipelines.slam.tracking.right_image import place_by_right_picture
+from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
+
+SHUTTER_ROUNDS = 3
+"""A frame's motion follows from its place, and its place from the motion."""
+STEP_PX = 0.7
+"""A moving object moves at least this far from one frame to the next, in pixels."""
+PROVEN_FRAMES = 3
+"""In so many a point must have agreed with the others before it decides where the camera is."""
+
+
+class MapTracker:
+    """Follows points of one map.
+
+    Attributes:
+        tracks: the points that are followed.
+        stale: rows of those that look otherwise than when they were first seen.
+        moving: what moves in the last frame besides the camera.
+        static_part: the static part of the last image, if it contradicts the motion of the other points.
+        waiting: frames that are to be placed again when the map has settled.
+    """
+
+    def __init__(
+        self, model: SlamMap, sensor: SlamCamera, focal_baseline: float | None, config: SlamConfig
+    ) -> None:
+        self.map, self.sensor, self.camera, self.config = model, sensor, sensor.camera, config
+        self.focal_baseline = focal_baseline
+        self.tracks = Tracks.none()
+        self.stale = np.zeros(0, np.int64)
+        self.moving: MovingThing | None = None
+        self.static_part: StaticPart | None = None
+        self._num_at_start = 1
+        self._place_before: Rigid3 | None = None
+        self.waiting: list[SeenFrame] = []
+        self._seen: SeenFrame | None = None
+
+    def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
+        """The pose of the next frame and the number of points that agree; None if too few do.
+
+        The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
+        velocity such a share of the error came back enlarged, from frame to frame.
+        """
+        tracks, followed = self.tracks, self.tracks.point
+        self._place_before, self.map.recent = place, self.map.recent.begin_at(before.timestamp_s)
+        last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
+        if not shows_something(before.grey):
+            tracks.keep(np.zeros(len(tracks), bool))
+            return self._find_again((before, frame), place, followed)
+        guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
+        tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.pixels, is_same, is_stale = hold(
+            self.map, self.camera, frame.grey, place, tracks.point, tracks.pixels
+        )
+        self.stale = tracks.point[is_stale]
+        tracks.keep(is_same)
+        found = self.locate(frame, place, last)
+        return self._find_again((before, frame), place, followed) if found is None else found
+
+    def _find_again(
+        self, frames: tuple[Frame, Frame], place: Rigid3, followed: np.ndarray
+    ) -> tuple[RefinedPose, int] | None:
+        """The pose by all points of the map that should be in sight; where the left picture shows none, by the right one."""
+        tracks, frame = self.tracks, frames[1]
+        right = place_by_right_picture(self.map, self.sensor, frames, place, followed, self.config)
+        near = place
+        if (
+            right is not None
+        ):  # it tells where they are in the left one to a pixel: near enough for their patches
+            near, seen = right[0].cam_from_world, right[1]
+            pixels, is_same, _ = hold(self.map, self.camera, frame.grey, near, seen.point, seen.pixels)
+            tracks.keep(np.zeros(len(tracks), bool))
+            tracks.add(pixels[is_same], seen.point[is_same])
+        tracks.add(*find_again(self.map, self.camera, frame.grey, near, tracks.point))
+        found = self.locate(frame, near)
+        if found is not None or right is None:
+            return found
+        refined, self.tracks = right
+        return refined, len(self.tracks)
+
+    def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
+        """The pose of a frame that was recognised; its points are followed from here on."""
+        self._place_before = None
+        self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
+        return self.locate(frame, recognized.cam_from_world)
+
+    def locate(
+        self, frame: Frame, predicted: Rigid3, last: Tracks | None = None
+    ) -> tuple[RefinedPose, int] | None:
+        """The frame's pose; points that do not agree are given up.
+
+        Args:
+            frame: the pictures.
+            predicted: a place near it.
+            last: the same points in the previous frame, if they were tracked from there; needed to detect motion of objects.
+        """
+        tracks, self.moving, self.static_part = self.tracks, None, None
+        tracks.keep(frame.is_used(tracks.pixels))
+        placed = np.flatnonzero(self.map.has_place(tracks.point))
+        rows, pixels = tracks.point[placed], tracks.pixels[placed]
+        deep, measured = None, None
+        if frame.depth is not None and self.focal_baseline is not None:
+            measured = disparities_of(frame, pixels, np.full(len(pixels), np.nan), self.sensor, self.config)
+            deep = Disparities(measured, self.focal_baseline, self.config.depth_sigma_px)
+        proven = self.map.num_agreed[rows] >= PROVEN_FRAMES
+        found = locate(self.map.xyz[rows], pixels, self.camera, predicted, deep, self.config, proven)
+        if found is None or not is_sure(*found, self.config):
+            return None
+        if last is not None:
+            found, self.static_part = self._unless_at_rest(found, rows, placed, predicted, deep)
+        refined, agrees = found
+        if self.sensor.readout_s:
+            refined, agrees = self._while_moving(frame, found, rows, pixels)
+        measured = None if measured is None else measured[agrees]
+        self._seen = SeenFrame(frame.timestamp_s, pixels[agrees], rows[agrees], measured)
+        kept = np.ones(len(tracks.point), bool)
+        kept[placed] = agrees
+        place = refined.cam_from_world
+        self.moving = None if last is None else self._what_moves(last, rows, pixels, agrees, place)
+        self.map.num_agreed[rows[agrees]] += 1
+        tracks.keep(kept)
+        return refined, int(agrees.sum())
+
+    def _unless_at_rest(
+        self,
+        found: tuple[RefinedPose, np.ndarray],
+        rows: np.ndarray,
+        placed: np.ndarray,
+        predicted: Rigid3,
+        deep: Disparities | None,
+    ) -> tuple[tuple[RefinedPose, np.ndarray], StaticPart | None]:
+        """The pose, or that of a camera at rest if a large part of the image is static; and the static part."""
+        pixels, pixels_before = self.tracks.pixels[placed], self.tracks.start_px[placed]
+        at = self.camera.project(found[0].cam_from_world.apply(self.map.xyz[rows]))
+        errors_px = np.linalg.norm(at - pixels, axis=1)
+        static = find_static_part(pixels_before, pixels, errors_px, self.camera)
+        if static is None or not static.is_scene:
+            return found, static
+        points_at_rest, depth_at_rest = self.map.xyz[rows[static.mask]], deep and deep.rows(static.mask)
+        at_rest = locate(
+            points_at_rest, pixels[static.mask], self.camera, predicted, depth_at_rest, self.config
+        )
+        if at_rest is None:
+            return found, replace(static, is_scene=False)
+        agrees = np.zeros(len(rows), bool)
+        agrees[static.mask] = at_rest[1]
+        return (at_rest[0], agrees), static
+
+    def _while_moving(
+        self,
+        frame: Frame,
+        located: tuple[RefinedPose, np.ndarray],
+        points: np.ndarray,
+        pixels: np.ndarray,
+    ) -> tuple[RefinedPose, np.ndarray]:
+        """The pose in the middle of the readout, found with the motion, and which points agree then; as before if too few."""
+        refined, agreed = located
+        readout, place = self.sensor.readout_s, refined.cam_from_world
+        for _ in range(SHUTTER_ROUNDS):
+            recent = self._recent_at(frame, place, self.map.xyz[points])
+            place, motion, error_sq = refine_while_moving(
+                *(self.map.xyz[points], pixels, self.camera, place),
+                *(recent.newest(), readout),
+                sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
+            )
+            self._straighten_begin(recent)
+        agrees = error_sq <= self.config.max_error_px**2
+        if agrees.sum() < self.config.min_tracked:
+            self.map.recent = RecentMotion()
+            return refined, agreed
+        self.map.recent = self._recent_at(frame, place, self.map.xyz[points])
+        straighten_recent(self.map, self.camera, readout)
+        motions = self.map.recent.settled()
+        for one in self.waiting:
+            one.motion = motions.get(one.timestamp_s, one.motion)
+        self.map.motion = motion
+        return replace(refined, cam_from_world=place), agrees
+
+    def _straighten_begin(self, recent: RecentMotion) -> None:
+        """Place the first keyframe's points anew: nothing was known of its motion when they were made."""
+        first, motions = self.map.keyframes[0], recent.settled()
+        if len(self.map.keyframes) > 1 or self.focal_baseline is None or first.timestamp_s not in motions:
+            return
+        lens = self.camera, self.sensor.readout_s
+        first.motion = motions[first.timestamp_s]
+        seen = Observations(first.pixels, first.disparity_px, first.point)
+        most = self.config.max_depth_baselines
+        in_cam = points_by_depth(self.map, seen, first.motion, self.sensor, self.focal_baseline, most)
+        self.map.xyz[first.point] = first.cam_from_world.inverse().apply(in_cam)
+        first.shift_px = shutter_shifts(self.map, first, first.motion, *lens)
+
+    def _recent_at(self, frame: Frame, place: Rigid3, points: np.ndarray) -> RecentMotion:
+        """The motion up to a frame that is at this place."""
+        if self._place_before is None:
+            return RecentMotion().begin_at(frame.timestamp_s)
+        step, depth = place @ self._place_before.inverse(), float(np.median(place.apply(points)[:, 2]))
+        return self.map.recent.with_step(frame.timestamp_s, step, depth)
+
+    def _what_moves(
+        self, last: Tracks, points: np.ndarray, pixels: np.ndarray, agrees: np.ndarray, place: Rigid3
+    ) -> MovingThing | None:
+        """A thing that moves besides the camera; not told where rows are read one after another, which bends all that is near."""
+        if self.sensor.readout_s:
+            return None
+        fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
+        fresh = self._moving_now(fresh, last, points, pixels, place)
+        found = second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+        if found is None and self.focal_baseline is None:
+            return self._motion_in_picture(last, points[agrees], place)
+        return found
+
+    def _moving_now(
+        self, mask: np.ndarray, last: Tracks, points: np.ndarray, pixels: np.ndarray, place: Rigid3
+    ) -> np.ndarray:
+        """(n,) masked points that moved independently of the scene since the previous frame; none if fewer than LEAST_POINTS.
+
+        A point that was mismatched once, or that an unmodelled distortion displaces, does not keep moving.
+        """
+        out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
+        if self._place_before is None or len(rows) < LEAST_POINTS:
+            return out
+        order = np.argsort(last.point)
+        then = last.pixels[order[np.searchsorted(last.point, points[rows], sorter=order)]]
+        placed = self.map.has_place(points)
+        depth = float(np.median(place.apply(self.map.xyz[points[placed]])[:, 2])) if placed.any() else 1.0
+        step = place @ self._place_before.inverse()
+        out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
+        return out
+
+    def _motion_in_picture(self, last: Tracks, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
+        newest = len(self.map.keyframes) - 1
+        lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
+        lacking = self._moving_now(lacking, last, self.tracks.point, self.tracks.pixels, place)
+        points = self.tracks.point[lacking]
+        now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
+        depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
+        then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
+        return second_motion_in_picture(then, now, self.camera, now_from_then, depth, self.config.seed)
+
+    def remember(self, number: int) -> None:
+        """The frame that was placed last has this number, and is to be placed again later."""
+        if self._seen is not None:
+            self._seen.number = number
+            self.waiting.append(self._seen)
+            self._seen = None
+
+    def rename(self, into: np.ndarray) -> None:
+        """Points that have become others; of two that are one now, one is followed on."""
+        self.move_rows(into)
+        self.tracks.keep_first()
+
+    def move_rows(self, into: np.ndarray) -> None:
+        """Points have other rows from here on."""
+        self.tracks.point = into[self.tracks.point]
+        for seen in self.waiting:
+            seen.point = into[seen.point]
+
+    def start_from(self, tracks: Tracks) -> None:
+        """Follow these from here on."""
+        self.tracks, self.stale = tracks, np.zeros(0, np.int64)
+        self._num_at_start = max(int(self.map.has_place(tracks.point).sum()), 1)
+
+    def look_again(self, frame: Frame, place: Rigid3) -> None:
+        """Take up all points of the map that are in sight."""
+        tracks = self.tracks
+        tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
+        self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
+
+    def why_keyframe(self, num_agreeing: int, age: int) -> str:
+        """Why the present frame, so many after the last keyframe, should be one; empty if it need not."""
+        if num_agreeing < self.config.keyframe_share * self._num_at_start:
+            return "fewer points in sight"
+        if num_agreeing < self.config.keyframe_points and age >= 3:
+            return "few points in sight"
+        if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
+            return "the points have moved"
+        return "time has passed" if age >= self.config.keyframe_gap else ""
+
+    def forget_mistakes(self) -> None:
+        """Stop following points whose observation in the newest keyframe was a mistake."""
+        self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))
