@@ -61,7 +61,7 @@ def main() -> None:
     slam.finish()
     finish_s = time.perf_counter() - begin
     path = slam.trajectory()
-    readout = None if camera.readout_s else find_readout(slam.mapper, path)
+    readout = None if camera.readout_s else find_readout(slam.odometry.mapper, path)
     if len(path):
         write_trajectory(path, out / "final.txt")
     more = {

@@ -14,8 +14,8 @@ from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings
 from epipole.pipelines.slam.output.warnings import doubts, moving_things, rest
 from epipole.pipelines.slam.run import slam as run_slam
-from epipole.pipelines.slam.tracking.frame_quality import PictureWatch
-from epipole.pipelines.slam.tracking.moving_objects import second_motion
+from epipole.pipelines.slam.tracking.frame_quality import FrameQualityMonitor
+from epipole.pipelines.slam.tracking.moving_objects import find_moving_object
 from epipole.scene import Trajectory
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
@@ -98,12 +98,12 @@ def test_blurred_frames_are_told_and_no_keyframes(kind, length_px):
 
 def test_a_usual_picture_is_no_blurred_one():
     """Five pixels of blur, noise, exposure and a new place are no reason."""
-    noise, watch = np.random.default_rng(3), PictureWatch()
+    noise, watch = np.random.default_rng(3), FrameQualityMonitor()
     for n, frame in enumerate(ride().frames("mono")):
         grey = frame.grey.astype(float) * (0.4 if n % 7 == 5 else 1.0) + noise.normal(
             0, n % 4, frame.grey.shape
         )
-        assert not watch.look(changed(frame, np.rint(grey).clip(0, 255).astype(np.uint8))).problem
+        assert not watch.assess(changed(frame, np.rint(grey).clip(0, 255).astype(np.uint8))).problem
 
 
 @pytest.mark.parametrize(
@@ -145,15 +145,15 @@ def test_a_second_motion_is_that_of_points_that_agree(rng):
     seen = CAMERA.project(moved.apply(points)) + rng.normal(0, 0.2, (40, 2))
     here = Rigid3.identity()
     config = SlamConfig()
-    found = second_motion(points, seen, CAMERA, here, config)
+    found = find_moving_object(points, seen, CAMERA, here, config)
     assert found.num_points > 35
     np.testing.assert_allclose(found.motion, (moved.apply(points) - points).mean(axis=0), atol=0.01)
     assert np.all(np.array(found.low_px) < np.median(seen, axis=0)) and np.all(
         found.high_px > np.median(seen, axis=0)
     )
     chance = seen + rng.uniform(-20, 20, (40, 2))
-    assert second_motion(points, chance, CAMERA, here, config) is None
-    assert second_motion(points[:10], seen[:10], CAMERA, here, config) is None
+    assert find_moving_object(points, chance, CAMERA, here, config) is None
+    assert find_moving_object(points[:10], seen[:10], CAMERA, here, config) is None
     assert moving_things([]) is None
 
 

@@ -89,7 +89,7 @@ def test_another_paths_unit_changes_nothing(ride, alone):
     np.testing.assert_array_equal(*there)
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_path(ride, unit, tmp_path):
+def test_a_run_uses_the_unit(ride, unit, tmp_path):
     pictures = tmp_path / "pictures"
     pictures.mkdir()
     for n, (grey, _, _) in enumerate(list(ride.pictures.values())[:LONG_ENOUGH]):
@@ -99,16 +99,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_path(ride, unit, tmp_path):
     options = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml", "fps": 10.0}
     whole = run_slam(pictures, tmp_path / "whole", camera=camera, **options)
     assert whole.summary["is_metric"] and "the IMU" in whole.summary["scale"]
-    stopped = tmp_path / "stopped"
-
-    def stop(progress):
-        if progress.stage == "track" and progress.done == 30:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_slam(pictures, stopped, camera=camera, progress=stop, **options)
-    run_slam(pictures, stopped, camera=camera, resume=True, **options)
-    assert (stopped / "trajectory.txt").read_bytes() == (tmp_path / "whole" / "trajectory.txt").read_bytes()
 
 
 def test_keyframes_are_in_a_row_where_the_log_covers_them(ride, with_unit, unit):

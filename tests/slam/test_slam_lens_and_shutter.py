@@ -9,8 +9,8 @@ import pytest
 from epipole.cameras import Camera
 from epipole.pipelines.slam.output import results
 from epipole.pipelines.slam.output.lens_check import LensCheck
-from epipole.pipelines.slam.shutter.check import ReadoutFound, with_readout
 from epipole.pipelines.slam.shutter import check as shutter_check
+from epipole.pipelines.slam.shutter.check import ReadoutFound, with_readout
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 

@@ -9,8 +9,8 @@ from slam_rides import CAMERA, MONO, RGBD, followed, ride
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loops import closing as loop_closing
-from epipole.pipelines.slam.loops.closing import LoopCloser, Tie
-from epipole.pipelines.slam.loops.correction import spread_drift
+from epipole.pipelines.slam.loops.closing import LoopCloser, LoopConstraint
+from epipole.pipelines.slam.loops.correction import correct_drift
 from epipole.pipelines.slam.loops.recognition import Recognition, View
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
@@ -178,9 +178,9 @@ def off_truth(model: SlamMap, truth: Rigid3) -> np.ndarray:
     return np.linalg.norm(ours - truth.inverse().translation, axis=1)
 
 
-def tie_of(model: SlamMap, there_from_here: Similarity3) -> Tie:
+def tie_of(model: SlamMap, there_from_here: Similarity3) -> LoopConstraint:
     found = Recognition(0, 50, "", Rigid3.identity(), np.zeros((0, 2)), np.zeros(0, np.int64))
-    return Tie(model, 0, there_from_here, found)
+    return LoopConstraint(model, 0, there_from_here, found)
 
 
 @pytest.mark.parametrize(("turn_deg", "growth"), [(0.3, 1.0), (-0.1, 1.0), (0.2, 0.99), (0.0, 1.02)])
@@ -189,7 +189,7 @@ def test_an_even_drift_is_taken_out_of_a_ring(turn_deg, growth):
     model, truth, true_points, there_from_here = ring(np.deg2rad(turn_deg), growth)
     before, points_before = off_truth(model, truth), np.linalg.norm(model.xyz - true_points, axis=1)
     assert before.max() > 0.05
-    assert spread_drift(model, tie_of(model, there_from_here), is_metric=growth == 1.0)
+    assert correct_drift(model, tie_of(model, there_from_here), is_metric=growth == 1.0)
     after = off_truth(model, truth)
     assert after.max() < 0.1 * before.max() and after[0] < 1e-9  # the first keyframe is the world
     assert np.linalg.norm(model.xyz - true_points, axis=1).max() < 0.1 * points_before.max()
@@ -208,7 +208,7 @@ def test_a_false_tie_is_rejected_and_moves_nothing(is_metric, turn_deg):
     places, points = [k.cam_from_world.log() for k in model.keyframes], model.xyz.copy()
     turned = Rigid3.exp(np.array([0, 0, 0, 0, np.deg2rad(turn_deg), 0]))
     false = Similarity3(np.array(1.0), turned.rotation, turned.translation)
-    assert not spread_drift(model, tie_of(model, false), is_metric=is_metric)
+    assert not correct_drift(model, tie_of(model, false), is_metric=is_metric)
     np.testing.assert_array_equal(model.xyz, points)
     np.testing.assert_array_equal([k.cam_from_world.log() for k in model.keyframes], places)
 

@@ -175,14 +175,18 @@ def test_a_run_is_shown_while_it_goes_on(made, tmp_path, monkeypatch, capsys):
 def test_a_snapshot_does_not_change_with_the_map():
     slam, _ = followed(ride().frames("mono")[:1], MONO)
     first = slam.snapshot()
-    assert first.state is TrackingState.TURNING and len(first.tracked_px) > 50 and not first.has_place.any()
+    assert (
+        first.state is TrackingState.TURNING
+        and len(first.tracked_px) > 50
+        and not first.is_triangulated.any()
+    )
     slam, _ = followed(ride().frames("stereo")[:3], STEREO)
     before = slam.snapshot()
     points = before.points_in_world.copy()
     slam.map.rescale(2.0)
     np.testing.assert_array_equal(before.points_in_world, points)
     assert len(before.points_in_world) == np.isfinite(slam.map.xyz[:, 0]).sum()
-    assert before.has_place.sum() > 50 and len(before.world_from_keyframes.rotation) == len(
+    assert before.is_triangulated.sum() > 50 and len(before.world_from_keyframes.rotation) == len(
         slam.map.keyframes
     )
 

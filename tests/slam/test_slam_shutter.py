@@ -113,7 +113,7 @@ def test_one_camera_s_map_is_straight_from_its_begin():
 def test_the_readout_is_found_and_the_path_straight_with_it():
     ride = drawn("shuttered", 75, 1)
     bent, straight = bent_and_straight(ride, "rgbd")
-    found = find_readout(bent.mapper, bent.trajectory())
+    found = find_readout(bent.odometry.mapper, bent.trajectory())
     assert found is not None and found.readout_s == pytest.approx(BY_THE_FRAMES, rel=0.1)
     assert "read one after another" in found.warning()
     before, after = (errors(one, ride.truth(), "none").position.rmse for one in (bent, straight))
@@ -126,4 +126,4 @@ def test_the_readout_is_found_and_the_path_straight_with_it():
 def test_a_shutter_of_one_instant_has_none():
     ride = drawn("loop_room", 60, 2)
     slam, _ = followed(ride.frames("rgbd"), ride.sensor("rgbd"))
-    assert find_readout(slam.mapper, slam.trajectory()) is None
+    assert find_readout(slam.odometry.mapper, slam.trajectory()) is None

@@ -27,7 +27,7 @@ from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources import streams as moving_sources
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
-from epipole.pipelines.slam.sources.frame_stream import Clock, Feed
+from epipole.pipelines.slam.sources.frame_stream import Clock, FrameStream
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 KNOWN = CameraOptions(camera_params=PARAMS)
@@ -169,7 +169,7 @@ def test_a_slow_tracker_gets_the_newest_picture_of_a_camera():
     pictures = [np.full((240, 320), n, np.uint8) for n in range(12)]
     capture, seconds = FakeCapture(pictures), iter(range(100))
     source = moving_sources.open_camera(0, KNOWN, capture, lambda: float(next(seconds)))
-    feed, values = Feed(source, JobOptions()), []
+    feed, values = FrameStream(source, JobOptions()), []
     for queued in feed:
         values.append((queued.timestamp_s, int(queued.read().grey[0, 0])))
         for _ in range(3):  # while this one is followed three more come
@@ -227,7 +227,7 @@ def source_of(count: int, **more) -> FrameSource:
 def test_real_time_takes_what_a_camera_would_give(seconds, expected):
     """Frames every 0.1 s, and a tracker that takes so long for each."""
     clock = FakeClock()
-    feed, taken = Feed(source_of(20), JobOptions(realtime=True), clock=clock), []
+    feed, taken = FrameStream(source_of(20), JobOptions(realtime=True), clock=clock), []
     for queued in feed:
         taken.append(queued.number)
         clock.seconds += seconds
@@ -235,11 +235,11 @@ def test_real_time_takes_what_a_camera_would_give(seconds, expected):
 
 
 def test_all_frames_are_taken_otherwise():
-    feed = Feed(source_of(20), JobOptions(), clock=FakeClock())
+    feed = FrameStream(source_of(20), JobOptions(), clock=FakeClock())
     assert [queued.number for queued in feed] == list(range(20)) and feed.num_dropped == 0
-    feed = Feed(source_of(20), JobOptions(max_frames=7))
+    feed = FrameStream(source_of(20), JobOptions(max_frames=7))
     assert len(list(feed)) == feed.num_expected == 7
-    assert list(Feed(source_of(0), JobOptions(realtime=True))) == []
+    assert list(FrameStream(source_of(0), JobOptions(realtime=True))) == []
 
 
 def test_dropped_frames_are_told(tmp_path, capsys, monkeypatch):

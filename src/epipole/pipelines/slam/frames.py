@@ -193,7 +193,7 @@ class TrackedFrame:
     """Number of the map that the pose refers to, in order of initialization."""
 
     @property
-    def has_place(self) -> bool:
+    def has_pose(self) -> bool:
         """Whether the pose in one of the maps is known."""
         return self.world_from_body is not None or self.submap_from_body is not None
 

@@ -30,7 +30,7 @@ from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.slam.output.results import (
     PLACED,
     PLACED_WORDS,
-    Given,
+    RunInputs,
     SlamResult,
     keep_better,
     keyframe_names,
@@ -41,7 +41,7 @@ from epipole.pipelines.slam.output.scale import anchor_map, check_known_map, che
 from epipole.pipelines.slam.output.truth import true_path_at
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
-from epipole.pipelines.slam.sources.frame_stream import Feed
+from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera, find_camera
 from epipole.pipelines.slam.sources.streams import (
     camera_index,
@@ -99,16 +99,13 @@ def slam(
     system = Slam(frames.camera, config, model, is_map_fixed=wanted.localize, imu=mounted_imu(wanted.anchors))
     check_one_camera(wanted.anchors, tells_depth=frames.camera.tells_depth)
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
-    settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
-    del settings["job"]["resume"]  # the results are the same
+    settings = _settings(wanted, given, config)
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
     with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
-        run.warnings += _notes(found, system)
         key = key_of(run.folder.source.sketch, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
-        run.warnings += stands.notes
-        feed = Feed(stands.source, stands.job, is_stopped)
-        feed.num_dropped = stands.num_dropped
+        run.warnings += [*_notes(found, system), *stands.notes]
+        feed = FrameStream(stands.source, stands.job, is_stopped, num_dropped=stands.num_dropped)
         with run.stage("track"), closing(stands.autosave):
             records = _track(feed, system, progress, live, stands, known)
         with run.stage("adjust"):
@@ -116,7 +113,16 @@ def slam(
             anchoring = _anchored(system, wanted.anchors, records, known, run)
         with completing(run.root / autosave.FOLDER, key, is_complete=not feed.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
-            return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
+            return write_results(
+                feed, system, records, RunInputs(truth, known, anchoring, found), wanted, run
+            )
+
+
+def _settings(job: JobOptions, camera: CameraOptions, config: SlamConfig) -> dict[str, Any]:
+    """For config.json; whether the run was resumed is not a part of it."""
+    settings = {"job": asdict(job), "camera": asdict(camera), "config": asdict(config)}
+    del settings["job"]["resume"]
+    return settings
 
 
 def _notes(found: FoundCamera | None, system: Slam) -> list[str]:
@@ -135,7 +141,7 @@ def _check_target(source: Path, out: Path, job: JobOptions) -> None:
         refuse_poorer(out, PLACED, job.max_frames, PLACED_WORDS)
 
 
-def _finish(feed: Feed, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
+def _finish(feed: FrameStream, system: Slam, run: Run, is_stopped: Callable[[], bool]) -> None:
     """The last adjustment; Ctrl-C ends it, unless it has ended the frames."""
     total, was_stopped = LAST_STEPS * len(system.maps), feed.is_interrupted
 
@@ -241,7 +247,7 @@ def _input(source: Path) -> Path:
 
 
 def _track(
-    feed: Feed,
+    feed: FrameStream,
     system: Slam,
     progress: ProgressCallback,
     live: LiveView,

@@ -10,19 +10,18 @@ from epipole._declared import checked
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import RefinedPose
 from epipole.pipelines.slam.frames import Frame, TrackedFrame, TrackingState
-from epipole.pipelines.slam.loops.closing import Tie
-from epipole.pipelines.slam.loops.correction import fuse, spread_drift
+from epipole.pipelines.slam.loops.closing import LoopConstraint
+from epipole.pipelines.slam.loops.correction import correct_drift, fuse
 from epipole.pipelines.slam.loops.recognition import describe_keyframe
 from epipole.pipelines.slam.loops.relocalization import relocalize
-from epipole.pipelines.slam.map.covariance import carry_covariance, own_covariance
-from epipole.pipelines.slam.map.culling import forget
-from epipole.pipelines.slam.map.past_poses import place_again
+from epipole.pipelines.slam.map.covariance import own_covariance
+from epipole.pipelines.slam.map.culling import cull
+from epipole.pipelines.slam.map.past_poses import refine_past_poses
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.map.triangulation import place_from, triangulate
 from epipole.pipelines.slam.slam_state import SlamState
-from epipole.pipelines.slam.start.bootstrap import settle_start
-from epipole.pipelines.slam.start.rotation import Turned, Turning
-from epipole.pipelines.slam.start.two_view import Begun, Confirmation, OneCameraStart, place_in_map
+from epipole.pipelines.slam.start.bootstrap import bootstrap_map
+from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
+from epipole.pipelines.slam.start.two_view import Confirmation, Initialization, OneCameraStart, place_in_map
 from epipole.pipelines.slam.tracking.points import Tracks
 
 LOOP_ITERATIONS = 10
@@ -48,7 +47,7 @@ class Slam(SlamState):
             ConfigError: the frame is not later than the one before, or lacks what tells depth.
         """
         frame = self.camera.checked(frame, self._time_s)
-        self._look = self._watch.look(frame)
+        self._quality = self._quality_monitor.assess(frame)
         if not self.map.num_points:
             answer = self._begin(frame)
         elif self.state in (TrackingState.LOST, TrackingState.TURNING):
@@ -57,7 +56,7 @@ class Slam(SlamState):
             answer = self._follow(frame)
         self._before, self._time_s = frame, frame.timestamp_s
         self._num_frames += 1
-        return self._look.told(self._with_doubts(answer))
+        return self._quality.told(self._with_doubts(answer))
 
     # The begin of a map.
 
@@ -65,18 +64,18 @@ class Slam(SlamState):
         """A map from this frame, where it tells depth; else with those that waited before it."""
         if not self.camera.tells_depth:
             return self._wait(frame)
-        self._cam_from_world = Rigid3.identity()
-        self.tracker.tracks = Tracks.none()
-        self._insert_keyframe(frame)
-        if self.map.has_place(self.tracker.tracks.point).sum() >= self.config.min_tracked:
+        self.odometry.cam_from_world = Rigid3.identity()
+        self.odometry.tracker.tracks = Tracks.none()
+        self.odometry.insert_keyframe(frame, self._num_frames)
+        if self.map.is_triangulated(self.odometry.tracker.tracks.point).sum() >= self.config.min_tracked:
             return self._begun(frame, np.zeros((6, 6)))
         self.map.clear()
-        self.tracker.tracks = Tracks.none()
+        self.odometry.tracker.tracks = Tracks.none()
         return self._no_place(frame, "too few points with depth: blank, dark, or nothing in range")
 
     def _wait(self, frame: Frame) -> TrackedFrame:
         """One camera: a map where it has moved enough; until then its orientation, where it only turns."""
-        begun = self._start.add(frame, self._num_frames, self._look.problem)
+        begun = self._start.add(frame, self._num_frames, self._quality.problem)
         if not isinstance(begun, str):
             return self._begin_with_one_camera(frame, begun)
         turned = self._turn(frame)
@@ -85,7 +84,7 @@ class Slam(SlamState):
         self.state = TrackingState.STARTING if self.map is self.maps[0] else self.state
         return self._no_place(frame, begun, len(self._start.tracks))
 
-    def _begin_with_one_camera(self, frame: Frame, begun: Begun) -> TrackedFrame:
+    def _begin_with_one_camera(self, frame: Frame, begun: Initialization) -> TrackedFrame:
         """The new map goes on in the world of the turns before it, where its first frame is one of them."""
         first, lens = begun.model.keyframes[0], self.camera.camera
         there, place = self._turns.get(first.number), begun.cam_from_world
@@ -97,12 +96,12 @@ class Slam(SlamState):
                 place = place @ there
             self.map.keyframes[:] = [k for k in self.map.keyframes if k.number < first.number]
         self.map.absorb(begun.model)
-        self.tracker.tracks, self._cam_from_world = begun.tracks, place
-        self._insert_keyframe(frame)
-        for told in settle_start(self.mapper, begun):
+        self.odometry.tracker.tracks, self.odometry.cam_from_world = begun.tracks, place
+        self.odometry.insert_keyframe(frame, self._num_frames)
+        for told in bootstrap_map(self.odometry.mapper, begun):
             self._path.add(*told)
         now = self.map.keyframes[-1]
-        self._cam_from_world = now.cam_from_world
+        self.odometry.cam_from_world = now.cam_from_world
         here = place_in_map(self.map, now.point, now.pixels, now.cam_from_world, lens, self.config)
         # A rolling shutter displaces the points, and the check does not model it.
         self._unconfirmed = None if self.camera.readout_s else self._start
@@ -113,9 +112,9 @@ class Slam(SlamState):
         for keyframe in (k for k in self.map.keyframes if len(k.point)):
             describe_keyframe(keyframe)
         self._set_followed()
-        count = int(self.map.has_place(self.tracker.tracks.point).sum())
+        count = int(self.map.is_triangulated(self.odometry.tracker.tracks.point).sum())
         reason = "the map begins" if self.map is self.maps[0] else "a new map begins"
-        return self._told_from(self._newest(), frame, covariance, count, reason)
+        return self._told_from(self.odometry.newest_keyframe(), frame, covariance, count, reason)
 
     def _set_followed(self) -> None:
         self.state = TrackingState.TRACKING if self.map is self.maps[0] else TrackingState.SUBMAP
@@ -126,7 +125,7 @@ class Slam(SlamState):
     def _follow(self, frame: Frame) -> TrackedFrame:
         """Follow the points, find the pose with which they agree, extend the map where it is needed."""
         assert self._before is not None
-        found = self._look.sure(self.tracker.follow(self._before, frame, self._cam_from_world), self.config)
+        found = self._quality.sure(self.odometry.track(self._before, frame), self.config)
         if found is None:
             return self._find_place(frame)
         if self._is_refuted(frame, found[0].cam_from_world):
@@ -170,7 +169,7 @@ class Slam(SlamState):
             self.map.clear()
             self.map.number, self._num_maps = self._num_maps, self._num_maps + 1
             self._enter(self.map)
-            self._cam_from_world, self.state = Rigid3.identity(), TrackingState.STARTING
+            self.odometry.cam_from_world, self.state = Rigid3.identity(), TrackingState.STARTING
             return self._begin(frame)
         self.maps.remove(self.map)
         self._enter(self.maps[0])
@@ -178,45 +177,26 @@ class Slam(SlamState):
         return self._find_place(frame)
 
     def _placed(self, frame: Frame, refined: RefinedPose, num_agreeing: int) -> TrackedFrame:
-        self._cam_from_world = refined.cam_from_world
-        if not self.is_map_fixed:
-            self.tracker.remember(self._num_frames)
-            place_from(self.map, self.camera, self.config, self._cam_from_world, self.tracker.tracks)
-        age = self._num_frames - self._newest().number
-        reason = self.tracker.why_keyframe(num_agreeing, age) if self._look.is_usable else ""
-        if reason and self.is_map_fixed:
-            self.tracker.look_again(frame, self._cam_from_world)
-            reason = ""
+        """A frame with a known pose: the map grows, loops are closed, and what tells nothing new is culled."""
+        known = frame, refined, num_agreeing, self._num_frames, self._quality
+        reason = "" if self.is_map_fixed else self.odometry.extend_map(*known)
+        if self.is_map_fixed:
+            self.odometry.stay_in_map(*known)
         elif reason:
-            self._extend(frame, refined)
             reason = self._close_loop() or reason
-            place_again(self._path, self.tracker)
-            forget(self.map, self._path, self.tracker)
+            refine_past_poses(self._path, self.odometry.tracker)
+            cull(self.map, self._path, self.odometry.tracker)
         own = own_covariance(refined, self.map, self._num_frames, tells_depth=self.camera.tells_depth)
-        return self._told_from(self._newest(), frame, own, num_agreeing, reason)
-
-    def _extend(self, frame: Frame, refined: RefinedPose) -> None:
-        """A keyframe, new points, and the adjustment of the keyframes around it."""
-        self._insert_keyframe(frame)
-        carry_covariance(self.map, refined)
-        newest = len(self.map.keyframes) - 1
-        triangulate(self.map, self.camera.camera, self.config, newest)
-        self.mapper.adjust_around(newest)
-        self.tracker.forget_mistakes()
-        self._cam_from_world = self.map.keyframes[-1].cam_from_world
-
-    def _insert_keyframe(self, frame: Frame) -> None:
-        known = self._cam_from_world, self.tracker.tracks, self.tracker.stale
-        self.tracker.start_from(self.mapper.insert_keyframe(frame, self._num_frames, *known))
+        return self._told_from(self.odometry.newest_keyframe(), frame, own, num_agreeing, reason)
 
     # A camera that is lost.
 
     def _find_place(self, frame: Frame) -> TrackedFrame:
         """The frame's place in one of the maps by what it looks like; else its turn, or a new map."""
-        reason = f"{len(self.tracker.tracks)} points are followed, too few agree with the map"
+        reason = f"{len(self.odometry.tracker.tracks)} points are followed, too few agree with the map"
         if self.state in (TrackingState.TRACKING, TrackingState.SUBMAP):
             self._lose()
-        for model in self.maps if self._look.is_usable else ():
+        for model in self.maps if self._quality.is_usable else ():
             found = self._recognized(frame, model)
             if found is not None:
                 return self._placed(frame, *found)
@@ -225,7 +205,7 @@ class Slam(SlamState):
         if turned is not None:
             return self._turned(frame, turned, "the camera only turns: its place is the last known")
         self.state = TrackingState.LOST
-        if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._look.is_usable:
+        if self._num_lost <= self.config.lost_patience or self.is_map_fixed or not self._quality.is_usable:
             return self._no_place(frame, reason)
         return self._begin_submap(frame, reason)
 
@@ -234,7 +214,7 @@ class Slam(SlamState):
         if again is None:
             return None
         self._enter(model)
-        found = self.tracker.take_up(frame, again)
+        found = self.odometry.tracker.take_up(frame, again)
         if found is not None:
             self._set_followed()
         return found
@@ -274,22 +254,22 @@ class Slam(SlamState):
                 return "a place seen before"
         return ""
 
-    def _corrected(self, tie: Tie) -> bool:
-        if not spread_drift(self.map, tie, is_metric=self.camera.tells_depth):
+    def _corrected(self, tie: LoopConstraint) -> bool:
+        if not correct_drift(self.map, tie, is_metric=self.camera.tells_depth):
             self._closer.reject_last("the pose graph does not agree")
             return False
         self._settle()
         return True
 
-    def _joined(self, tie: Tie) -> bool:
+    def _joined(self, tie: LoopConstraint) -> bool:
         """The younger map becomes part of the older one, in whose world all is told."""
-        here, there, tracks = self.map, tie.there, self.tracker.tracks
+        here, there, tracks = self.map, tie.there, self.odometry.tracker.tracks
         if self.maps.index(there) < self.maps.index(here):
             here.move(tie.there_from_here)
             tracks.point = tracks.point + there.absorb(here)
             self.maps.remove(here)
             self._enter(there)
-            self.tracker.tracks = tracks
+            self.odometry.tracker.tracks = tracks
         else:
             there.move(tie.there_from_here.inverse())
             here.absorb(there)
@@ -301,23 +281,25 @@ class Slam(SlamState):
     def _settle(self) -> None:
         """After a correction: what was seen twice becomes one, and the whole map is adjusted."""
         newest = len(self.map.keyframes) - 1
-        into = fuse(self.map, self.mapper.window_of(newest)[0][::-1], self.camera.camera)
-        self.mapper.adjust_around(newest)
-        self.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
-        self.tracker.rename(into)
-        self.tracker.forget_mistakes()
-        self._cam_from_world = self.map.keyframes[-1].cam_from_world
+        into = fuse(self.map, self.odometry.mapper.window_of(newest)[0][::-1], self.camera.camera)
+        self.odometry.mapper.adjust_around(newest)
+        self.odometry.mapper.adjust_all(max_iterations=LOOP_ITERATIONS)
+        self.odometry.tracker.rename(into)
+        self.odometry.tracker.remove_outliers()
+        self.odometry.cam_from_world = self.map.keyframes[-1].cam_from_world
 
     # Turns.
 
-    def _turn(self, frame: Frame) -> Turned | None:
+    def _turn(self, frame: Frame) -> RotationEstimate | None:
         """The frame's orientation, if the camera has only turned since its place was known."""
         if self._turning is None:
             first = self._first_to_turn(frame)
             if first is None:
                 return None
             number = self._num_frames - int(first is not frame)
-            turning = Turning(first, number, self.camera.camera, self.config, self._cam_from_world)
+            turning = RotationTracker(
+                first, number, self.camera.camera, self.config, self.odometry.cam_from_world
+            )
             if not turning.is_rich:
                 return None
             self._turning = turning
@@ -325,7 +307,9 @@ class Slam(SlamState):
                 self.map.keyframes += turning.keyframes
             if first is frame:
                 none = np.zeros((6, 6))
-                return Turned(turning.keyframes[0], self._cam_from_world, none, 0, is_keyframe=False)
+                return RotationEstimate(
+                    turning.keyframes[0], self.odometry.cam_from_world, none, 0, is_keyframe=False
+                )
         turned = self._turning.track(frame, self._num_frames)
         self._turning = None if turned is None else self._turning
         return turned
@@ -339,8 +323,12 @@ class Slam(SlamState):
         self.first_frame = self._num_frames
         return frame
 
-    def _turned(self, frame: Frame, turned: Turned, reason: str) -> TrackedFrame:
-        self.state, self._cam_from_world, self._num_lost = TrackingState.TURNING, turned.cam_from_world, 0
+    def _turned(self, frame: Frame, turned: RotationEstimate, reason: str) -> TrackedFrame:
+        self.state, self.odometry.cam_from_world, self._num_lost = (
+            TrackingState.TURNING,
+            turned.cam_from_world,
+            0,
+        )
         if turned.is_keyframe:
             self.map.keyframes.append(turned.keyframe)
         if not self.map.num_points:
@@ -358,9 +346,9 @@ class Slam(SlamState):
         self._leave_unconfirmed()
         if not self.first_number:
             self.maps.sort(key=lambda model: -len(self._path.trajectory(model.keyframes)))
-        place_again(self._path, self.tracker, is_last=True)
+        refine_past_poses(self._path, self.odometry.tracker, is_last=True)
         for number, model in enumerate([] if self.is_map_fixed else self.maps):
             self._enter(model)
-            if not self.mapper.adjust_for_good(number, len(self.maps), goes_on):
+            if not self.odometry.mapper.adjust_for_good(number, len(self.maps), goes_on):
                 break
         self._enter(here)

@@ -14,14 +14,14 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.closing import LoopCloser
 from epipole.pipelines.slam.map.covariance import with_map_error
-from epipole.pipelines.slam.map.local_mapping import LocalMapper, focal_baseline_of
+from epipole.pipelines.slam.map.local_mapping import focal_baseline_of
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
+from epipole.pipelines.slam.odometry import Odometry
 from epipole.pipelines.slam.snapshot import Snapshot, snapshot_of
-from epipole.pipelines.slam.start.rotation import Turning
+from epipole.pipelines.slam.start.rotation import RotationTracker
 from epipole.pipelines.slam.start.two_view import OneCameraStart
-from epipole.pipelines.slam.tracking.frame_quality import Look, PictureWatch
-from epipole.pipelines.slam.tracking.tracker import MapTracker
+from epipole.pipelines.slam.tracking.frame_quality import FrameQuality, FrameQualityMonitor
 from epipole.scene import Trajectory
 
 UNCONFIRMED = "the map's initialization is not confirmed yet"
@@ -72,27 +72,28 @@ class SlamState:
         self.is_map_fixed = is_map_fixed
         self.maps: list[SlamMap] = [SlamMap() if known is None else known]
         self.first_number = self.first_frame = 1 + max((k.number for k in self.maps[0].keyframes), default=-1)
-        self._enter(self.maps[0])
+        self._enter(self.maps[0], Rigid3.identity())
         self._closer = LoopCloser(camera.camera, self.config, is_metric=camera.tells_depth)
         self.loops = self._closer.ledger
         self._start = OneCameraStart(camera.camera, self.config)
         self._unconfirmed: OneCameraStart | None = None
         self.start_doubts: list[str] = []
-        self._turning: Turning | None = None
+        self._turning: RotationTracker | None = None
         self._turns: dict[int, Rigid3] = {}
         self._before: Frame | None = None
         self._time_s = -np.inf
-        self._watch, self._look = PictureWatch(), Look()
-        self._cam_from_world = Rigid3.identity()
+        self._quality_monitor, self._quality = FrameQualityMonitor(), FrameQuality()
         self._path = Path(self.first_number)
         self._num_frames, self._num_lost = self.first_number, 0
         self._num_maps = 1
 
-    def _enter(self, model: SlamMap) -> None:
-        """Go on in this map."""
+    def _enter(self, model: SlamMap, cam_from_world: Rigid3 | None = None) -> None:
+        """Continue in this map, from a pose; None: the last one."""
+        pose = self.odometry.cam_from_world if cam_from_world is None else cam_from_world
         self.map = model
-        self.mapper = LocalMapper(model, self.camera, self.focal_baseline, self.config, self.imu)
-        self.tracker = MapTracker(model, self.camera, self.focal_baseline, self.config)
+        self.odometry: Odometry = Odometry(
+            model, self.camera, self.focal_baseline, self.config, self.imu, cam_from_world=pose
+        )
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera is to be relocalized in it.
@@ -130,37 +131,35 @@ class SlamState:
 
     def snapshot(self) -> Snapshot:
         """Map and followed points as they are now, to be shown."""
-        source = self.tracker if self.map.num_points else self._start
+        source = self.odometry.tracker if self.map.num_points else self._start
         return snapshot_of(self.map, self.state, source.tracks)
-
-    def _newest(self) -> Keyframe:
-        """The last keyframe that is not one of a turn."""
-        return next(k for k in reversed(self.map.keyframes) if len(k.point))
 
     def _told_from(
         self, keyframe: Keyframe, frame: Frame, covariance: np.ndarray, num_points: int, reason: str
     ) -> TrackedFrame:
-        self._path.add(self._num_frames, frame.timestamp_s, keyframe, self._cam_from_world, covariance)
-        between = self._cam_from_world @ keyframe.cam_from_world.inverse()
+        self._path.add(
+            self._num_frames, frame.timestamp_s, keyframe, self.odometry.cam_from_world, covariance
+        )
+        between = self.odometry.cam_from_world @ keyframe.cam_from_world.inverse()
         covariance = with_map_error(keyframe.covariance, between, covariance)
-        place, is_first = self._cam_from_world.inverse(), self.map is self.maps[0]
+        place, is_first = self.odometry.cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
             *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
             is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
-            moving=self.tracker.moving,
+            moving=self.odometry.tracker.moving,
             map_number=self.map.number,
         )
 
     def _no_place(self, frame: Frame, reason: str, num_points: int | None = None) -> TrackedFrame:
-        count = len(self.tracker.tracks) if num_points is None else num_points
+        count = len(self.odometry.tracker.tracks) if num_points is None else num_points
         return TrackedFrame(frame.timestamp_s, self.state, reason, None, None, count, is_keyframe=False)
 
     def _with_doubts(self, answer: TrackedFrame) -> TrackedFrame:
         """The answer, with the reasons to doubt its pose."""
-        if not answer.has_place:
+        if not answer.has_pose:
             return answer
         if self._unconfirmed is not None:
             answer = answer.with_words(UNCONFIRMED)
-        static = self.tracker.static_part
+        static = self.odometry.tracker.static_part
         return answer if static is None else answer.with_words(static.in_words())

@@ -24,7 +24,7 @@ class Snapshot:
     """Those that have a place."""
     tracked_px: Float64[np.ndarray, "n 2"]
     """Points followed in the last frame."""
-    has_place: Bool[np.ndarray, " n"]
+    is_triangulated: Bool[np.ndarray, " n"]
     """Which of them the map knows the place of."""
 
     def __repr__(self) -> str:
@@ -43,6 +43,6 @@ def snapshot_of(model: SlamMap, state: TrackingState, tracks: Tracks) -> Snapsho
     )
     # Before the begin of one camera's map the rows that are followed are not yet the map's.
     has_begun = model.num_points > 0
-    known = model.has_place(tracks.point) if has_begun else np.zeros(len(tracks), bool)
+    known = model.is_triangulated(tracks.point) if has_begun else np.zeros(len(tracks), bool)
     points = model.xyz[np.isfinite(model.xyz[:, 0])]
     return Snapshot(state, places, points, tracks.pixels.copy(), known)

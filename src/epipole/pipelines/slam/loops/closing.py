@@ -48,7 +48,7 @@ class LoopCandidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tie:
+class LoopConstraint:
     """Two places of maps that are one."""
 
     there: SlamMap
@@ -83,7 +83,7 @@ class LoopCloser:
         """What was accepted last does not fit after all."""
         self.ledger[-1] = replace(self.ledger[-1], verdict="rejected", reason=reason)
 
-    def consider(self, here: SlamMap, there: SlamMap) -> Tie | None:
+    def consider(self, here: SlamMap, there: SlamMap) -> LoopConstraint | None:
         """Whether the newest keyframe of `here` shows a place of `there`; None until it is sure."""
         newest = here.keyframes[-1]
         view = describe_keyframe(newest)
@@ -133,7 +133,7 @@ class LoopCloser:
             return f"the turns of {turn:.0f} degrees since would be wrong by {turned:.0f}"
         return ""
 
-    def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> Tie | None:
+    def _believe(self, here: SlamMap, there: SlamMap, plausible: list[Recognition]) -> LoopConstraint | None:
         newest = here.keyframes[-1]
         if not plausible:
             return None
@@ -159,14 +159,16 @@ class LoopCloser:
         is_sure = hypothesis.count >= CONFIRMATIONS
         words = f"told by {hypothesis.count} keyframes of {CONFIRMATIONS}"
         self._note(newest, there, best, "accepted" if is_sure else "waiting", words)
-        return Tie(there, best.keyframe, motion, best) if is_sure else None
+        return LoopConstraint(there, best.keyframe, motion, best) if is_sure else None
 
     def _motion(self, newest: Keyframe, here: SlamMap, there: SlamMap, found: Recognition) -> Similarity3:
         """From the world of `here` to that of `there`; of one camera the unit, too, by the depths of the same points."""
         scale = 1.0
         if not self.is_metric:
             rows = paired_rows(newest, found.pixels)
-            rows[rows >= 0] = np.where(here.has_place(newest.point[rows[rows >= 0]]), rows[rows >= 0], -1)
+            rows[rows >= 0] = np.where(
+                here.is_triangulated(newest.point[rows[rows >= 0]]), rows[rows >= 0], -1
+            )
             both = np.flatnonzero(rows >= 0)
             now = newest.cam_from_world.apply(here.xyz[newest.point[rows[both]]])[:, 2]
             then = found.cam_from_world.apply(there.xyz[found.points[both]])[:, 2]
@@ -201,5 +203,5 @@ def _way_since(model: SlamMap, keyframe: int) -> tuple[float, float]:
 
 def _median_depth(model: SlamMap) -> float:
     newest = model.keyframes[-1]
-    points = newest.point[model.has_place(newest.point)]
+    points = newest.point[model.is_triangulated(newest.point)]
     return float(np.median(newest.cam_from_world.apply(model.xyz[points])[:, 2])) if len(points) else 0.0

@@ -8,10 +8,10 @@ from scipy.sparse import csr_array
 from epipole.cameras import Camera
 from epipole.geometry import Rigid2, Rigid3, Similarity3
 from epipole.optim import PoseGraph, PoseGraphConfig, optimize_pose_graph_robustly
-from epipole.pipelines.slam.loops.closing import Tie, paired_rows
+from epipole.pipelines.slam.loops.closing import LoopConstraint, paired_rows
 from epipole.pipelines.slam.map.slam_map import SlamMap
-from epipole.pipelines.slam.tracking.patches import hold
-from epipole.pipelines.slam.tracking.redetection import find_again
+from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
+from epipole.pipelines.slam.tracking.redetection import redetect
 
 EDGES_EACH, EDGE_POINTS = 5, 30
 """Every keyframe is tied to so many that share most points with it, if they share enough."""
@@ -27,7 +27,7 @@ CONFIDENCE = 1.0 - 1e-9
 LOOP_DEPTH_SHARE, LOOP_TURN_RAD, LOOP_SCALE = 0.002, 0.002, 0.01
 
 
-def spread_drift(model: SlamMap, tie: Tie, *, is_metric: bool) -> bool:
+def correct_drift(model: SlamMap, tie: LoopConstraint, *, is_metric: bool) -> bool:
     """Move keyframes and points so that the newest keyframe lies where the loop says.
 
     Every keyframe is tied to those that it shares points with by the motion between them as it is, and to the place seen
@@ -79,9 +79,9 @@ def _places(model: SlamMap) -> Rigid3:
 
 def _median_depth(model: SlamMap) -> float:
     depths = [
-        np.median(k.cam_from_world.apply(model.xyz[k.point[model.has_place(k.point)]])[:, 2])
+        np.median(k.cam_from_world.apply(model.xyz[k.point[model.is_triangulated(k.point)]])[:, 2])
         for k in model.keyframes
-        if model.has_place(k.point).any()
+        if model.is_triangulated(k.point).any()
     ]
     return float(np.median(depths)) if depths else 1.0
 
@@ -125,8 +125,10 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
     for k in keyframes:
         keyframe = model.keyframes[k]
         place = keyframe.cam_from_world
-        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point)
-        pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
+        pixels, points = redetect(model, camera, keyframe.grey, place, keyframe.point)
+        pixels, is_same, is_stale = align_to_reference_patch(
+            model, camera, keyframe.grey, place, points, pixels
+        )
         good = is_same & ~is_stale
         pixels, points = pixels[good], points[good]
         rows = paired_rows(keyframe, pixels)
@@ -137,6 +139,6 @@ def fuse(model: SlamMap, keyframes: list[int], camera: Camera) -> np.ndarray:
         pairs = np.stack([np.maximum(one, other), np.minimum(one, other)])
         _, firsts = np.unique(pairs[0], return_index=True)
         gone, kept = pairs[:, firsts]
-        is_free = ~np.isin(kept, gone) & model.has_place(kept)
+        is_free = ~np.isin(kept, gone) & model.is_triangulated(kept)
         into = model.merge_points(gone[is_free], kept[is_free])[into]
     return into

@@ -16,7 +16,7 @@ from epipole.geometry import Rigid3
 from epipole.mapping import refine_pose
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
-from epipole.pipelines.slam.tracking.patches import hold
+from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.robust import estimate_absolute_pose
 
 WORDS = Path(__file__).parent / "assets" / "words.npy"
@@ -154,7 +154,7 @@ def _grown(view: View, model: SlamMap, found: Recognition, camera: Camera, confi
     # A few rounds: each is held to where a better pose foretells it.
     agrees = np.zeros(len(points), bool)
     for _ in range(ROUNDS):
-        held, is_same, is_stale = hold(model, camera, view.grey, place, points, pixels)
+        held, is_same, is_stale = align_to_reference_patch(model, camera, view.grey, place, points, pixels)
         looks = is_same & ~is_stale
         if looks.sum() < MIN_AGREEING:
             words = (

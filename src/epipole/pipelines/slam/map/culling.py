@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
-from epipole.pipelines.slam.tracking.tracker import MapTracker
+from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 MOST_IN_SIGHT = 40
 """Keyframes that share points with the newest; of more the one that tells least is forgotten."""
@@ -22,20 +22,20 @@ SPARE_ROWS = 2.0
 """Rows of points are put together when there are so many times more than points in use."""
 
 
-def forget(model: SlamMap, path: Path, tracker: MapTracker) -> None:
+def cull(model: SlamMap, path: Path, tracker: PointTracker) -> None:
     """Let go of what tells nothing new; frames and followed points are told from what stays."""
     for _ in range(MOST_TAKEN):
-        taken = forget_redundant(model)
+        taken = cull_redundant_keyframe(model)
         if taken is None:
             break
         path.retell(*taken)
     seen = [tracker.tracks.point, *(one.point for one in tracker.waiting)]
-    into = put_together(model, np.concatenate(seen))
+    into = drop_unused_points(model, np.concatenate(seen))
     if into is not None:
         tracker.move_rows(into)
 
 
-def forget_redundant(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
+def cull_redundant_keyframe(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
     """Take the latest of the redundant keyframes around the newest out of the map, if they are too many.
 
     Those of the first visit stay, and hold the later ones: were they taken, the map would be made anew with every visit, from what
@@ -66,11 +66,11 @@ def forget_redundant(model: SlamMap) -> tuple[Keyframe, Keyframe] | None:
 def _redundancy(model: SlamMap, number: int, seen: np.ndarray) -> float:
     """Share of a keyframe's points that enough others see."""
     points = model.keyframes[number].point
-    points = points[model.has_place(points)]
+    points = points[model.is_triangulated(points)]
     return float((seen[points] > OFTEN).mean()) if len(points) else 1.0
 
 
-def put_together(model: SlamMap, followed: np.ndarray) -> np.ndarray | None:
+def drop_unused_points(model: SlamMap, followed: np.ndarray) -> np.ndarray | None:
     """Give up the rows of points that no keyframe sees and that are not followed, where they are many.
 
     Returns:

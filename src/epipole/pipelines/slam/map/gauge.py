@@ -7,7 +7,7 @@ import numpy as np
 from epipole.geometry import Rigid3, Similarity3, align_points
 
 
-def least_move(after: Rigid3, before: Rigid3) -> Similarity3:
+def align_gauge(after: Rigid3, before: Rigid3) -> Similarity3:
     """before_from_after of cameras (n,) that leave place and scale open, by their centres and orientations alike."""
     marks = []
     for cams in (after, before):

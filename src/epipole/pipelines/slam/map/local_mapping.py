@@ -25,7 +25,7 @@ from epipole.optim import (
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibration_error, learn_covariances
-from epipole.pipelines.slam.map.gauge import least_move
+from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.imu import InertialTies, pixel_variance
 from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
@@ -34,7 +34,7 @@ from epipole.pipelines.slam.shutter.motion import points_by_depth, shutter_shift
 from epipole.pipelines.slam.tracking.corners import new_corners
 from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.points import Tracks
-from epipole.pipelines.slam.tracking.redetection import find_again, tie_together
+from epipole.pipelines.slam.tracking.redetection import redetect, tie_together
 
 LOSS_SCALE_PX = 1.0
 LAST_SCALES_PX = (8.0, 2.0, 1.0)
@@ -96,7 +96,7 @@ class LocalMapper:
             stale: rows of points that look otherwise by now: they are known by their present look from here on.
         """
         if self.map.keyframes:
-            tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
+            tracks.add(*redetect(self.map, self.camera, frame.grey, place, tracks.point))
             tracks.keep(frame.is_used(tracks.pixels))
         corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
         index = len(self.map.keyframes)
@@ -106,7 +106,7 @@ class LocalMapper:
         fresh = points < 0
         made = self._from_depth(pixels, disparity, place)
         points[fresh] = self.map.add_points(made[fresh], pixels[fresh], index)
-        lacking = ~self.map.has_place(points) & ~fresh
+        lacking = ~self.map.is_triangulated(points) & ~fresh
         self.map.xyz[points[lacking]] = made[lacking]
         seen = Observations(pixels, disparity, points)
         keyframe = Keyframe(number, frame.timestamp_s, frame.grey, place, seen)
@@ -210,7 +210,7 @@ class LocalMapper:
             what was adjusted, and its minimum; None where there was nothing.
         """
         # Rotation-only keyframes see no point with a place.
-        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
         if len(window) < 2:
             return None
         views = [*window, *fixed]
@@ -231,7 +231,7 @@ class LocalMapper:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.camera.params[2])
         # Where nothing is held the map stays as near to where it was as can be: places that were told stay true.
         if self.focal_baseline is None and not fixed and not self.positions:
-            back = least_move(result.rig_from_world, places_of(self.map, window))
+            back = align_gauge(result.rig_from_world, places_of(self.map, window))
             result = replace(
                 result,
                 rig_from_world=back.move_cam_from_source(result.rig_from_world),
@@ -248,7 +248,7 @@ class LocalMapper:
 
     def cost_of(self, window: list[int]) -> float:
         """What is left over after an adjustment of keyframes, which the map does not learn of."""
-        window = [k for k in window if self.map.has_place(self.map.keyframes[k].point).any()]
+        window = [k for k in window if self.map.is_triangulated(self.map.keyframes[k].point).any()]
         rows, held = self._built(window, window)
         if not len(rows):
             return 0.0
@@ -293,7 +293,7 @@ class LocalMapper:
     def learn_inertial(self) -> None:
         """Align the map with the inertial unit, where there is one."""
         if self.inertial is not None:
-            self.inertial.learn([k for k in self.map.keyframes if self.map.has_place(k.point).any()])
+            self.inertial.learn([k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()])
 
     def _observations(
         self, views: list[int], is_wanted: np.ndarray
@@ -375,7 +375,7 @@ class LocalMapper:
         """Drop observations that are off by more, and points that are behind a camera that saw them."""
         for k in keyframes:
             own = self.map.keyframes[k]
-            placed = self.map.has_place(own.point)
+            placed = self.map.is_triangulated(own.point)
             at = self.camera.project(own.cam_from_world.apply(self.map.xyz[own.point[placed]]))
             off = np.zeros(len(own.point), bool)
             off[placed] = ~(np.linalg.norm(at - own.straight_px[placed], axis=1) <= max_error_px)

@@ -10,13 +10,13 @@ from epipole.pipelines.slam.map.covariance import by_errors
 from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.shutter.motion import SETTLED_SIGMA, refine_while_moving
 from epipole.pipelines.slam.tracking.points import SeenFrame
-from epipole.pipelines.slam.tracking.tracker import MapTracker
+from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 KEYFRAMES_LATER = 5
 """After a frame, when the map around it has settled."""
 
 
-def place_again(path: Path, tracker: MapTracker, *, is_last: bool = False) -> None:
+def refine_past_poses(path: Path, tracker: PointTracker, *, is_last: bool = False) -> None:
     """Find the places of frames that have waited long enough, by what they saw, in the map as it is now.
 
     Args:
@@ -39,10 +39,10 @@ def place_again(path: Path, tracker: MapTracker, *, is_last: bool = False) -> No
 
 
 def _placed(
-    seen: SeenFrame, tracker: MapTracker, start: Rigid3, covariance: np.ndarray
+    seen: SeenFrame, tracker: PointTracker, start: Rigid3, covariance: np.ndarray
 ) -> tuple[Rigid3, np.ndarray]:
     """The place, and its covariance before the map; as they were where they cannot be told again."""
-    placed = tracker.map.has_place(seen.point)
+    placed = tracker.map.is_triangulated(seen.point)
     points, pixels = tracker.map.xyz[seen.point[placed]], seen.pixels[placed]
     readout, config = tracker.sensor.readout_s, tracker.config
     if len(points) < config.min_tracked or (readout and seen.motion is None):

@@ -129,7 +129,7 @@ class SlamMap:
         self._num_agreed[first : self.num_points] = 0
         return np.arange(first, self.num_points)
 
-    def has_place(self, points: np.ndarray) -> np.ndarray:
+    def is_triangulated(self, points: np.ndarray) -> np.ndarray:
         """Which of the points have a place."""
         return np.isfinite(self.xyz[points, 0])
 

@@ -16,7 +16,7 @@ from epipole.robust import triangulate_points
 def triangulate(model: SlamMap, camera: Camera, config: SlamConfig, newest: int) -> int:
     """Give places to points of the newest keyframe that have none yet; returns their number."""
     keyframe = model.keyframes[newest]
-    points = keyframe.point[~model.has_place(keyframe.point)]
+    points = keyframe.point[~model.is_triangulated(keyframe.point)]
     if not len(points):
         return 0
     column = np.full(model.num_points, -1)
@@ -43,7 +43,7 @@ def triangulate(model: SlamMap, camera: Camera, config: SlamConfig, newest: int)
     return int(good.sum())
 
 
-def place_from(
+def triangulate_between_keyframes(
     model: SlamMap, sensor: SlamCamera, config: SlamConfig, cam_from_world: Rigid3, tracks: Tracks
 ) -> int:
     """Give places to points of one keyframe that a frame at a known place sees from another side; returns their number.
@@ -53,7 +53,7 @@ def place_from(
     if sensor.readout_s:
         return 0  # where a shutter of one instant would have seen them is known in keyframes alone
     points, pixels = tracks.point, tracks.pixels
-    lacking = np.flatnonzero(~model.has_place(points))
+    lacking = np.flatnonzero(~model.is_triangulated(points))
     anchors, count = model.anchor[points[lacking]], 0
     for k in np.unique(anchors):
         rows = lacking[anchors == k]

@@ -178,7 +178,7 @@ class _Seen(NamedTuple):
 
 def _turning_most(model: SlamMap) -> list[Keyframe]:
     """So many keyframes in a row, with points: a camera that turns as it moves tells its focal length."""
-    views = [k for k in model.keyframes if model.has_place(k.point).any()]
+    views = [k for k in model.keyframes if model.is_triangulated(k.point).any()]
     if len(views) <= MOST_KEYFRAMES:
         return views
     turns = [(b.cam_from_world @ a.cam_from_world.inverse()).rotation for a, b in pairwise(views)]
@@ -196,7 +196,7 @@ def _observations(views: list[Keyframe], model: SlamMap, camera: Camera) -> _See
         rays = camera.unproject(own.straight_px)
         with np.errstate(divide="ignore", invalid="ignore"):
             at = rays[:, :2] / rays[:, 2:]
-        used = model.has_place(own.point) & (rays[:, 2] > 0) & (np.abs(at) < WIDEST).all(axis=1)
+        used = model.is_triangulated(own.point) & (rays[:, 2] > 0) & (np.abs(at) < WIDEST).all(axis=1)
         parts.append((np.full(int(used.sum()), row), own.point[used], camera.focal_px * at[used]))
     frame, point, pixels = (np.concatenate(column) for column in zip(*parts))
     kept = (np.bincount(point, minlength=model.num_points) >= LEAST_VIEWS)[point]

@@ -49,7 +49,9 @@ class BrowserView(LiveView):
         if self.pictures.allows():
             begin = perf_counter()
             now = system.snapshot()
-            self.viewer.show_picture(picture_with_points(frame.grey, now.tracked_px, now.has_place), words)
+            self.viewer.show_picture(
+                picture_with_points(frame.grey, now.tracked_px, now.is_triangulated), words
+            )
             self.viewer.show_now(answer.world_from_body)
             self.pictures.spend(perf_counter() - begin)
         if self.scenes.allows():

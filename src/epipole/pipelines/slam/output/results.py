@@ -35,7 +35,7 @@ from epipole.pipelines.slam.output.warnings import doubts, moving_things, poor_p
 from epipole.pipelines.slam.shutter.check import find_readout, with_readout
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import FrameSource
-from epipole.pipelines.slam.sources.frame_stream import Feed
+from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera
 from epipole.runs import Run
 from epipole.runs.earlier import note_on_poorer, refuse_poorer
@@ -68,7 +68,7 @@ class SlamResult:
         return f"SlamResult({self.trajectory!r} in {self.out})"
 
 
-class Given(NamedTuple):
+class RunInputs(NamedTuple):
     """What was known besides the frames."""
 
     truth: Truth | None
@@ -82,10 +82,10 @@ class Given(NamedTuple):
 
 
 def write_results(
-    feed: Feed,
+    feed: FrameStream,
     system: Slam,
     records: list[FrameRecord],
-    given: Given,
+    given: RunInputs,
     job: JobOptions,
     run: Run,
 ) -> SlamResult:
@@ -309,7 +309,7 @@ def _submap_words(slam: Slam, number: int) -> dict[str, Any]:
     }
 
 
-def _metres(given: Given, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
+def _metres(given: RunInputs, source: FrameSource, *, is_map_fixed: bool) -> tuple[str, dict[str, Any]]:
     """Where the map's metres come from, for its file (empty: it is up to scale), and the same for this run's summary."""
     known, more = given.map, {}
     if given.anchoring is not None:

@@ -114,7 +114,7 @@ def straighten(
     What the rows tell of the motion refines it, within what the frames around it allow; it is not kept, for a map that bends,
     and a motion that bends with it, would follow each other.
     """
-    motion, placed = keyframe.motion, model.has_place(keyframe.point)
+    motion, placed = keyframe.motion, model.is_triangulated(keyframe.point)
     if placed.sum() >= least_points and motion.any():
         xyz, pixels = model.xyz[keyframe.point[placed]], keyframe.pixels[placed]
         known = camera, keyframe.cam_from_world, motion, readout_s

@@ -24,7 +24,7 @@ class Clock:
         time.sleep(seconds)
 
 
-class Feed:
+class FrameStream:
     """The frames that are followed, and what became of the others."""
 
     def __init__(
@@ -33,9 +33,10 @@ class Feed:
         job: JobOptions,
         is_stopped: Callable[[], bool] = lambda: False,
         clock: Clock | None = None,
+        num_dropped: int = 0,
     ) -> None:
         self.source, self.job = source, job
-        self.num_dropped = 0
+        self.num_dropped = num_dropped
         """Frames whose time passed while another was followed."""
         self.is_interrupted = False
         self.problems: list[str] = []

@@ -9,13 +9,15 @@ from epipole.pipelines.slam.map.local_mapping import LocalMapper
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.pipelines.slam.shutter.motion import SETTLED_SIGMA, refine_while_moving
 from epipole.pipelines.slam.shutter.recent_motion import AROUND, NO_MOTION, motion_among
-from epipole.pipelines.slam.start.two_view import Begun, place_in_map
+from epipole.pipelines.slam.start.two_view import Initialization, place_in_map
 
 ROUNDS = 4
 """Motions follow from the map, and the map from the motions."""
 
 
-def settle_start(mapper: LocalMapper, begun: Begun) -> list[tuple[int, float, Keyframe, Rigid3, np.ndarray]]:
+def bootstrap_map(
+    mapper: LocalMapper, begun: Initialization
+) -> list[tuple[int, float, Keyframe, Rigid3, np.ndarray]]:
     """Adjust a map that has just begun, and make the median depth of its first points the unit.
 
     Args:
@@ -40,7 +42,7 @@ def settle_start(mapper: LocalMapper, begun: Begun) -> list[tuple[int, float, Ke
     return out
 
 
-def _straighten(mapper: LocalMapper, begun: Begun) -> dict[float, Rigid3]:
+def _straighten(mapper: LocalMapper, begun: Initialization) -> dict[float, Rigid3]:
     """Adjust the map with its keyframes' motions by all frames up to its begin; cam_from_world of these, by their times.
 
     The first pictures bend the map, and the map the places of the frames, but all alike: the motion between them is nearly right.
@@ -73,7 +75,9 @@ def _motions(places: dict[float, Rigid3]) -> dict[float, np.ndarray]:
     return out
 
 
-def _places(mapper: LocalMapper, begun: Begun, motions: dict[float, np.ndarray]) -> dict[float, Rigid3]:
+def _places(
+    mapper: LocalMapper, begun: Initialization, motions: dict[float, np.ndarray]
+) -> dict[float, Rigid3]:
     """cam_from_world of the frames before the begin, and of its own, by their times."""
     model, camera = mapper.map, mapper.camera
     newest = model.keyframes[-1]
@@ -85,7 +89,7 @@ def _places(mapper: LocalMapper, begun: Begun, motions: dict[float, np.ndarray])
             continue
         out[time] = start = found.cam_from_world
         if time in motions:
-            kept = model.has_place(rows)
+            kept = model.is_triangulated(rows)
             known = camera, start, motions[time], mapper.sensor.readout_s
             out[time], _, _ = refine_while_moving(
                 model.xyz[rows[kept]], pixels[kept], *known, sigma=SETTLED_SIGMA

@@ -12,9 +12,9 @@ from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.tracking.corners import new_corners
-from epipole.pipelines.slam.tracking.patches import hold
+from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import Tracks, predict_pixels
-from epipole.pipelines.slam.tracking.redetection import find_again
+from epipole.pipelines.slam.tracking.redetection import redetect
 
 AGREEING_PX, AGREEING_SHARE, LEAST_POINTS = 0.7, 0.8, 40
 """A turn explains the pictures if so many points, and such a share of them, are as near to where it says.
@@ -28,7 +28,7 @@ KEYFRAME_SHARE, KEYFRAME_SHIFT = 0.7, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Turned:
+class RotationEstimate:
     """A frame of a turning camera."""
 
     keyframe: Keyframe
@@ -40,7 +40,7 @@ class Turned:
     is_keyframe: bool
 
 
-class Turning:
+class RotationTracker:
     """Follows directions from a first frame on, whose place is given.
 
     The points lie on a sphere of radius 1 around the camera, and keyframes all stand in its middle, so that everything that
@@ -65,7 +65,7 @@ class Turning:
         """Whether there are points enough to follow."""
         return len(self._tracks) >= LEAST_POINTS
 
-    def track(self, frame: Frame, number: int) -> Turned | None:
+    def track(self, frame: Frame, number: int) -> RotationEstimate | None:
         """The frame's orientation; None where a turn does not explain it."""
         tracks, lens, place = self._tracks, self.camera, self._cam_from_sphere
         guess = predict_pixels(tracks.pixels, self._sphere.xyz[tracks.point], place, place, lens)
@@ -76,14 +76,14 @@ class Turning:
             return None
         rays = _unit(lens.unproject(tracks.pixels))
         turned, _, _ = _fit_turn(self._sphere.xyz[tracks.point], rays, place.rotation, lens.focal_px)
-        held, is_same, _ = hold(
+        held, is_same, _ = align_to_reference_patch(
             self._sphere, lens, frame.grey, Rigid3(turned, np.zeros(3)), tracks.point, tracks.pixels
         )
         tracks.pixels = held
         tracks.keep(is_same)
         return self._answer(frame, number, turned)
 
-    def _answer(self, frame: Frame, number: int, turned: np.ndarray) -> Turned | None:
+    def _answer(self, frame: Frame, number: int, turned: np.ndarray) -> RotationEstimate | None:
         tracks, lens = self._tracks, self.camera
         directions, rays = self._sphere.xyz[tracks.point], _unit(lens.unproject(tracks.pixels))
         turned, off_px, information = _fit_turn(directions, rays, turned, lens.focal_px)
@@ -100,12 +100,12 @@ class Turning:
         covariance[3:] = covariance[:, 3:] = 0.0
         covariance[3:, 3:] = np.linalg.inv(information)
         place = self._cam_from_sphere @ self.start
-        return Turned(self.keyframes[-1], place, covariance, int(agrees.sum()), is_keyframe)
+        return RotationEstimate(self.keyframes[-1], place, covariance, int(agrees.sum()), is_keyframe)
 
     def _insert_keyframe(self, frame: Frame, number: int) -> None:
         tracks, lens, sphere = self._tracks, self.camera, self._sphere
         place = self._cam_from_sphere
-        tracks.add(*find_again(sphere, lens, frame.grey, place, tracks.point))
+        tracks.add(*redetect(sphere, lens, frame.grey, place, tracks.point))
         corners = new_corners(frame.grey, tracks.pixels, self.config, frame.ignored_mask)
         directions = _unit(lens.unproject(corners)) @ place.rotation
         fresh = sphere.add_points(directions, corners, len(sphere.keyframes))

@@ -144,7 +144,7 @@ class WaitingFrame(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Begun:
+class Initialization:
     """A map of one camera that has just begun, without the present frame and not adjusted yet."""
 
     model: SlamMap
@@ -193,7 +193,7 @@ class OneCameraStart:
         self._waiting: list[WaitingFrame] = []
         self._num_at_start = 0
 
-    def add(self, frame: Frame, number: int, problem: str = "") -> Begun | str:
+    def add(self, frame: Frame, number: int, problem: str = "") -> Initialization | str:
         """The map, if it begins with this frame; else what it waits for: a picture with a problem begins none."""
         if not self._waiting:
             return self._wait_from(frame, number, "the first frame: depth needs a second place")
@@ -319,7 +319,7 @@ class OneCameraStart:
         pixels = np.stack([*seen, now.pixels])
         return [judge(motion, pixels, lens) for motion in (*motions, *of_plane)]
 
-    def _begin(self, started: Start) -> Begun:
+    def _begin(self, started: Start) -> Initialization:
         """Keyframes from the first frame on: at a narrow angle those between tell as much as the two at the ends."""
         assert started.cam_from_first is not None and started.points_in_first is not None
         model, waiting = SlamMap(), list(self._waiting)
@@ -338,7 +338,7 @@ class OneCameraStart:
             keyframe.ignored_mask = one.frame.ignored_mask
             model.keyframes.append(keyframe)
         tracks = Tracks(self.tracks.pixels, points, self.tracks.start_px)
-        return Begun(model, tracks, started.cam_from_first, waiting, row_of_track)
+        return Initialization(model, tracks, started.cam_from_first, waiting, row_of_track)
 
 
 def _too_narrow(angle_deg: float, config: SlamConfig) -> Start:
@@ -354,6 +354,6 @@ def place_in_map(
     config: SlamConfig,
 ) -> RefinedPose | None:
     """The pose with which points of a map agree, by pixels alone; None if too few do."""
-    kept = model.has_place(rows)
+    kept = model.is_triangulated(rows)
     found = locate(model.xyz[rows[kept]], pixels[kept], camera, start, None, config)
     return None if found is None else found[0]

@@ -29,7 +29,7 @@ _COS, _SIN = np.cos(_ANGLES), np.sin(_ANGLES)
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class FrameQuality:
     """What is wrong with a frame's pictures, in words; empty for nothing."""
 
     problem: str = ""
@@ -70,13 +70,13 @@ class Look:
         return replace(answer, reason=words)
 
 
-class PictureWatch:
+class FrameQualityMonitor:
     """Looks at every frame's pictures before they are followed."""
 
     def __init__(self) -> None:
         self._usual: list[np.ndarray] = []
 
-    def look(self, frame: Frame) -> Look:
+    def assess(self, frame: Frame) -> FrameQuality:
         """What is wrong with the pictures, in words."""
         problem, detail = _examined(frame.grey)
         shows_nothing = bool(problem)
@@ -84,11 +84,11 @@ class PictureWatch:
             problem = self._blur(detail)
             self._usual = [*self._usual[1 - REMEMBERED :], np.minimum(detail, MOST_USUAL)]
         if frame.right_grey is None:
-            return Look(problem)
+            return FrameQuality(problem)
         right = _examined(frame.right_grey)[0]
         if shows_nothing and not right:
-            return Look(problem.replace("the picture", "the left picture"), is_left_alone=True)
-        return Look(problem, right.replace("the picture", "the right picture"))
+            return FrameQuality(problem.replace("the picture", "the left picture"), is_left_alone=True)
+        return FrameQuality(problem, right.replace("the picture", "the right picture"))
 
     def _blur(self, detail: np.ndarray) -> str:
         if len(self._usual) < LEAST_REMEMBERED:

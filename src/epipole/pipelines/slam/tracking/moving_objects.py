@@ -24,7 +24,7 @@ MOST_TURN_DEG, MOST_SHIFT = 20.0, 0.3
 """From one picture to the next a thing turns by no more, and moves by no larger share of its distance."""
 
 
-def second_motion(
+def find_moving_object(
     points_in_world: np.ndarray, pixels: np.ndarray, camera: Camera, place: Rigid3, config: SlamConfig
 ) -> MovingThing | None:
     """What points show that were followed into a frame but are not where its place foretells them; None for nothing.
@@ -83,7 +83,7 @@ def off_px_of_scene(
     return np.linalg.norm(far + np.clip(share, 0.0, 1.0)[:, None] * along - pixels, axis=1)
 
 
-def second_motion_in_picture(
+def find_moving_object_in_image(
     pixels_then: np.ndarray,
     pixels: np.ndarray,
     camera: Camera,

@@ -18,7 +18,7 @@ LARGEST_SCALE, LEAST_FRESH_SCORE = 1.8, 0.65
 """Beyond, a point is given its present look instead."""
 
 
-def hold(
+def align_to_reference_patch(
     model: SlamMap,
     camera: Camera,
     grey: np.ndarray,

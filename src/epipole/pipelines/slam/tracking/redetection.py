@@ -12,7 +12,7 @@ from epipole.features.patches import find_patches
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.frames import is_outside
 from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
-from epipole.pipelines.slam.tracking.patches import hold, warps_between
+from epipole.pipelines.slam.tracking.patches import align_to_reference_patch, warps_between
 
 MOST_KEYFRAMES = 4
 LARGEST_SCALE, LEAST_COSINE = 1.6, math.cos(math.radians(35.0))
@@ -25,7 +25,7 @@ SEARCH_PX, DRIFT_PX = 8.0, 25.0
 """How far from where the map says a point may be found: at once, and after the last frame."""
 
 
-def find_again(
+def redetect(
     model: SlamMap,
     camera: Camera,
     grey: np.ndarray,
@@ -94,10 +94,12 @@ def tie_together(model: SlamMap, camera: Camera, keyframes: Sequence[Keyframe]) 
     count = 0
     for keyframe in keyframes:
         place = keyframe.cam_from_world
-        pixels, points = find_again(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
+        pixels, points = redetect(model, camera, keyframe.grey, place, keyframe.point, DRIFT_PX)
         if not len(points):
             continue
-        pixels, is_same, is_stale = hold(model, camera, keyframe.grey, place, points, pixels)
+        pixels, is_same, is_stale = align_to_reference_patch(
+            model, camera, keyframe.grey, place, points, pixels
+        )
         good = is_same & ~is_stale & is_outside(keyframe.ignored_mask, pixels)
         keyframe.add(pixels[good], np.full(int(good.sum()), np.nan), points[good])
         count += int(good.sum())

@@ -16,7 +16,7 @@ from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.points import Tracks, locate
 
 
-def place_by_right_picture(
+def pose_from_right_image(
     model: SlamMap,
     sensor: SlamCamera,
     frames: tuple[Frame, Frame],
@@ -39,7 +39,7 @@ def place_by_right_picture(
         return None
     right = _right_camera(sensor.camera, model.right_shift_px)
     right_from_left = Rigid3(np.eye(3), np.array([-sensor.baseline, 0.0, 0.0]))
-    points = points[model.has_place(points)]
+    points = points[model.is_triangulated(points)]
     was = right.project((right_from_left @ place).apply(model.xyz[points]))
     inside = ((was >= 0) & (was < [right.width, right.height])).all(axis=1)
     points, was = points[inside], was[inside]

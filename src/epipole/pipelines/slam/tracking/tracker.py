@@ -25,14 +25,14 @@ from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.frame_quality import shows_something
 from epipole.pipelines.slam.tracking.moving_objects import (
     LEAST_POINTS,
+    find_moving_object,
+    find_moving_object_in_image,
     off_px_of_scene,
-    second_motion,
-    second_motion_in_picture,
 )
-from epipole.pipelines.slam.tracking.patches import hold
+from epipole.pipelines.slam.tracking.patches import align_to_reference_patch
 from epipole.pipelines.slam.tracking.points import SeenFrame, Tracks, is_sure, locate, predict_pixels
-from epipole.pipelines.slam.tracking.redetection import find_again
-from epipole.pipelines.slam.tracking.right_image import place_by_right_picture
+from epipole.pipelines.slam.tracking.redetection import redetect
+from epipole.pipelines.slam.tracking.right_image import pose_from_right_image
 from epipole.pipelines.slam.tracking.static_points import StaticPart, find_static_part
 
 SHUTTER_ROUNDS = 3
@@ -43,7 +43,7 @@ PROVEN_FRAMES = 3
 """In so many a point must have agreed with the others before it decides where the camera is."""
 
 
-class MapTracker:
+class PointTracker:
     """Follows points of one map.
 
     Attributes:
@@ -64,48 +64,62 @@ class MapTracker:
         self.moving: MovingThing | None = None
         self.static_part: StaticPart | None = None
         self._num_at_start = 1
-        self._place_before: Rigid3 | None = None
+        self._pose_before: Rigid3 | None = None
         self.waiting: list[SeenFrame] = []
         self._seen: SeenFrame | None = None
 
-    def follow(self, before: Frame, frame: Frame, place: Rigid3) -> tuple[RefinedPose, int] | None:
-        """The pose of the next frame and the number of points that agree; None if too few do.
+    def track_points(self, previous: Frame, frame: Frame, predicted: Rigid3) -> Tracks | None:
+        """Find the points by optical flow and align them to their reference patches; those not found are dropped.
 
-        The last place is the prediction: points that slip along edges stay where they are foretold, and with a constant
-        velocity such a share of the error came back enlarged, from frame to frame.
+        Args:
+            previous: the frame before.
+            frame: the frame.
+            predicted: cam_from_world.
+
+        Returns:
+            the points as they were in the previous frame; None if it shows nothing that could be tracked.
         """
-        tracks, followed = self.tracks, self.tracks.point
-        self._place_before, self.map.recent = place, self.map.recent.begin_at(before.timestamp_s)
+        tracks = self.tracks
+        self._pose_before, self.map.recent = predicted, self.map.recent.begin_at(previous.timestamp_s)
         last = Tracks(tracks.pixels, tracks.point, tracks.start_px)
-        if not shows_something(before.grey):
+        if not shows_something(previous.grey):
             tracks.keep(np.zeros(len(tracks), bool))
-            return self._find_again((before, frame), place, followed)
-        guess = predict_pixels(tracks.pixels, self.map.xyz[tracks.point], place, place, self.camera)
-        tracks.follow(before.grey, frame.grey, guess, self.config, and_back=True)
-        tracks.pixels, is_same, is_stale = hold(
-            self.map, self.camera, frame.grey, place, tracks.point, tracks.pixels
+            return None
+        points = self.map.xyz[tracks.point]
+        guess = predict_pixels(tracks.pixels, points, predicted, predicted, self.camera)
+        tracks.follow(previous.grey, frame.grey, guess, self.config, and_back=True)
+        tracks.pixels, is_same, is_stale = align_to_reference_patch(
+            self.map, self.camera, frame.grey, predicted, tracks.point, tracks.pixels
         )
         self.stale = tracks.point[is_stale]
         tracks.keep(is_same)
-        found = self.locate(frame, place, last)
-        return self._find_again((before, frame), place, followed) if found is None else found
+        return last
 
-    def _find_again(
-        self, frames: tuple[Frame, Frame], place: Rigid3, followed: np.ndarray
+    def redetect_points(
+        self, previous: Frame, frame: Frame, predicted: Rigid3, tracked: np.ndarray
     ) -> tuple[RefinedPose, int] | None:
-        """The pose by all points of the map that should be in sight; where the left picture shows none, by the right one."""
-        tracks, frame = self.tracks, frames[1]
-        right = place_by_right_picture(self.map, self.sensor, frames, place, followed, self.config)
-        near = place
-        if (
-            right is not None
-        ):  # it tells where they are in the left one to a pixel: near enough for their patches
+        """The pose from all points of the map that should be in sight; if the left image shows none, from the right one.
+
+        Args:
+            previous: the frame before.
+            frame: the frame.
+            predicted: cam_from_world.
+            tracked: rows of the points that were tracked up to the frame before.
+        """
+        tracks, near = self.tracks, predicted
+        right = pose_from_right_image(
+            self.map, self.sensor, (previous, frame), predicted, tracked, self.config
+        )
+        if right is not None:
+            # It predicts the points in the left image to a pixel: near enough for their patches.
             near, seen = right[0].cam_from_world, right[1]
-            pixels, is_same, _ = hold(self.map, self.camera, frame.grey, near, seen.point, seen.pixels)
+            pixels, is_same, _ = align_to_reference_patch(
+                self.map, self.camera, frame.grey, near, seen.point, seen.pixels
+            )
             tracks.keep(np.zeros(len(tracks), bool))
             tracks.add(pixels[is_same], seen.point[is_same])
-        tracks.add(*find_again(self.map, self.camera, frame.grey, near, tracks.point))
-        found = self.locate(frame, near)
+        tracks.add(*redetect(self.map, self.camera, frame.grey, near, tracks.point))
+        found = self.estimate_pose(frame, near)
         if found is not None or right is None:
             return found
         refined, self.tracks = right
@@ -113,11 +127,11 @@ class MapTracker:
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """The pose of a frame that was recognised; its points are followed from here on."""
-        self._place_before = None
+        self._pose_before = None
         self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
-        return self.locate(frame, recognized.cam_from_world)
+        return self.estimate_pose(frame, recognized.cam_from_world)
 
-    def locate(
+    def estimate_pose(
         self, frame: Frame, predicted: Rigid3, last: Tracks | None = None
     ) -> tuple[RefinedPose, int] | None:
         """The frame's pose; points that do not agree are given up.
@@ -129,7 +143,7 @@ class MapTracker:
         """
         tracks, self.moving, self.static_part = self.tracks, None, None
         tracks.keep(frame.is_used(tracks.pixels))
-        placed = np.flatnonzero(self.map.has_place(tracks.point))
+        placed = np.flatnonzero(self.map.is_triangulated(tracks.point))
         rows, pixels = tracks.point[placed], tracks.pixels[placed]
         deep, measured = None, None
         if frame.depth is not None and self.focal_baseline is not None:
@@ -224,9 +238,9 @@ class MapTracker:
 
     def _recent_at(self, frame: Frame, place: Rigid3, points: np.ndarray) -> RecentMotion:
         """The motion up to a frame that is at this place."""
-        if self._place_before is None:
+        if self._pose_before is None:
             return RecentMotion().begin_at(frame.timestamp_s)
-        step, depth = place @ self._place_before.inverse(), float(np.median(place.apply(points)[:, 2]))
+        step, depth = place @ self._pose_before.inverse(), float(np.median(place.apply(points)[:, 2]))
         return self.map.recent.with_step(frame.timestamp_s, step, depth)
 
     def _what_moves(
@@ -237,7 +251,9 @@ class MapTracker:
             return None
         fresh = ~agrees & (self.map.anchor[points] == len(self.map.keyframes) - 1)
         fresh = self._moving_now(fresh, last, points, pixels, place)
-        found = second_motion(self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config)
+        found = find_moving_object(
+            self.map.xyz[points[fresh]], pixels[fresh], self.camera, place, self.config
+        )
         if found is None and self.focal_baseline is None:
             return self._motion_in_picture(last, points[agrees], place)
         return found
@@ -250,25 +266,27 @@ class MapTracker:
         A point that was mismatched once, or that an unmodelled distortion displaces, does not keep moving.
         """
         out, rows = np.zeros(len(points), bool), np.flatnonzero(mask)
-        if self._place_before is None or len(rows) < LEAST_POINTS:
+        if self._pose_before is None or len(rows) < LEAST_POINTS:
             return out
         order = np.argsort(last.point)
         then = last.pixels[order[np.searchsorted(last.point, points[rows], sorter=order)]]
-        placed = self.map.has_place(points)
+        placed = self.map.is_triangulated(points)
         depth = float(np.median(place.apply(self.map.xyz[points[placed]])[:, 2])) if placed.any() else 1.0
-        step = place @ self._place_before.inverse()
+        step = place @ self._pose_before.inverse()
         out[rows] = off_px_of_scene(then, pixels[rows], self.camera, step, depth) > STEP_PX
         return out
 
     def _motion_in_picture(self, last: Tracks, placed: np.ndarray, place: Rigid3) -> MovingThing | None:
         newest = len(self.map.keyframes) - 1
-        lacking = ~self.map.has_place(self.tracks.point) & (self.map.anchor[self.tracks.point] == newest)
+        lacking = ~self.map.is_triangulated(self.tracks.point) & (
+            self.map.anchor[self.tracks.point] == newest
+        )
         lacking = self._moving_now(lacking, last, self.tracks.point, self.tracks.pixels, place)
         points = self.tracks.point[lacking]
         now_from_then = place @ self.map.keyframes[newest].cam_from_world.inverse()
         depth = float(np.median(place.apply(self.map.xyz[placed])[:, 2]))
         then, now = self.map.anchor_px[points], self.tracks.pixels[lacking]
-        return second_motion_in_picture(then, now, self.camera, now_from_then, depth, self.config.seed)
+        return find_moving_object_in_image(then, now, self.camera, now_from_then, depth, self.config.seed)
 
     def remember(self, number: int) -> None:
         """The frame that was placed last has this number, and is to be placed again later."""
@@ -291,12 +309,12 @@ class MapTracker:
     def start_from(self, tracks: Tracks) -> None:
         """Follow these from here on."""
         self.tracks, self.stale = tracks, np.zeros(0, np.int64)
-        self._num_at_start = max(int(self.map.has_place(tracks.point).sum()), 1)
+        self._num_at_start = max(int(self.map.is_triangulated(tracks.point).sum()), 1)
 
-    def look_again(self, frame: Frame, place: Rigid3) -> None:
+    def track_points_in_sight(self, frame: Frame, place: Rigid3) -> None:
         """Take up all points of the map that are in sight."""
         tracks = self.tracks
-        tracks.add(*find_again(self.map, self.camera, frame.grey, place, tracks.point))
+        tracks.add(*redetect(self.map, self.camera, frame.grey, place, tracks.point))
         self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
 
     def why_keyframe(self, num_agreeing: int, age: int) -> str:
@@ -309,6 +327,6 @@ class MapTracker:
             return "the points have moved"
         return "time has passed" if age >= self.config.keyframe_gap else ""
 
-    def forget_mistakes(self) -> None:
+    def remove_outliers(self) -> None:
         """Stop following points whose observation in the newest keyframe was a mistake."""
         self.tracks.keep(np.isin(self.tracks.point, self.map.keyframes[-1].point))

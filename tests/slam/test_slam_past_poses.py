@@ -6,11 +6,11 @@ from slam_rides import CAMERA, MONO, RGBD
 
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import SlamConfig
-from epipole.pipelines.slam.map.past_poses import KEYFRAMES_LATER, place_again
+from epipole.pipelines.slam.map.past_poses import KEYFRAMES_LATER, refine_past_poses
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.map.trajectory import Path
 from epipole.pipelines.slam.tracking.points import SeenFrame
-from epipole.pipelines.slam.tracking.tracker import MapTracker
+from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 NUM_FRAMES = 3 * KEYFRAMES_LATER + 3
 FOCAL_BASELINE, OFF = 31.2, Rigid3.exp(np.array([0.03, -0.02, 0.04, 0.01, 0.02, -0.01]))
@@ -56,17 +56,17 @@ def errors(path: Path, model: SlamMap) -> np.ndarray:
 def test_frames_that_waited_long_enough_are_placed_in_the_map_as_it_is(scene, has_depth):
     model, path = scene
     camera, focal_baseline = (RGBD, FOCAL_BASELINE) if has_depth else (MONO, None)
-    tracker = MapTracker(model, camera, focal_baseline, SlamConfig())
+    tracker = PointTracker(model, camera, focal_baseline, SlamConfig())
     numbers = [n for n in range(NUM_FRAMES) if n % 3]
     tracker.waiting = [waiting(model, number, has_depth=has_depth) for number in numbers]
     model.keyframes[1].cam_from_world = OFF @ model.keyframes[1].cam_from_world  # adjusted since
     tracker.waiting.append(waiting(model, 3, has_depth=has_depth))
-    place_again(path, tracker)
+    refine_past_poses(path, tracker)
     # For these few keyframes have come since.
     assert [one.number for one in tracker.waiting] == [*numbers[2:], 3]
     found = errors(path, model)
     assert found[1:3].max() < 1e-6 and found[4:6].min() > 0.01
-    place_again(path, tracker, is_last=True)
+    refine_past_poses(path, tracker, is_last=True)
     found = errors(path, model)
     assert tracker.waiting == [] and found[3] > 0.01  # a keyframe is where the adjustment puts it
     assert np.delete(found, 3).max() < 1e-6
@@ -79,11 +79,11 @@ def test_frames_that_waited_long_enough_are_placed_in_the_map_as_it_is(scene, ha
 
 def test_few_points_and_frames_without_a_place_stay(scene):
     model, path = scene
-    tracker = MapTracker(model, MONO, None, SlamConfig())
+    tracker = PointTracker(model, MONO, None, SlamConfig())
     few, nowhere = waiting(model, 1, has_depth=False), waiting(model, 900, has_depth=False)
     few.point, few.pixels = few.point[:5], few.pixels[:5]
     tracker.waiting = [few, nowhere]
     before = errors(path, model)
-    place_again(path, tracker, is_last=True)
+    refine_past_poses(path, tracker, is_last=True)
     np.testing.assert_array_equal(errors(path, model), before)
-    place_again(path, tracker)  # none waits
+    refine_past_poses(path, tracker)  # none waits

@@ -5,28 +5,28 @@ import pytest
 from slam_rides import drawn, followed
 
 from epipole.geometry import Rigid3, Similarity3
-from epipole.pipelines.slam.map.gauge import least_move
+from epipole.pipelines.slam.map.gauge import align_gauge
 
 
 @pytest.mark.parametrize("count", [2, 3, 30])
 def test_a_similarity_is_undone(rng, count):
     before = Rigid3.exp(rng.normal(size=(count, 6)))
     moved = Similarity3.exp(np.array([0.3, -2.0, 1.0, 0.2, 0.5, -0.1, 0.4]))
-    back = least_move(moved.move_cam_from_source(before), before)
+    back = align_gauge(moved.move_cam_from_source(before), before)
     np.testing.assert_allclose((back @ moved).log(), 0.0, atol=1e-12)
 
 
 def test_of_one_place_turns_alone_are_undone():
     turns = Rigid3.exp(np.array([[0.0, 0, 0, 0, 0.1 * k, 0] for k in range(4)]))
     turned = Similarity3.exp(np.array([0.0, 0, 0, 0.2, 0, 0, 0]))
-    back = least_move(turned.move_cam_from_source(turns), turns)
+    back = align_gauge(turned.move_cam_from_source(turns), turns)
     np.testing.assert_allclose((back @ turned).log(), 0.0, atol=1e-6)
 
 
 def test_errors_are_shared_by_all(rng):
     before = Rigid3.exp(rng.normal(size=(12, 6)))
     after = Rigid3.exp(0.05 * rng.normal(size=(12, 6))) @ before
-    moved = least_move(after, before).move_cam_from_source(after)
+    moved = align_gauge(after, before).move_cam_from_source(after)
 
     def misfit(cams):
         return float(
@@ -41,7 +41,7 @@ def test_adjusting_one_camera_s_map_leaves_it_in_place():
     ride = drawn("loop_room", 60, 2)
     slam, _ = followed(ride.frames("mono"), ride.sensor("mono"))
     before = slam.trajectory().world_from_body
-    slam.mapper.adjust_all()
+    slam.odometry.mapper.adjust_all()
     after = slam.trajectory().world_from_body
     size = np.linalg.norm(np.ptp(before.translation, axis=0))
     assert np.abs(after.translation - before.translation).max() < 0.01 * size

@@ -1,0 +1,115 @@
+"""Visual odometry in one map: `track` finds the pose of a frame, `extend_map` makes the map grow with it.
+
+The two methods are the whole method, one line per step: predict, track points, estimate the pose, triangulate, decide on a
+keyframe, insert it, triangulate its points, optimize. What happens to maps (initialization, loss, loops) is in `slam.py`.
+"""
+
+from __future__ import annotations
+
+from epipole.geometry import Rigid3
+from epipole.inertial import MountedImu
+from epipole.mapping import RefinedPose
+from epipole.pipelines.slam.config import SlamConfig
+from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.covariance import carry_covariance
+from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.map.slam_map import Keyframe, SlamMap
+from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
+from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
+from epipole.pipelines.slam.tracking.tracker import PointTracker
+
+
+class Odometry:
+    """Tracks a camera in one map.
+
+    Attributes:
+        map: keyframes and points.
+        cam_from_world: pose of the last frame.
+        tracker: the points that are tracked from frame to frame.
+        mapper: inserts keyframes and optimizes the map.
+    """
+
+    def __init__(
+        self,
+        model: SlamMap,
+        camera: SlamCamera,
+        focal_baseline: float | None,
+        config: SlamConfig,
+        imu: MountedImu | None,
+        cam_from_world: Rigid3,
+    ) -> None:
+        self.map, self.camera, self.config = model, camera, config
+        self.cam_from_world = cam_from_world
+        self.tracker = PointTracker(model, camera, focal_baseline, config)
+        self.mapper = LocalMapper(model, camera, focal_baseline, config, imu)
+
+    def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
+        """The pose of a frame, and the number of points that agree with it; None if too few do.
+
+        The prediction is the previous pose: points that slip along edges stay where they are predicted, and with a constant
+        velocity that fraction of the error came back enlarged, from frame to frame.
+        """
+        predicted, tracked = self.cam_from_world, self.tracker.tracks.point
+        last = self.tracker.track_points(previous, frame, predicted)
+        found = None if last is None else self.tracker.estimate_pose(frame, predicted, last)
+        if found is None:
+            found = self.tracker.redetect_points(previous, frame, predicted, tracked)
+        return found
+
+    def extend_map(
+        self, frame: Frame, refined: RefinedPose, num_agreeing: int, number: int, quality: FrameQuality
+    ) -> str:
+        """Triangulate what the frame shows from a new side and, if the map needs it, make the frame a keyframe.
+
+        Args:
+            frame: the images.
+            refined: its pose.
+            num_agreeing: points that agree with the pose.
+            number: of the frame.
+            quality: a frame of low quality does not become a keyframe.
+
+        Returns:
+            why the frame became a keyframe; empty if it did not.
+        """
+        self.cam_from_world = refined.cam_from_world
+        self.tracker.remember(number)
+        triangulate_between_keyframes(
+            self.map, self.camera, self.config, self.cam_from_world, self.tracker.tracks
+        )
+        reason = self._why_keyframe(num_agreeing, number, quality)
+        if reason:
+            self.insert_keyframe(frame, number)
+            carry_covariance(self.map, refined)
+            triangulate(self.map, self.camera.camera, self.config, len(self.map.keyframes) - 1)
+            self.optimize_around_newest()
+        return reason
+
+    def stay_in_map(
+        self, frame: Frame, refined: RefinedPose, num_agreeing: int, number: int, quality: FrameQuality
+    ) -> None:
+        """As `extend_map`, of a map that does not change: instead of a new keyframe, its points in sight are tracked."""
+        self.cam_from_world = refined.cam_from_world
+        if self._why_keyframe(num_agreeing, number, quality):
+            self.tracker.track_points_in_sight(frame, self.cam_from_world)
+
+    def insert_keyframe(self, frame: Frame, number: int) -> None:
+        """Make the frame a keyframe at its present pose: tracked points, older ones that are redetected, and new ones."""
+        tracks, stale = self.tracker.tracks, self.tracker.stale
+        self.tracker.start_from(
+            self.mapper.insert_keyframe(frame, number, self.cam_from_world, tracks, stale)
+        )
+
+    def optimize_around_newest(self) -> None:
+        """Optimize the newest keyframe with those around it; the pose follows, and outliers are not tracked on."""
+        self.mapper.adjust_around(len(self.map.keyframes) - 1)
+        self.tracker.remove_outliers()
+        self.cam_from_world = self.map.keyframes[-1].cam_from_world
+
+    def newest_keyframe(self) -> Keyframe:
+        """The last keyframe that sees points: keyframes of a pure rotation do not."""
+        return next(k for k in reversed(self.map.keyframes) if len(k.point))
+
+    def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
+        if not quality.is_usable:
+            return ""
+        return self.tracker.why_keyframe(num_agreeing, number - self.newest_keyframe().number)
