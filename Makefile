@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
 # Kernels are compiled once, for both workers of the tests.
-WARM_UP := $(BIN)/python -c 'from epipole.pipelines.sfm.warm_up import warm_up; warm_up()'
+WARM_UP := $(BIN)/python tests/warm_up.py
 
 .PHONY: demo test docs test-numba fuzz clean
 
@@ -27,8 +27,8 @@ docs: $(STAMP)
 # Kernels on the oldest Numba that is allowed and on the newest there is, each in an environment of its own.
 NUMBA_TESTS := tests/test_jit.py tests/test_kernel_modes.py tests/test_simd.py tests/robust tests/optim
 test-numba: .venv-oldest/.installed .venv-newest/.installed
-	.venv-oldest/bin/python -m pytest $(NUMBA_TESTS)
-	.venv-newest/bin/python -m pytest $(NUMBA_TESTS)
+	EPIPOLE_WHOLE_TESTS=1 .venv-oldest/bin/python -m pytest $(NUMBA_TESTS)
+	EPIPOLE_WHOLE_TESTS=1 .venv-newest/bin/python -m pytest $(NUMBA_TESTS)
 
 # Damaged files for every reader, wrong arguments for every function, jobs that are killed or out of space, two at once; what is
 # found is printed with its seed and case.

@@ -266,10 +266,11 @@ api.reconstruct(images, out, progress=progress)
 """
 
 
-def test_killed_in_every_stage_it_goes_on_to_the_same_model(rendered, tmp_path):
+def test_killed_in_two_stages_it_continues_to_the_same_model(rendered, tmp_path):
+    """Kills at any file operation of any stage: `tests/fuzz/interruptions.py`."""
     reconstruct(rendered, tmp_path / "reference")
     out = tmp_path / "killed"
-    for stage in ("read", "features", "match", "verify", "map", "write", "report"):
+    for stage in ("match", "write"):
         command = [sys.executable, "-c", KILLED_IN, stage, str(rendered), str(out)]
         done = subprocess.run(command, check=False, capture_output=True)
         assert done.returncode == -signal.SIGKILL, (stage, done.stderr.decode())
