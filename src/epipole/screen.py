@@ -122,8 +122,12 @@ def _draws_on(console: Console) -> bool:
 @contextmanager
 def _bars(console: Console, words: Mapping[str, str]) -> Iterator[ProgressCallback]:
     columns = (
-        *(TextColumn("{task.description:<22}"), BarColumn(bar_width=32), MofNCompleteColumn()),
-        *(TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=32),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
     )
     with Bars(*columns, console=console) as bars:
         tasks: dict[str, TaskID] = {}

@@ -137,7 +137,10 @@ def rectify(rig: StereoRig) -> Rectification:
         RectifiedRig(focal, cx, cy, rig.baseline),
         rectified_from_left,
         rectified_from_right,
-        *(left_map, right_map, left_valid, right_valid),
+        left_map,
+        right_map,
+        left_valid,
+        right_valid,
         bool(abs(np.rad2deg(np.arctan2(x[1], x[0]))) > _VERTICAL_DEG),
     )
 

@@ -190,7 +190,8 @@ def _winners(
     out = (winner, lowest, second, beside, spread, other)
     size, search = (height, width, planes, padding), (low, count, depth)
     pictures = (
-        *(left.bits.reshape(-1), reversed_bits.reshape(-1)),
+        left.bits.reshape(-1),
+        reversed_bits.reshape(-1),
         *_blended(left.brightness, right.brightness, padding, config.brightness_cost),
     )
     rows = int(np.clip(_MOST_STRIP_BYTES // (2 * width * depth), _LEAST_ROWS, _MOST_ROWS))

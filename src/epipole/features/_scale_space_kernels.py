@@ -120,8 +120,15 @@ def find_extrema(levels, threshold, least_contrast, most_edge, found):
             )
         for s in range(1, SCALES + 1):
             _mark_extremes(
-                *(differences[(y - 1) % 3, s], highest[s - 1], highest[s], highest[s + 1]),
-                *(lowest[s - 1], lowest[s], lowest[s + 1], threshold, is_extreme),
+                differences[(y - 1) % 3, s],
+                highest[s - 1],
+                highest[s],
+                highest[s + 1],
+                lowest[s - 1],
+                lowest[s],
+                lowest[s + 1],
+                threshold,
+                is_extreme,
             )
             for block in range(len(eight)):
                 if eight[block] == 0:

@@ -68,7 +68,13 @@ def _top_two_bytes(a: np.ndarray, b: np.ndarray, _config: MatchConfig) -> TopTwo
     best, second = np.empty(rows.shape[:2], np.uint32), np.empty(rows.shape[:2], np.uint32)
     column, column_best = np.empty(rows.shape[:2], np.int32), np.zeros(bias.shape, np.uint32)
     byte_kernels.byte_top_two(
-        *(rows, columns, bias, best.ravel(), second.ravel(), column.ravel(), column_best),
+        rows,
+        columns,
+        bias,
+        best.ravel(),
+        second.ravel(),
+        column.ravel(),
+        column_best,
     )
     return column.ravel()[:n], best.ravel()[:n], second.ravel()[:n], column_best.ravel()[:m]
 
@@ -146,10 +152,18 @@ def match_along_epipolar_lines(
     column, best, second = np.empty(n, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
     column_best = np.full(m, -1, np.int32)
     kernels.guided_top_two(
-        *(features1.pixels.astype(np.float64), features1.descriptors),
-        *(_cells(features2, 0), _cells(features2, 1)),
-        *(np.ascontiguousarray(fundamental), float(band_px), _STRIP_PX, _CELL_PX),
-        *(column, best, second, column_best),
+        features1.pixels.astype(np.float64),
+        features1.descriptors,
+        _cells(features2, 0),
+        _cells(features2, 1),
+        np.ascontiguousarray(fundamental),
+        float(band_px),
+        _STRIP_PX,
+        _CELL_PX,
+        column,
+        best,
+        second,
+        column_best,
     )
     return _accept(column, best, second, column_best, config)
 

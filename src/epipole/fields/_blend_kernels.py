@@ -117,8 +117,14 @@ def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
             for column in range(columns):
                 state[place_in_tile(row, column)] = np.float32(1.0)
         tiles.stop[tile], evaluated[tile] = blend_tile(
-            *(tiles.ellipses, tiles.pairs_of_tile, tiles.start[tile], tiles.start[tile + 1]),
-            *(np.float32(left), np.float32(top), rows, state),
+            tiles.ellipses,
+            tiles.pairs_of_tile,
+            tiles.start[tile],
+            tiles.start[tile + 1],
+            np.float32(left),
+            np.float32(top),
+            rows,
+            state,
         )
         for row in range(rows):
             for column in range(columns):
@@ -180,8 +186,16 @@ def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
                 state[5 * PLANE + at], state[6 * PLANE + at] = wanted.by_depth[i, j], wanted.by_coverage[i, j]
         first, last = tiles.start[tile], tiles.stop[tile]
         unblend_tile(
-            *(tiles.ellipses, tiles.pairs_of_tile, first, last),
-            *(np.float32(left), np.float32(top), rows, state, sums, by_pair),
+            tiles.ellipses,
+            tiles.pairs_of_tile,
+            first,
+            last,
+            np.float32(left),
+            np.float32(top),
+            rows,
+            state,
+            sums,
+            by_pair,
         )
         for at in range(last, tiles.start[tile + 1]):
             for k in range(SUMS):

@@ -49,23 +49,38 @@ def gather_and_move(view, cloud, ellipse, pair, by_pair, start, stop, adam, by_p
         mean, square, rates = adam.mean, adam.square, adam.rates
         _move(cloud.means[n], one.means[0], mean.means[n], square.means[n], rates[0], adam.unbias)
         _move(
-            *(cloud.log_scales[n], one.log_scales[0], mean.log_scales[n], square.log_scales[n]),
-            *(rates[1], adam.unbias),
+            cloud.log_scales[n],
+            one.log_scales[0],
+            mean.log_scales[n],
+            square.log_scales[n],
+            rates[1],
+            adam.unbias,
         )
         _move(
-            *(cloud.quats_wxyz[n], one.quats_wxyz[0], mean.quats_wxyz[n], square.quats_wxyz[n]),
-            *(rates[2], adam.unbias),
+            cloud.quats_wxyz[n],
+            one.quats_wxyz[0],
+            mean.quats_wxyz[n],
+            square.quats_wxyz[n],
+            rates[2],
+            adam.unbias,
         )
         _move(
-            *(cloud.logits[n : n + 1], one.logits, mean.logits[n : n + 1], square.logits[n : n + 1]),
-            *(rates[3], adam.unbias),
+            cloud.logits[n : n + 1],
+            one.logits,
+            mean.logits[n : n + 1],
+            square.logits[n : n + 1],
+            rates[3],
+            adam.unbias,
         )
         _move(cloud.sh[n, 0], one.sh[0, 0], mean.sh[n, 0], square.sh[n, 0], rates[4], adam.unbias)
         if cloud.sh.shape[1] > 1:
             _move(
-                *(cloud.sh[n, 1:].reshape(-1), one.sh[0, 1:].reshape(-1)),
-                *(mean.sh[n, 1:].reshape(-1), square.sh[n, 1:].reshape(-1)),
-                *(rates[5], adam.unbias),
+                cloud.sh[n, 1:].reshape(-1),
+                one.sh[0, 1:].reshape(-1),
+                mean.sh[n, 1:].reshape(-1),
+                square.sh[n, 1:].reshape(-1),
+                rates[5],
+                adam.unbias,
             )
 
 
@@ -160,8 +175,11 @@ def _one(view, cloud, n, gradient, m, by_pose, work):
     gradient.center[m, 0], gradient.center[m, 1] = by_px, by_py
     gradient.logits[m] = total[G] * (1.0 - 1.0 / (1.0 + math.exp(-float(cloud.logits[n]))))
     back_to_shape(
-        *(cloud.quats_wxyz[n], axes, _back_to_covariance(jac, by_seen)),
-        *(gradient.log_scales[m], gradient.quats_wxyz[m]),
+        cloud.quats_wxyz[n],
+        axes,
+        _back_to_covariance(jac, by_seen),
+        gradient.log_scales[m],
+        gradient.quats_wxyz[m],
     )
     # T0 = ju (r0 - u r2) with ju = f / z, and the like for T1.
     p0, p1, p2, q0, q1, q2 = _back_to_derivative(jac, cov, by_seen)

@@ -61,7 +61,7 @@ class Exposures:
         colour, coverage = drawn.colour.reshape(-1, 3), drawn.coverage.reshape(-1)
         _parallel.map_chunks(
             lambda a, b, _: kernels.map_colours(
-                *(colour, coverage, self.maps[view], background, a, b, out.reshape(-1, 3))
+                colour, coverage, self.maps[view], background, a, b, out.reshape(-1, 3)
             ),
             len(coverage),
             -(-len(coverage) // TOGETHER),

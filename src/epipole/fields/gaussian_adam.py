@@ -72,8 +72,16 @@ class GaussianAdam:
         def move(start: int, stop: int, _: int) -> np.ndarray:
             by_pose = np.zeros(6)
             kernels.gather_and_move(
-                *(view, cloud, ellipse, tiles.pair, by_pair, start, stop),
-                *(adam, by_pose, gather_work(num_sh)),
+                view,
+                cloud,
+                ellipse,
+                tiles.pair,
+                by_pair,
+                start,
+                stop,
+                adam,
+                by_pose,
+                gather_work(num_sh),
             )
             return by_pose
 

@@ -150,13 +150,11 @@ def view_of(camera: Camera, cam_from_world: Rigid3, options: RenderOptions) -> V
         focal,
         middle,
         0.5 * np.array([camera.width, camera.height]) / focal,
-        *(
-            camera.width,
-            camera.height,
-            float(options.near),
-            float(options.blur_px),
-            bool(options.antialiased),
-        ),
+        camera.width,
+        camera.height,
+        float(options.near),
+        float(options.blur_px),
+        bool(options.antialiased),
     )
 
 
@@ -330,7 +328,10 @@ def sums_of_pairs(
     """
     none, tiles = np.zeros_like(rendering.coverage), rendering.tiles
     wanted = Wanted(
-        *(rendering.colour, rendering.depth, rendering.coverage, np.ascontiguousarray(by_colour)),
+        rendering.colour,
+        rendering.depth,
+        rendering.coverage,
+        np.ascontiguousarray(by_colour),
         *(none if part is None else np.ascontiguousarray(part) for part in (by_depth, by_coverage)),
     )
     by_pair = np.empty((len(tiles.pairs_of_tile), SUMS), np.float32)
@@ -367,8 +368,16 @@ def gradient_of(
     def gather(start: int, stop: int, _: int) -> np.ndarray:
         by_pose = np.zeros(6)
         gradient_kernels.gather(
-            *(view, cloud, ellipse, tiles.pair, by_pair, start, stop),
-            *(out, by_pose, gather_work(num_sh)),
+            view,
+            cloud,
+            ellipse,
+            tiles.pair,
+            by_pair,
+            start,
+            stop,
+            out,
+            by_pose,
+            gather_work(num_sh),
         )
         return by_pose
 

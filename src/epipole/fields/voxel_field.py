@@ -145,8 +145,16 @@ def draw_voxels(
     picture, depth = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     samples = _parallel.map_chunks(
         lambda a, b, _: kernels.draw_pixels(
-            *(rays, 0, camera.width, voxels, background),
-            *(a, b, picture, depth, march_work()),
+            rays,
+            0,
+            camera.width,
+            voxels,
+            background,
+            a,
+            b,
+            picture,
+            depth,
+            march_work(),
         ),
         count,
         -(-count // TOGETHER),

@@ -167,8 +167,17 @@ class VoxelTrainer:
             records = np.empty((room, kernels.RECORD), np.float32)
             cells = np.empty(room, np.int64)
             found, error, samples = kernels.learn_rays(
-                *(self.rays, chosen, first, self.field, self.background, scale),
-                *(start, stop, records, cells, march_work()),
+                self.rays,
+                chosen,
+                first,
+                self.field,
+                self.background,
+                scale,
+                start,
+                stop,
+                records,
+                cells,
+                march_work(),
             )
             return records[:found], cells[:found], error, samples
 
@@ -184,8 +193,16 @@ class VoxelTrainer:
         start = np.searchsorted(keys, first_keys)
         _parallel.map_chunks(
             lambda a, b, _: kernels.move_planes(
-                *(self.field, records, cells, order, start, self._row_start(), a, b),
-                *(self._adam, np.zeros(ROW, np.float32)),
+                self.field,
+                records,
+                cells,
+                order,
+                start,
+                self._row_start(),
+                a,
+                b,
+                self._adam,
+                np.zeros(ROW, np.float32),
             ),
             planes,
             -(-planes // PLANES_TOGETHER),

@@ -67,9 +67,15 @@ class Rotation3(Batch):
             raise ShapeError("quat_wxyz must not be zero: a quaternion of length zero is no rotation")
         w, x, y, z = np.moveaxis(q / size, -1, 0)
         rows = [
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
         ]
         return Rotation3._of(np.stack(rows, axis=-1).reshape(*q.shape[:-1], 3, 3))
 

@@ -216,7 +216,7 @@ def imu_factors(
         raise ShapeError(f"{n} frames need as many times and poses")
     measured = preintegrate(imu.log, timestamp_s, aligned.gyro_bias, np.zeros(3), imu.noise)
     problem = InertialProblem(
-        *(measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias)
+        measured, world_from_camera, imu.camera_from_imu, imu.noise, (1.0, 1.0), aligned.gyro_bias
     )
     rotation, places = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
     velocity = np.gradient(places, timestamp_s, axis=0)

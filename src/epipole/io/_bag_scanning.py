@@ -24,18 +24,16 @@ _MOST_RECORD_BYTES = 1 << 31
 _R1_MESSAGE, _R1_CHUNK, _R1_CONNECTION = 2, 5, 7
 _M_SCHEMA, _M_CHANNEL, _M_MESSAGE, _M_CHUNK = 3, 4, 5, 6
 _DAMAGE = (
-    *(
-        ValueError,
-        OverflowError,
-        KeyError,
-        IndexError,
-        TypeError,
-        struct.error,
-        OSError,
-        EOFError,
-        RuntimeError,
-        MemoryError,
-    ),
+    ValueError,
+    OverflowError,
+    KeyError,
+    IndexError,
+    TypeError,
+    struct.error,
+    OSError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
     sqlite3.Error,
 )
 """What damaged bytes raise here, and in the decompression of chunks."""

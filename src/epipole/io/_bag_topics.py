@@ -13,8 +13,13 @@ from epipole.io.stereo_folders import side_of
 BagSensor = Literal["mono", "stereo", "rgbd"]
 _COMPRESSED = ("/compressed", "/compressedDepth")
 _OF_ONE_CAMERA = (
-    *("image_rect", "image_rect_raw", "image_rect_color", "image_mono"),
-    *("image_raw", "image_color", "image"),
+    "image_rect",
+    "image_rect_raw",
+    "image_rect_color",
+    "image_mono",
+    "image_raw",
+    "image_color",
+    "image",
 )
 """Pictures of one camera under one name space, the best first: rectified ones have no distortion any more."""
 _LONGEST_LIST = 4000

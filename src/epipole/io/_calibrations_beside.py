@@ -18,8 +18,8 @@ from epipole.io.files import file_text
 INFOS = ("info.txt", "_info.txt")
 """BundleFusion's, 12-Scenes' and ScanNet's, `name = value` a line."""
 MATRICES = (
-    *("intrinsics.txt", "camera-intrinsics.txt", "camera_intrinsics.txt", "intrinsic.txt", "calibration.txt", "K.txt"),
-    *("intrinsic/intrinsic_color.txt", "intrinsic_color.txt", "intrinsics_color.txt"),
+    "intrinsics.txt", "camera-intrinsics.txt", "camera_intrinsics.txt", "intrinsic.txt", "calibration.txt", "K.txt",
+    "intrinsic/intrinsic_color.txt", "intrinsic_color.txt", "intrinsics_color.txt",
 )  # fmt: skip
 """`fx fy cx cy`, or a 3 x 3 or 4 x 4 matrix."""
 DEPTH_MATRICES = ("intrinsic/intrinsic_depth.txt", "intrinsic_depth.txt", "intrinsics_depth.txt")

@@ -30,8 +30,33 @@ AVIF_SUFFIXES = frozenset(suffix for suffix, name in FORMAT_OF_SUFFIX.items() if
 RAW_SUFFIXES = frozenset(
     f".{kind}"
     for kind in (
-        *("3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "fff", "iiq", "k25", "kdc", "mef", "mos"),
-        *("mrw", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f"),
+        "3fr",
+        "arw",
+        "cr2",
+        "cr3",
+        "crw",
+        "dcr",
+        "dng",
+        "erf",
+        "fff",
+        "iiq",
+        "k25",
+        "kdc",
+        "mef",
+        "mos",
+        "mrw",
+        "nef",
+        "nrw",
+        "orf",
+        "pef",
+        "raf",
+        "raw",
+        "rw2",
+        "rwl",
+        "sr2",
+        "srf",
+        "srw",
+        "x3f",
     )
 )
 OTHER_SUFFIXES = frozenset({".gif", ".jp2", ".j2k", ".jpf", ".jpx", ".jxl", ".psd", ".exr", ".tga"})

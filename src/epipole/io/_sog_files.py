@@ -32,8 +32,15 @@ _MOST_META, _MOST_MEMBER = 1 << 22, 1 << 29
 _SMALL, _MOST_PX, _MOST_PER_BYTE = 1 << 20, 8, 2
 """So many pixels or Gaussians every file may have; beyond, pixels to a Gaussian and Gaussians to a byte: real ones take ten bytes."""
 _DAMAGE = (
-    *(ValueError, KeyError, OSError, EOFError),
-    *(zipfile.BadZipFile, zlib.error, RuntimeError, MemoryError, struct.error),
+    ValueError,
+    KeyError,
+    OSError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+    RuntimeError,
+    MemoryError,
+    struct.error,
 )
 """What zipfile raises of damaged files."""
 

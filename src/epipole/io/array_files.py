@@ -18,8 +18,18 @@ from epipole.errors import FileFormatError, ShapeError
 from epipole.io.files import most_unpacked_bytes, open_file
 
 _DAMAGE = (
-    *(OSError, ValueError, LookupError, EOFError, TypeError, ArithmeticError, MemoryError, RuntimeError),
-    *(SyntaxError, zipfile.BadZipFile, TokenError, zlib.error),
+    OSError,
+    ValueError,
+    LookupError,
+    EOFError,
+    TypeError,
+    ArithmeticError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    zipfile.BadZipFile,
+    TokenError,
+    zlib.error,
 )
 """What zipfile and NumPy may raise on a damaged file."""
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}

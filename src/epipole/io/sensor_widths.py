@@ -56,8 +56,19 @@ SENSOR_WIDTH_MM = MappingProxyType(
 """Sensor width in millimetres by `camera_key`."""
 
 _BRANDS = (
-    *("canon", "nikon", "sony", "fujifilm", "olympus", "panasonic", "dji", "hasselblad", "kodak"),
-    *("apple", "samsung", "google", "lge"),
+    "canon",
+    "nikon",
+    "sony",
+    "fujifilm",
+    "olympus",
+    "panasonic",
+    "dji",
+    "hasselblad",
+    "kodak",
+    "apple",
+    "samsung",
+    "google",
+    "lge",
 )
 
 

@@ -39,8 +39,12 @@ def connect_matches(view_graph: ViewGraph, keypoint_offsets: Int64[np.ndarray, "
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
     image_of_row = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
     kernels.connect_without_conflict(
-        *(row1[strongest_first].astype(np.int64), row2[strongest_first].astype(np.int64), image_of_row),
-        *(parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64)),
+        row1[strongest_first].astype(np.int64),
+        row2[strongest_first].astype(np.int64),
+        image_of_row,
+        parent,
+        parent.copy(),
+        np.zeros(len(keypoint_offsets), np.int64),
     )
     sizes = np.bincount(parent, minlength=len(parent))
     rows = np.flatnonzero(sizes[parent] >= 2)

@@ -111,7 +111,10 @@ class ModelBuilder:
     def snapshot(self) -> Snapshot:
         """Save the present state."""
         return Snapshot(
-            *(self.registered.copy(), self.motion.copy(), self.row_point.copy(), self.points.copy()),
+            self.registered.copy(),
+            self.motion.copy(),
+            self.row_point.copy(),
+            self.points.copy(),
             self.params.copy(),
         )
 
@@ -221,10 +224,9 @@ class ModelBuilder:
                 - self.components.offsets[components[start:stop]]
             )
             made = np.empty((int((sizes // 2).clip(max=3).sum()), 3))
-            count = kernels.triangulate_components(
-                *(self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop),
-                *(max_error_px**2, limit, self.longest, made, point_of_row),
-            )
+            seen = self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop
+            limits = max_error_px**2, limit, self.longest
+            count = kernels.triangulate_components(*seen, *limits, made, point_of_row)
             rows = _rows_of(self.components.offsets, components[start:stop])
             rows = rows[point_of_row[rows] >= 0]
             return made[:count], rows, point_of_row[rows]
@@ -247,8 +249,15 @@ class ModelBuilder:
         given = np.full(len(self.row_image), -1, np.int32)
         counts = _parallel.map_chunks(
             lambda a, b, _: kernels.extend_components(
-                *(self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, a, b),
-                *(self.points, max_error_px**2, given),
+                self._kernel_rows(),
+                self._kernel_cams(),
+                self.components.offsets,
+                components,
+                a,
+                b,
+                self.points,
+                max_error_px**2,
+                given,
             ),
             len(components),
         )
@@ -265,8 +274,17 @@ class ModelBuilder:
         limit = np.cos(min_angle_rad)
         _parallel.map_chunks(
             lambda a, b, _: kernels.filter_points(
-                *(self._kernel_rows(), self._kernel_cams(), offsets, order, a, b, self.points),
-                *(max_error_px**2, limit, keep, errors),
+                self._kernel_rows(),
+                self._kernel_cams(),
+                offsets,
+                order,
+                a,
+                b,
+                self.points,
+                max_error_px**2,
+                limit,
+                keep,
+                errors,
             ),
             self.num_points,
         )

@@ -119,8 +119,14 @@ def refine_pose(
     if len(depth.disparity_px) != n:
         raise ShapeError(f"disparities must have {n} rows, got {len(depth.disparity_px)}")
     view = _View(
-        *(int(camera.model), camera.padded_params(), points_in_world, pixels, ones),
-        *(np.ascontiguousarray(depth.disparity_px), float(depth.sigma_px), float(depth.focal_baseline)),
+        int(camera.model),
+        camera.padded_params(),
+        points_in_world,
+        pixels,
+        ones,
+        np.ascontiguousarray(depth.disparity_px),
+        float(depth.sigma_px),
+        float(depth.focal_baseline),
     )
     motion = np.concatenate([start.rotation.ravel(), start.translation])
     information, scores, error_sq = np.empty((6, 6)), np.empty((6, 6)), np.empty(n)

@@ -92,8 +92,12 @@ def score_trajectory(
     _, turn = relative_error(ours, theirs)
     drift = drift_per_length(ours, theirs)
     return TrajectoryEvaluation(
-        *(len(estimate), len(truth), len(rows), truth[rows_of_truth].path_length()),
-        *(_score(ours, theirs, "rigid"), _score(ours, theirs, "similarity")),
+        len(estimate),
+        len(truth),
+        len(rows),
+        truth[rows_of_truth].path_length(),
+        _score(ours, theirs, "rigid"),
+        _score(ours, theirs, "similarity"),
         turn.rmse,
         100.0 * drift.rotation_deg_per_m if drift.num_segments else None,
     )
@@ -107,6 +111,11 @@ def _score(ours: Rigid3, theirs: Rigid3, alignment: Alignment) -> TrajectoryScor
     drift = drift_per_length(scaled, theirs)
     position = found.position
     return TrajectoryScore(
-        *(position.rmse, position.median, position.max, found.rotation_deg.rmse, scale, step.rmse),
+        position.rmse,
+        position.median,
+        position.max,
+        found.rotation_deg.rmse,
+        scale,
+        step.rmse,
         drift.translation_percent if drift.num_segments else None,
     )

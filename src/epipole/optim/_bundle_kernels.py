@@ -33,13 +33,11 @@ from epipole.optim._loss_kernels import allow_for_curvature, robust_loss
 def make_scratch(wide: int) -> Scratch:
     """Working arrays of one thread: made here, as a kernel that makes arrays counts references to all."""
     return Scratch(
-        *(
-            np.empty((2, 3)),
-            np.empty((2, NUM_PARAMS)),
-            rows_of_zeros((2, wide)),
-            np.empty((2, 3)),
-            np.empty(6),
-        ),
+        np.empty((2, 3)),
+        np.empty((2, NUM_PARAMS)),
+        rows_of_zeros((2, wide)),
+        np.empty((2, 3)),
+        np.empty(6),
         rows_of_zeros((wide,)),
     )
 

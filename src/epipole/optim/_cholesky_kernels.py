@@ -276,12 +276,29 @@ def factor_supernodes(nodes, chosen, blocks, panels, updates, dims):
             continue
         below, rest = panels[panel + k :], updates[update:]
         _trsm(
-            *(_RIGHT.ctypes, _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes, dims[2:].ctypes),
-            *(dims[1:].ctypes, _ONE.ctypes, corner.ctypes, dims.ctypes, below.ctypes, dims.ctypes),
+            _RIGHT.ctypes,
+            _LOWER.ctypes,
+            _TRANSPOSED.ctypes,
+            _PLAIN.ctypes,
+            dims[2:].ctypes,
+            dims[1:].ctypes,
+            _ONE.ctypes,
+            corner.ctypes,
+            dims.ctypes,
+            below.ctypes,
+            dims.ctypes,
         )
         _syrk(
-            *(_LOWER.ctypes, _PLAIN.ctypes, dims[2:].ctypes, dims[1:].ctypes, _MINUS_ONE.ctypes),
-            *(below.ctypes, dims.ctypes, _ONE.ctypes, rest.ctypes, dims[2:].ctypes),
+            _LOWER.ctypes,
+            _PLAIN.ctypes,
+            dims[2:].ctypes,
+            dims[1:].ctypes,
+            _MINUS_ONE.ctypes,
+            below.ctypes,
+            dims.ctypes,
+            _ONE.ctypes,
+            rest.ctypes,
+            dims[2:].ctypes,
         )
     return True
 
@@ -305,19 +322,40 @@ def solve_supernodes(nodes, panels, x, dims, work):
                 work[at + i] = 0.0 if forward else x[source + i]
         if forward:
             _trsv(
-                *(_LOWER.ctypes, turned.ctypes, _PLAIN.ctypes, dims[1:].ctypes),
-                *(corner.ctypes, dims.ctypes, own.ctypes, _STEP.ctypes),
+                _LOWER.ctypes,
+                turned.ctypes,
+                _PLAIN.ctypes,
+                dims[1:].ctypes,
+                corner.ctypes,
+                dims.ctypes,
+                own.ctypes,
+                _STEP.ctypes,
             )
         if m > k:
             source, target = (own, work) if forward else (work, own)
             _gemv(
-                *(turned.ctypes, dims[2:].ctypes, dims[1:].ctypes, _MINUS_ONE.ctypes, below.ctypes),
-                *(dims.ctypes, source.ctypes, _STEP.ctypes, _ONE.ctypes, target.ctypes, _STEP.ctypes),
+                turned.ctypes,
+                dims[2:].ctypes,
+                dims[1:].ctypes,
+                _MINUS_ONE.ctypes,
+                below.ctypes,
+                dims.ctypes,
+                source.ctypes,
+                _STEP.ctypes,
+                _ONE.ctypes,
+                target.ctypes,
+                _STEP.ctypes,
             )
         if not forward:
             _trsv(
-                *(_LOWER.ctypes, turned.ctypes, _PLAIN.ctypes, dims[1:].ctypes),
-                *(corner.ctypes, dims.ctypes, own.ctypes, _STEP.ctypes),
+                _LOWER.ctypes,
+                turned.ctypes,
+                _PLAIN.ctypes,
+                dims[1:].ctypes,
+                corner.ctypes,
+                dims.ctypes,
+                own.ctypes,
+                _STEP.ctypes,
             )
             continue
         for e in range(nodes.row_start[s], nodes.row_start[s + 1]):

@@ -265,10 +265,26 @@ def _lay_out(
             next_child[s], first_child[above[s]] = first_child[above[s]], s
     none = np.empty(0, np.int64)
     nodes = kernels.Supernodes(
-        *(first, row_start, rows, offset.astype(np.int64), np.empty(len(rows), np.int64)),
-        *(above.astype(np.int64), first_child, next_child, pivots),
+        first,
+        row_start,
+        rows,
+        offset.astype(np.int64),
+        np.empty(len(rows), np.int64),
+        above.astype(np.int64),
+        first_child,
+        next_child,
+        pivots,
         pivots + running[row_start[1:]] - running[row_start[:-1]],
-        *(none, none, scalar_of_place, none, none, none, none, none, none, np.empty(0, bool)),
+        none,
+        none,
+        scalar_of_place,
+        none,
+        none,
+        none,
+        none,
+        none,
+        none,
+        np.empty(0, bool),
     )
     kernels.rows_in_parents(nodes, np.empty(len(size), np.int64))
     return nodes

@@ -166,7 +166,7 @@ def _adjust(
 ) -> BundleResult:
     begin = time.perf_counter()
     system = BundleSystem(
-        *(problem, config.loss, config.loss_scale_px, config.solver), single_precision=config.single_precision
+        problem, config.loss, config.loss_scale_px, config.solver, single_precision=config.single_precision
     )
     state = initial_state(problem)
     used = system.find_visible(state)

@@ -173,8 +173,15 @@ def _covariances_of_nodes_and_points(
     points = np.empty((len(layout.unknowns.role), 3, 3))
     _parallel.map_chunks(
         lambda a, b, _: reduced_kernels.point_covariances(
-            *(layout.entries, a, b, system.kept, system.row_start, system.pattern.column, inverse),
-            *(layout.entries.width, points),
+            layout.entries,
+            a,
+            b,
+            system.kept,
+            system.row_start,
+            system.pattern.column,
+            inverse,
+            layout.entries.width,
+            points,
         ),
         len(points),
         layout.num_chunks,

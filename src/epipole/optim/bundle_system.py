@@ -211,10 +211,9 @@ class BundleSystem:
                 arrays.rows_of_zeros((images, wide)),
                 arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
             )
-            kernels.linearize(
-                *(layout.observations, start, stop, scene, layout.unknowns, layout.entries),
-                *(*self._loss, damping, self.kept, sums, layout.lanes, layout.wide, self._scratch()),
-            )
+            points = layout.observations, start, stop, scene, layout.unknowns, layout.entries
+            outputs = self.kept, sums, layout.lanes, layout.wide, self._scratch()
+            kernels.linearize(*points, *self._loss, damping, *outputs)
             return sums
 
         parts = _parallel.map_chunks(work, len(state.points), layout.num_chunks)
@@ -233,10 +232,8 @@ class BundleSystem:
 
         def reduce(piece: int) -> None:
             slot = np.full(self.layout.num_nodes, -1, np.int64)
-            reduced_kernels.reduce_rows(
-                *(edges[piece], edges[piece + 1], self.layout.entries, self.kept.z),
-                *(row_start, column, blocks, slot, self.layout.lanes),
-            )
+            nodes = edges[piece], edges[piece + 1], self.layout.entries, self.kept.z
+            reduced_kernels.reduce_rows(*nodes, row_start, column, blocks, slot, self.layout.lanes)
 
         _parallel.map_items(reduce, len(edges) - 1)
 
@@ -346,8 +343,16 @@ class BundleSystem:
         moved = layout.moved(state, step)
         parts = _parallel.map_chunks(
             lambda a, b, _: reduced_kernels.substitute_back(
-                *(layout.entries, a, b, state.points, self.kept, step, damping, moved.points),
-                *(arrays.rows_of_zeros((3, len(layout.lanes))), layout.lanes),
+                layout.entries,
+                a,
+                b,
+                state.points,
+                self.kept,
+                step,
+                damping,
+                moved.points,
+                arrays.rows_of_zeros((3, len(layout.lanes))),
+                layout.lanes,
             ),
             len(state.points),
             layout.num_chunks,

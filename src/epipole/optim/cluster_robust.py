@@ -92,8 +92,19 @@ def _scores(
             arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
         )
         kernels.linearize(
-            *(layout.observations, first, last, scene, layout.unknowns, layout.entries),
-            *(*loss, 0.0, kept, sums, layout.lanes, layout.wide, kernels.make_scratch(len(layout.wide))),
+            layout.observations,
+            first,
+            last,
+            scene,
+            layout.unknowns,
+            layout.entries,
+            *loss,
+            0.0,
+            kept,
+            sums,
+            layout.lanes,
+            layout.wide,
+            kernels.make_scratch(len(layout.wide)),
         )
         gradient = arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
         reduced_kernels.add_images(

@@ -249,6 +249,13 @@ def _geometry(
         # A plane seen by unknown lenses still has the F that was found; nothing says what its motion is.
         kind = PairKind.UNCALIBRATED
     return PairGeometry(
-        *(kind, own, motion, essential, fundamental, homography),
-        *(float(selection.median_angle_rad[p]), float(selection.noise_px[p]), selection.cost[p].copy()),
+        kind,
+        own,
+        motion,
+        essential,
+        fundamental,
+        homography,
+        float(selection.median_angle_rad[p]),
+        float(selection.noise_px[p]),
+        selection.cost[p].copy(),
     )

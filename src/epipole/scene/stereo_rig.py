@@ -80,7 +80,8 @@ class StereoRig:
         left = Camera(self.left.model, self.left.width, self.left.height, self.left.params + change[:n])
         right = Camera(
             self.right.model,
-            *(self.right.width, self.right.height),
+            self.right.width,
+            self.right.height,
             self.right.params + change[MAX_PARAMS : MAX_PARAMS + m],
         )
         return StereoRig(left, right, Rigid3.exp(change[2 * MAX_PARAMS :]) @ self.right_from_left)

@@ -146,8 +146,19 @@ def _meet_lines(rays, points, m, unit, conic, lines, triangles, motions):
             d3 = unit * math.sqrt(m[4] / (d1 * d1 + 1.0 - 2.0 * d1 * m[1]))
             square = unit * unit
             if _motion_from_depths(
-                *(rays, points, d1 * d3, d2 * d3, d3, m[2], m[1], m[0]),
-                *(square * m[5], square * m[4], square * m[3], triangles, motions[found]),
+                rays,
+                points,
+                d1 * d3,
+                d2 * d3,
+                d3,
+                m[2],
+                m[1],
+                m[0],
+                square * m[5],
+                square * m[4],
+                square * m[3],
+                triangles,
+                motions[found],
             ):
                 found += 1
     return found

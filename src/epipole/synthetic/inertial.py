@@ -78,8 +78,16 @@ def inertial_path(
     turns = Rotation3.exp(turn_sigma_rad * rng.normal(size=(len(instants), 3))).matrix
     places = (cameras.translation + place_sigma_m * rng.normal(size=(len(instants), 3))) / scale
     return InertialPath(
-        *(instants, Rigid3(cameras.rotation @ turns, places), log, mounting, scale, gravity),
-        *(motion.velocity(instants), gyro_bias.mean(axis=0), accel_bias.mean(axis=0), noise),
+        instants,
+        Rigid3(cameras.rotation @ turns, places),
+        log,
+        mounting,
+        scale,
+        gravity,
+        motion.velocity(instants),
+        gyro_bias.mean(axis=0),
+        accel_bias.mean(axis=0),
+        noise,
     )
 
 

@@ -134,12 +134,24 @@ def _places_of_neural(field: HashField) -> np.ndarray:
 
 KINDS = {
     "grid": Kind(
-        *("grid.npz", "num_voxels", VoxelTrainer, _write_voxels, read_voxels, draw_voxels),
-        *(lambda voxels: voxels, _places_of_voxels),
+        "grid.npz",
+        "num_voxels",
+        VoxelTrainer,
+        _write_voxels,
+        read_voxels,
+        draw_voxels,
+        lambda voxels: voxels,
+        _places_of_voxels,
     ),
     "hash": Kind(
-        *("hash.npz", "num_parameters", HashTrainer, _write_neural, read_neural, draw_hash),
-        *(voxels_of, _places_of_neural),
+        "hash.npz",
+        "num_parameters",
+        HashTrainer,
+        _write_neural,
+        read_neural,
+        draw_hash,
+        voxels_of,
+        _places_of_neural,
     ),
 }
 """By the name of `NerfConfig.kind`."""

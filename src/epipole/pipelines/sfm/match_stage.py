@@ -85,7 +85,8 @@ def _units(
             {i: cameras[camera_of_image[i]] for i in members},
             {i: bool(trusted[camera_of_image[i]]) for i in members},
             tuple(seeds[block]),
-            *(todo.matching, todo.verification),
+            todo.matching,
+            todo.verification,
             file_of[pairs[block][0]] if matches is not None else None,
         )
 

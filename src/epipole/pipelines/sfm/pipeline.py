@@ -129,7 +129,10 @@ def _match_and_map(
     todo = PairWork(
         detected.pairs,
         detected.features,
-        *(images.cameras, images.camera_of_image, config.matching, config.verification),
+        images.cameras,
+        images.camera_of_image,
+        config.matching,
+        config.verification,
     )
     with run.stage("match"):
         matches = _matches(todo, detected, run.root / UNITS / f"matches{suffix}")
@@ -155,8 +158,14 @@ def _match_and_map(
             run.job.progress,
         )
     return Solution(
-        *(images, detected.features, detected.keypoints, tuple(matches), cameras, view_graph),
-        *(tuple(found), mapped),
+        images,
+        detected.features,
+        detected.keypoints,
+        tuple(matches),
+        cameras,
+        view_graph,
+        tuple(found),
+        mapped,
     )
 
 
@@ -245,7 +254,9 @@ def _read(source: Path, run: Run, config: ReconstructConfig) -> ImageSet:
         times = dict(zip(frames.name, (float(t) for t in frames.timestamp_s)))
         orientation = frame_orientation(source) if config.has_known_camera else 1
         return read_image_set(
-            *(folder, config, memory),
+            folder,
+            config,
+            memory,
             timestamps_s=times,
             video_orientation=orientation,
             progress=run.job.progress,

@@ -144,7 +144,12 @@ class SlamState:
         covariance = with_map_error(keyframe.covariance, between, covariance)
         place, is_first = self.odometry.cam_from_world.inverse(), self.map is self.maps[0]
         return TrackedFrame(
-            *(frame.timestamp_s, self.state, reason, place if is_first else None, covariance, num_points),
+            frame.timestamp_s,
+            self.state,
+            reason,
+            place if is_first else None,
+            covariance,
+            num_points,
             is_keyframe=keyframe.number == self._num_frames,
             submap_from_body=None if is_first else place,
             moving=self.odometry.tracker.moving,

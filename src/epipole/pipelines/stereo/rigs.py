@@ -84,8 +84,13 @@ def rig_from_options(options: RigOptions, size: tuple[int, int]) -> RectifiedRig
     cx, cy = options.principal_point or ((size[0] - 1) / 2, (size[1] - 1) / 2)
     return RectifiedRig(
         options.focal_px,
-        *(cx, cy, options.baseline, options.principal_offset_px),
-        *(options.focal_sigma_px, options.baseline_sigma, options.principal_offset_sigma_px),
+        cx,
+        cy,
+        options.baseline,
+        options.principal_offset_px,
+        options.focal_sigma_px,
+        options.baseline_sigma,
+        options.principal_offset_sigma_px,
     )
 
 

@@ -115,7 +115,9 @@ def stereo_many(
     with open_run(job, as_path(out)) as run:
         pairs = list_pairs(left, right, run.root, config.max_frames, progress)
         batch = run_batch(
-            *(pairs, run.root, lambda one, two: _settings(config, rig, one, two)),
+            pairs,
+            run.root,
+            lambda one, two: _settings(config, rig, one, two),
             lambda one, two, folder: stereo(one, two, folder, config, rig),
             progress,
         )

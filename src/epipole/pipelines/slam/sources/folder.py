@@ -99,7 +99,9 @@ def of_pair(rig: StereoRig) -> Preparation:
     turned = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
     prepared = partial(_rectified, rig, found)
     return Preparation(
-        *(SlamCamera(lens, rig.baseline), turned, prepared),
+        SlamCamera(lens, rig.baseline),
+        turned,
+        prepared,
         flat=lambda picture: found.apply(picture, picture)[0],
     )
 

@@ -90,7 +90,7 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
         return [*notes, *counted.notes()]
 
     about = {"layout": "video", "sensor": "mono", "camera_source": _GIVEN}
-    return FrameSource(*(made.camera, max(count, 1), frames, made.body_from_camera, all_notes), about=about)
+    return FrameSource(made.camera, max(count, 1), frames, made.body_from_camera, all_notes, about=about)
 
 
 def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:

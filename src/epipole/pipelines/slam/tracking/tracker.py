@@ -206,8 +206,12 @@ class PointTracker:
         for _ in range(SHUTTER_ROUNDS):
             recent = self._recent_at(frame, place, self.map.xyz[points])
             place, motion, error_sq = refine_while_moving(
-                *(self.map.xyz[points], pixels, self.camera, place),
-                *(recent.newest(), readout),
+                self.map.xyz[points],
+                pixels,
+                self.camera,
+                place,
+                recent.newest(),
+                readout,
                 sigma=FORETOLD_SIGMA if recent.steps else UNKNOWN_SIGMA,
             )
             self._straighten_begin(recent)
