@@ -191,6 +191,9 @@ def _motions() -> Iterator[Row]:
 
 def _cameras() -> Iterator[Row]:
     yield _row(Camera, model=LENS.model, width=64, height=48, params=LENS.params)
+    yield _row(
+        Camera.from_K, K=LENS.K, size=(64, 48), distortion=np.array([-0.1, 0.0, 0.0, 0.0]), is_fisheye=False
+    )
     yield _row(LENS.project, points_in_cam=_some(5, 3) + IN_FRONT)
     yield _row(LENS.project_with_jacobian, points_in_cam=_some(5, 3) + IN_FRONT)
     yield _row(LENS.unproject, pixels=_some(5, 2))
@@ -319,6 +322,13 @@ def _bundles() -> Iterator[Row]:
     yield _row(BundlePriors, **priors)
     yield _row(BundlePriors(**priors).check, num_frames=f, num_cameras=c, num_points=20)
     yield _row(optim.BundleProblem, **fields | free)
+    tracks = {"image": np.array([0, 1, 0]), "point": np.array([1, 1, 0]), "pixels": np.ones((3, 2))}
+    poses = {
+        "cams_from_world": problem.rig_from_world[:2],
+        "cameras": LENS,
+        "points_in_world": np.ones((2, 3)),
+    }
+    yield _row(optim.BundleProblem.from_tracks, **poses, **tracks)
     yield "adjust_bundle of BundleProblem", _adjusted, fields | free
     yield _row(optim.adjust_bundle, problem=problem, config=quick, progress=lambda _: True)
     yield _row(optim.bundle_covariance, problem=problem, result=result, config=quick, noise_px=0.5)

@@ -108,6 +108,17 @@ def test_functions_are_short() -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_tuple_is_unpacked_to_shorten_a_call() -> None:
+    """`f(*(a, b), c)` hides which parameter is which."""
+    wrong = [
+        f"{source.name}:{node.lineno}"
+        for source in sources()
+        for node in ast.walk(source.tree)
+        if isinstance(node, ast.Starred) and isinstance(node.value, ast.Tuple)
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
 def test_functions_have_few_parameters() -> None:
     wrong = []
     for source in sources():

@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -205,3 +206,47 @@ def test_a_model_by_its_name_or_number_and_parameters_in_any_sequence() -> None:
 def test_what_is_no_camera(model: object, params: object, words: str) -> None:
     with pytest.raises(EpipoleError, match=words):
         Camera(model, 640, 480, params)
+
+
+K = np.array([[500.0, 0.0, 320.5], [0.0, 400.0, 240.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("distortion", "model"),
+    [
+        ((), CameraModel.PINHOLE),
+        (np.zeros((1, 5)), CameraModel.PINHOLE),
+        ([-0.1, 0.02, 1e-3, -2e-3], CameraModel.OPENCV),
+        ([-0.1, 0.02, 1e-3, -2e-3, 0.0], CameraModel.OPENCV),
+        ([-0.1, 0.02, 1e-3, -2e-3, 0.01], CameraModel.FULL_OPENCV),
+        ([-0.1, 0.02, 1e-3, -2e-3, 0.01, 0.1, -0.01, 2e-3, *[0.0] * 6], CameraModel.FULL_OPENCV),
+    ],
+)
+def test_a_camera_of_opencv_projects_as_opencv_does(distortion, model, rng) -> None:
+    camera = Camera.from_K(K, (640, 480), distortion)
+    points = rng.uniform([-1, -0.7, 3], [1, 0.7, 5], (50, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.ravel(distortion))
+    assert camera.model is model
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_a_fisheye_of_opencv_projects_as_opencv_does(rng) -> None:
+    coefficients = np.array([0.05, -0.01, 2e-3, -1e-3])
+    camera = Camera.from_K(K, (640, 480), coefficients, is_fisheye=True)
+    points = rng.uniform([-1, -0.7, 1], [1, 0.7, 5], (50, 3))
+    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), K, coefficients)
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_what_is_no_calibration_of_opencv_is_refused() -> None:
+    for matrix in (K + np.eye(3, k=1), 2 * K, np.full((3, 3), np.nan), K.T):
+        with pytest.raises(ConfigError, match="K must be"):
+            Camera.from_K(matrix, (640, 480))
+    with pytest.raises(ShapeError, match="K must be"):
+        Camera.from_K(K[:2], (640, 480))
+    with pytest.raises(ConfigError, match="12 coefficients"):
+        Camera.from_K(K, (640, 480), np.full(12, 0.01))
+    with pytest.raises(ConfigError, match="5 coefficients"):
+        Camera.from_K(K, (640, 480), np.full(5, 0.01), is_fisheye=True)
+    with pytest.raises(ConfigError, match="finite"):
+        Camera.from_K(K, (640, 480), [np.nan] * 4)

@@ -8,11 +8,12 @@ from bundle_rings import NOISE_PX, ring
 
 from epipole import _parallel
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import ShapeError
+from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, align_points
 from epipole.optim import (
     BundleConfig,
     BundlePriors,
+    BundleProblem,
     LinearSolver,
     Loss,
     adjust_bundle,
@@ -197,3 +198,31 @@ def test_losses_agree_with_the_kernel_and_their_derivative(loss):
             s + h - max(s - h, 0)
         )
         assert abs(slope - numeric) < 1e-3
+
+
+@pytest.mark.parametrize("num_cameras", [1, 3])
+def test_a_problem_of_tracks_in_any_order_reaches_the_truth(num_cameras, rng):
+    camera = Camera(CameraModel.PINHOLE, 640, 480, np.array([500.0, 500.0, 319.5, 239.5]))
+    poses = Rigid3.stack([Rigid3.exp([-0.5 * k, 0.0, 0.0, 0.0, 0.1 * k, 0.0]) for k in range(3)])
+    points = rng.uniform([-1.5, -1.0, 4.0], [1.5, 1.0, 6.0], (40, 3))
+    image, point = (a.ravel() for a in np.meshgrid(np.arange(3), np.arange(40)))
+    order = rng.permutation(len(image))
+    image, point = image[order], point[order]
+    pixels = np.stack([camera.project(pose.apply(points)) for pose in poses])[image, point]
+    cameras = camera if num_cameras == 1 else [camera] * num_cameras
+    start = points + rng.normal(0.0, 0.05, points.shape)
+    problem = BundleProblem.from_tracks(poses, cameras, start, image, point, pixels)
+    found = adjust_bundle(with_fixed_gauge(problem), BundleConfig(function_tolerance=1e-12))
+    assert found.final_cost < 1e-12 and len(problem.camera_params) == num_cameras
+    aligned = align_points(found.points_in_world, points)
+    np.testing.assert_allclose(aligned.apply(found.points_in_world), points, atol=1e-6)
+    for wrong in (
+        (poses, [camera] * 2, start, image, point, pixels),
+        (poses, [], start, image, point, pixels),
+    ):
+        with pytest.raises(ConfigError, match="one per image"):
+            BundleProblem.from_tracks(*wrong)
+    with pytest.raises(ShapeError, match="point must be"):
+        BundleProblem.from_tracks(poses, cameras, start[:5], image, point, pixels)
+    with pytest.raises(ShapeError, match="frame that is not there"):
+        BundleProblem.from_tracks(poses[:2], camera, start, image, point, pixels)

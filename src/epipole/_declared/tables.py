@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,19 @@ def check_arrays(arrays: Mapping[str, np.ndarray], table: Table, **sizes: int) -
     for name, array in out.items():
         _check_bounds(array, name, table[name], known)
     return out
+
+
+def require_arrays(arrays: Mapping[str, Any], table: Table, **sizes: int) -> None:
+    """As `check_arrays`, of arrays that kernels will get as they are: none is converted.
+
+    Raises:
+        ShapeError: one is missing, unknown, not a NumPy array, or not as expected.
+    """
+    held = {name: np.asarray(array) for name, array in arrays.items()}
+    for name, array in check_arrays(held, table, **sizes).items():
+        if held[name].dtype != array.dtype or (array.ndim and not isinstance(arrays[name], np.ndarray)):
+            kind = held[name].dtype if isinstance(arrays[name], np.ndarray) else type(arrays[name]).__name__
+            raise ShapeError(f"{name} must be an array of {array.dtype}, got {kind}")
 
 
 def check_names(names: Iterable[str], table: Table, wanted: Iterable[str]) -> None:

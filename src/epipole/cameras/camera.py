@@ -12,7 +12,10 @@ from epipole._checks import as_float_array, as_points
 from epipole._declared import check_fields, checked
 from epipole.cameras import _camera_kernels as kernels
 from epipole.cameras.models import MAX_PARAMS, CameraModel, as_camera_model
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, ShapeError
+
+_ZEROS_OF_K = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+"""1 where a calibration matrix without skew is zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -43,6 +46,43 @@ class Camera:
         put(self, "height", height)
         put(self, "params", as_float_array(params, "params"))
         self.__post_init__()
+
+    @staticmethod
+    @checked
+    def from_K(K: Any, size: tuple[int, int], distortion: Any = (), *, is_fisheye: bool = False) -> Camera:
+        """A camera from OpenCV's calibration matrix and distortion coefficients, whose pixel convention is the same.
+
+        Args:
+            K: calibration matrix (3, 3), without skew.
+            size: width and height of the images, in pixels.
+            distortion: none; k1, k2, p1, p2 and, optionally, k3 to k6; of a fisheye k1 to k4. Trailing zeros are ignored.
+            is_fisheye: whether the coefficients are those of `cv2.fisheye`.
+
+        Raises:
+            ConfigError: the matrix has skew or is none, or the coefficients belong to no model that is supported.
+            ShapeError: the arrays have other shapes.
+        """
+        matrix, found = as_float_array(K, "K"), as_float_array(distortion, "distortion").ravel()
+        if matrix.shape != (3, 3):
+            raise ShapeError(f"K must be (3, 3), got {matrix.shape}")
+        if not np.array_equal(matrix * _ZEROS_OF_K, np.zeros((3, 3))) or matrix[2, 2] != 1.0:
+            raise ConfigError(f"K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {matrix.tolist()}")
+        if not np.isfinite(found).all():
+            raise ConfigError(f"distortion must be finite numbers, got {found.tolist()}")
+        used = len(np.trim_zeros(found, "b"))
+        if used > (4 if is_fisheye else 8):
+            kind = "a fisheye has k1 to k4" if is_fisheye else "thin prism and tilt are not supported"
+            raise ConfigError(f"distortion has {used} coefficients that are not zero: {kind}")
+        model, count = CameraModel.FULL_OPENCV, 8
+        if is_fisheye or used <= 4:
+            model, count = (CameraModel.OPENCV_FISHEYE if is_fisheye else CameraModel.OPENCV), 4
+        if not used and not is_fisheye:
+            model, count = CameraModel.PINHOLE, 0
+        coefficients = np.zeros(count)
+        coefficients[:used] = found[:used]
+        width, height = size
+        params = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *coefficients]
+        return Camera(model, width, height, params)
 
     def __post_init__(self) -> None:
         """Check the number and the values of the parameters, and the size.

@@ -15,7 +15,7 @@ from jaxtyping import Float32
 from epipole import _parallel
 from epipole._checks import check_count
 from epipole._declared import checked
-from epipole._declared.tables import Expected, check_arrays
+from epipole._declared.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.fields import _hash_kernels as kernels
@@ -102,10 +102,9 @@ def check_hash_field(field: HashField) -> None:
     Raises:
         ShapeError: its arrays are of another kind, or do not fit each other.
     """
-    room = {name: np.asarray(part) for name, part in field.room._asdict().items()}
-    weights = {f"weight_{n}": np.asarray(one) for n, one in enumerate(field.weights)}
-    known = {"cells": np.asarray(field.cells), "tables": np.asarray(field.tables)}
-    check_arrays({**room, **known, **weights}, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
+    weights = {f"weight_{n}": one for n, one in enumerate(field.weights)}
+    held = {**field.room._asdict(), "cells": field.cells, "tables": field.tables, **weights}
+    require_arrays(held, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
     check_room(field.room.occupied.shape, field.room.blocks.shape, field.room.size)
 
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from epipole import _parallel
 from epipole._declared import checked
-from epipole._declared.tables import Expected, check_arrays
+from epipole._declared.tables import Expected, require_arrays
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields import _voxel_kernels as kernels
@@ -77,7 +77,7 @@ def check_voxels(voxels: Voxels) -> None:
     Raises:
         ShapeError: its arrays are of another kind, or do not fit each other.
     """
-    check_arrays({name: np.asarray(part) for name, part in voxels._asdict().items()}, _VOXELS)
+    require_arrays(voxels._asdict(), _VOXELS)
     check_room(voxels.occupied.shape, voxels.blocks.shape, min(voxels.size, float(voxels.delta)))
 
 

@@ -79,11 +79,8 @@ def bundle_covariance(
     found = with_result(problem, result)
     if noise_px is not None and not 0 <= noise_px < 1e150:
         raise ConfigError(f"noise_px must be within 0 and 1e150, got {noise_px}")
-    used = as_array(result.used_mask, "result.used_mask", np.dtype(bool))
-    if used.shape != (len(problem.pixels),):
-        raise ShapeError("the result is not one of this problem")
     with _parallel.single_threaded_blas():
-        system, state, equations = _at_minimum(found, used, config)
+        system, state, equations = _at_minimum(found, result.used_mask, config)
         layout = system.layout
         if noise_px is None:
             noise_px = _residual_noise(layout, result)
@@ -141,7 +138,14 @@ def bundle_variance(
 def _at_minimum(
     found: BundleProblem, used: np.ndarray, config: BundleConfig
 ) -> tuple[BundleSystem, BundleState, Linearization]:
-    """The undamped normal equations of what was adjusted, not of what is visible now."""
+    """The undamped normal equations of what was adjusted, not of what is visible now.
+
+    Raises:
+        ShapeError: the mask is not that of the problem's observations.
+    """
+    used = as_array(used, "result.used_mask", np.dtype(bool))
+    if used.shape != (len(found.pixels),):
+        raise ShapeError("the result is not one of this problem")
     system = BundleSystem(
         found, config.loss, config.loss_scale_px, LinearSolver.DIRECT, single_precision=False
     )

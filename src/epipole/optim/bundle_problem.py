@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
 from epipole._declared import Declared, check_fields, checked
-from epipole.cameras import MAX_PARAMS, CameraModel
+from epipole.cameras import MAX_PARAMS, Camera, CameraModel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 
@@ -155,6 +156,60 @@ class BundleProblem:
     sensor_free: Float64[np.ndarray, "s 6"] | None = None
     """1 where a tangent component of cam_from_rig may change, else 0; None: none may."""
     priors: BundlePriors | None = None
+
+    @staticmethod
+    @checked
+    def from_tracks(
+        cams_from_world: Rigid3,
+        cameras: Camera | Sequence[Camera],
+        points_in_world: Float64[np.ndarray, "p 3"],
+        image: Int64[np.ndarray, " k"],
+        point: Int64[np.ndarray, " k"],
+        pixels: Float64[np.ndarray, "k 2"],
+    ) -> BundleProblem:
+        """A problem of single images, in which poses and points are free and intrinsics are constant.
+
+        Args:
+            cams_from_world: pose of each image.
+            cameras: one that took all images, or one per image.
+            points_in_world: initial positions.
+            image: row of the image of each observation, in any order.
+            point: row of its point.
+            pixels: where the image shows the point.
+
+        Raises:
+            ShapeError: the arrays do not fit each other, or an observation names an image or a point that is not there.
+            ConfigError: there are neither one nor as many cameras as images.
+        """
+        if len(cams_from_world.batch_shape()) != 1:
+            raise ShapeError(
+                f"cams_from_world must have a batch of one axis, got {cams_from_world.batch_shape()}"
+            )
+        num_images, num_points = len(cams_from_world.translation), len(points_in_world)
+        all_cameras = [cameras] if isinstance(cameras, Camera) else list(cameras)
+        if len(all_cameras) not in (1, num_images):
+            raise ConfigError(f"cameras must be one, or one per image ({num_images}), got {len(all_cameras)}")
+        if len(point) and not 0 <= point.min() <= point.max() < num_points:
+            raise ShapeError(f"point must be from 0 to {num_points - 1}, got {point.min()} to {point.max()}")
+        order = np.argsort(point, kind="stable")
+        frame = image[order].astype(np.int32)
+        return BundleProblem(
+            rig_from_world=cams_from_world,
+            cam_from_rig=Rigid3.identity(1),
+            camera_model=np.array([int(c.model) for c in all_cameras], np.int32),
+            camera_params=np.stack([c.padded_params() for c in all_cameras]),
+            points_in_world=points_in_world,
+            offsets=np.concatenate([[0], np.cumsum(np.bincount(point, minlength=num_points))]).astype(
+                np.int64
+            ),
+            frame=frame,
+            sensor=np.zeros(len(frame), np.int32),
+            camera=np.zeros(len(frame), np.int32) if len(all_cameras) == 1 else frame.copy(),
+            pixels=pixels[order],
+            frame_free=np.ones((num_images, 6)),
+            params_free=np.zeros((len(all_cameras), NUM_PARAMS)),
+            point_free=np.ones(num_points),
+        )
 
     def __post_init__(self) -> None:
         """Check that everything fits.

@@ -37,9 +37,11 @@ class GaussianCloud(Declared):
         """Check the shapes.
 
         Raises:
-            ShapeError: the arrays do not fit each other.
+            ShapeError: the arrays do not fit each other, or the origin is not finite.
         """
         check_fields(self)
+        if not np.isfinite(self.origin_in_world).all():
+            raise ShapeError(f"origin_in_world must be finite, got {self.origin_in_world}")
         if self.sh.shape[1] not in NUM_SH:
             raise ShapeError(f"sh must have 1, 4, 9 or 16 coefficients, got {self.sh.shape[1]}")
 
