@@ -78,6 +78,7 @@ def space_data(
     numbers: dict[str, Any] = {
         "title": scene.title,
         "unit": scene.unit,
+        "live": None,
         "scaleWords": "" if scene.unit else ", up to scale: no unit is known",
         "origin": origin.tolist(),
         "position": rounded(view.position - origin),

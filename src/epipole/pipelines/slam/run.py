@@ -107,7 +107,11 @@ def slam(
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
-    with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
+    with (
+        open_run(task, out) as run,
+        open_live(system, frames.num_frames, wanted, run.root.name) as live,
+        heeded_interrupts() as is_stopped,
+    ):
         run.warnings += _notes(found, system)
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
@@ -116,8 +120,10 @@ def slam(
         with run.stage("track"), closing(stands.checkpoint):
             records = _track(feed, system, progress, live, stands)
         with run.stage("adjust"):
+            live.show_map(system, "Adjusting the map")
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
+            live.show_map(system, "Writing the results")
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)

@@ -19,7 +19,7 @@ async function spaceView(canvas, data) {
   };
   const countPoints = () => data.points.reduce((sum, layer) => sum + layer.count, 0);
   let total = countPoints();
-  const isFine = total < FINE_POINTS && !data.gaussians && !data.isLive;
+  const isFine = total < FINE_POINTS && !data.gaussians && !data.live;
   const gl = canvas.getContext("webgl2", {
     alpha: false,
     antialias: isFine,
