@@ -38,7 +38,7 @@ class LiveFeed:
         """Tells a page that another job listens at its address now."""
         self._changed = threading.Condition()
         self._number, self._num_final = 0, 0
-        self._state: dict[str, Any] = {"run": self.run_id, "parts": {}}
+        self._state: dict[str, Any] = {"run": self.run_id, "state": "Starting", "parts": {}}
         self._parts: dict[str, _Part] = {}
         self._streams: list[object] = []
 
@@ -89,7 +89,7 @@ class LiveFeed:
 
     def events(self) -> Generator[bytes, None, None]:
         """Server-sent events: the state at once, then every change that this reader is fast enough for."""
-        stream, sent = object(), 0
+        stream, sent = object(), -1
         with self._changed:
             self._streams = [*self._streams, stream][-MOST_STREAMS:]
             self._changed.notify_all()

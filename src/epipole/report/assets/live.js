@@ -83,11 +83,13 @@ async function liveView(canvas, scene) {
     drawn.backdrop.drawing.put(image);
     const corners = [...corner(-1, -1), ...corner(1, -1), ...corner(1, 1), ...corner(-1, 1)];
     Object.assign(drawn.backdrop, { place: o, corners });
+    scene.redraw();
   }
   function placeCamera() {
     const relative = (values) => values.map((v, k) => v - data.origin[k % 3]),
       color = data.curves[nowCurve].rgb.map((v) => v / 255);
     drawn.curves[nowCurve].put(curvePieces(new Float32Array(relative(news.camera || [])), color));
+    scene.redraw();
     if (!hasPoints && data.points[0].count) {
       hasPoints = true; // before that, the scale is unknown
       view.jumpTo(scene.start());
@@ -119,7 +121,6 @@ async function liveView(canvas, scene) {
     taken = news;
     await show().catch(() => {}); // the server is gone, or has no time: the next state may come
     const begin = performance.now();
-    scene.redraw();
     if (taken.ended) break;
     if (!document.hidden) await scene.settled();
     const pause = Math.max(LEAST_PAUSE_MS, REST_TIMES_LIVE * (performance.now() - begin));

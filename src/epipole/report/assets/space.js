@@ -196,6 +196,17 @@ async function spaceView(canvas, data) {
     canvas.toBlob(ready, "image/png"); // of what was drawn in this very task
   }
 
+  /* Whether the Gaussians are in order for an eye; they will be. */
+  function sort({ f, o }) {
+    if (sorter.isBusy()) return false;
+    const seen = JSON.stringify([f, o]);
+    if (seen === sorted) return true;
+    sorted = seen;
+    if (fresh) sorter.hold((held = fresh).places);
+    fresh = null;
+    sorter.sort({ f, o, near: look.near });
+    return false;
+  }
   function draw(now) {
     asked = false;
     const before = `${canvas.width} ${canvas.height}`,
@@ -208,16 +219,9 @@ async function spaceView(canvas, data) {
     if (isMoving && spent > SLOW_MS && spent < 3000) portion = Math.max(LEAST_PORTION, 0.7 * portion);
     if (isMoving && spent < QUICK_MS) portion = Math.min(1.3 * portion, Math.max(total, FIRST_PORTION));
     paintedAt = isMoving ? now : -Infinity;
-    const seen = JSON.stringify([eye.basis.f, eye.basis.o]);
-    if (sorter && seen !== sorted && !sorter.isBusy()) {
-      sorted = seen;
-      if (fresh) sorter.hold((held = fresh).places);
-      fresh = null;
-      sorter.sort({ f: eye.basis.f, o: eye.basis.o, near: look.near });
-    }
-    paint(eye, ratio, total ? portion / total : 1);
+    const isSorted = !sorter || sort(eye.basis);
+    if (isMoving || painted.share < 1) paint(eye, ratio, total ? portion / total : 1);
     tools.mark(eye);
-    const isSorted = !sorter || (seen === sorted && !sorter.isBusy());
     canvas.dataset.settled = isSorted && painted.share === 1 ? "yes" : "no";
     if (painted.share < 1) ask();
     else if (isSorted) settlers.splice(0).forEach((ready) => ready());
@@ -239,11 +243,11 @@ async function spaceView(canvas, data) {
     if (scene.gaussians) {
       fresh = gaussiansOf(scene.gaussians, blocks);
       sorted = "";
-    }
+      sort(view.basis()); // and draw once they are
+    } else redraw();
     Object.assign(data, scene);
     total = countPoints();
     look.near = 0.002 * data.radius;
-    redraw();
   }
   /* Once all of the scene is drawn, and the graphics card is done with it. */
   async function settled() {
