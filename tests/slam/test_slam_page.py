@@ -193,10 +193,10 @@ def test_a_tab_sees_the_run_to_its_end(made, tmp_path, browser):
             raise
 
     running = threading.Thread(target=run)
-    running.start()
     page = browser.new_page(viewport={"width": 900, "height": 700})
-    page.on("pageerror", problems.append)
+    page.on("pageerror", lambda error: problems.append(error))
     page.on("console", lambda said: problems.append(said.text) if said.type == "error" else None)
+    running.start()
     try:
         assert is_listening.wait(60)
         page.goto(f"http://127.0.0.1:{port}/")
