@@ -47,7 +47,7 @@ class LiveView:
         """A frame was tracked."""
 
     def show_map(self, system: Slam, words: str) -> None:
-        """All frames were tracked, or the map was adjusted."""
+        """All frames were tracked, or the run has ended."""
 
 
 class BrowserView(LiveView):
@@ -117,7 +117,9 @@ def open_live(system: Slam, num_frames: int, job: JobOptions, name: str) -> Iter
     first = replace(first, title=f"{name}: SLAM")
     live = LivePage(job="run", image_caption=CAPTION, has_camera=True)
     with opened_live(live, first, job.host, job.port) as page:
-        yield BrowserView(page, num_frames)
+        view = BrowserView(page, num_frames)
+        yield view
+        view.show_map(system, "")
 
 
 def image_with_points(

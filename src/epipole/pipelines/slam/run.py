@@ -120,10 +120,8 @@ def slam(
         with run.stage("track"), closing(stands.checkpoint):
             records = _track(feed, system, progress, live, stands)
         with run.stage("adjust"):
-            live.show_map(system, "Adjusting the map")
             _finish(feed, system, run, is_stopped)
             anchoring = _anchored(system, wanted.anchors, records, known, run)
-            live.show_map(system, "Writing the results")
         with settled(run.root / CHECKPOINT, key, is_complete=not feed.is_interrupted):
             keep_better(system, run, can_repeat=not (frames.is_live or wanted.realtime))
             return write_results(feed, system, records, Given(truth, known, anchoring, found), wanted, run)
@@ -271,4 +269,5 @@ def _track(
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
     stands.checkpoint.keep(system)
+    live.show_map(system, "Adjusting the map")
     return records
