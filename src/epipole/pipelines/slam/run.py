@@ -107,11 +107,8 @@ def slam(
     settings = {"job": asdict(wanted), "camera": asdict(given), "config": asdict(config)}
     del settings["job"]["resume"]  # the results are the same
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
-    with (
-        open_run(task, out) as run,
-        open_live(system, frames.num_frames, wanted, run.root.name) as live,
-        heeded_interrupts() as is_stopped,
-    ):
+    shown = open_live(system, frames.num_frames, wanted, out.name)
+    with open_run(task, out) as run, shown as live, heeded_interrupts() as is_stopped:
         run.warnings += _notes(found, system)
         key = key_of(run.folder.source.sketch, frames, system, wanted, model)
         stands = take_up(run.root / CHECKPOINT, key, system, frames, wanted)
