@@ -28,7 +28,7 @@ print(json.dumps({
     "names": dir(epipole),
 }))
 """
-HEAVY = {"jinja2", "numpy", "numba", "scipy", "cv2", "viser", "tyro", "rich", "PIL", "jaxtyping", "beartype"}
+HEAVY = {"jinja2", "numpy", "numba", "scipy", "cv2", "tyro", "rich", "PIL", "jaxtyping", "beartype"}
 
 
 def run_python(code: str, folder: Path) -> str:

@@ -165,7 +165,7 @@ def test_help_is_quick_and_loads_nothing_heavy():
         check=True,
     ).stderr
     assert re.search(r"\| +tyro$", loaded, re.MULTILINE)
-    for heavy in ("numpy", "numba", "scipy", "cv2", "jinja2", "viser", "PIL"):
+    for heavy in ("numpy", "numba", "scipy", "cv2", "jinja2", "http.server", "PIL"):
         assert not re.search(rf"\| +{heavy}$", loaded, re.MULTILINE), heavy
 
 

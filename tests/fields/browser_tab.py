@@ -1,54 +1,32 @@
 """A page in a headless browser with WebGL in software: its pictures, its errors, and hands on it."""
 
 import base64
-import json
 import shutil
-import subprocess
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from websockets.sync.client import connect
+import pytest
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
-OFFLINE = (
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-quic",
-)
 LONGEST_S = 60.0
 
 
 class Tab:
     """One page, over the browser's own protocol."""
 
-    def __init__(self, socket: Any) -> None:
-        self.socket, self.count, self.problems = socket, 0, []
-        for domain in ("Page", "Runtime", "Log"):
-            self.call(f"{domain}.enable")
+    def __init__(self, page: Any) -> None:
+        self.page, self.session, self.problems = page, page.context.new_cdp_session(page), []
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("console", lambda said: self.problems.append(said.text) if said.type == "error" else None)
+        self.call("Page.enable")
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        self.count += 1
-        self.socket.send(json.dumps({"id": self.count, "method": method, "params": params}))
-        while True:
-            told = json.loads(self.socket.recv(timeout=LONGEST_S))
-            if told.get("id") == self.count:
-                assert "error" not in told, told
-                return told["result"]
-            self._note(told)
-
-    def _note(self, told: dict[str, Any]) -> None:
-        if told["method"] == "Runtime.exceptionThrown":
-            self.problems.append(str(told["params"]["exceptionDetails"]))
-        if told["method"] == "Log.entryAdded" and told["params"]["entry"]["level"] == "error":
-            self.problems.append(told["params"]["entry"]["text"])
+        return self.session.send(method, params)
 
     def value(self, expression: str) -> Any:
         done = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -59,7 +37,7 @@ class Tab:
         stop = time.monotonic() + LONGEST_S
         while not self.value(expression):
             assert time.monotonic() < stop, (expression, self.problems)
-            time.sleep(0.05)
+            self.page.wait_for_timeout(20)
 
     def open(self, address: str, width: int = 800, height: int = 600) -> None:
         """Load a page, whole."""
@@ -82,26 +60,10 @@ class Tab:
 
 
 @contextmanager
-def open_tab(folder: Path, *options: str) -> Iterator[Tab]:
+def open_tab() -> Iterator[Tab]:
     """A browser of its own, which ends with the block."""
-    profile = folder / "profile"
-    command = [BROWSER, "--headless=new", "--no-sandbox", "--no-first-run", "--hide-scrollbars", *SOFTWARE_GL]
-    command += [*OFFLINE, f"--user-data-dir={profile}", "--remote-debugging-port=0", *options, "about:blank"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        port, stop = profile / "DevToolsActivePort", time.monotonic() + LONGEST_S
-        while not (port.is_file() and port.read_text().count("\n")):
-            assert time.monotonic() < stop and process.poll() is None
-            time.sleep(0.05)
-        number = port.read_text().splitlines()[0]
-        with urllib.request.urlopen(f"http://127.0.0.1:{number}/json/list", timeout=LONGEST_S) as answer:
-            target = next(page for page in json.load(answer) if page["type"] == "page")
-        with connect(target["webSocketDebuggerUrl"], max_size=None, proxy=None) as socket:
-            yield Tab(socket)
-    finally:
-        process.terminate()
-        try:
-            process.wait(10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        opened = started.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", *SOFTWARE_GL])
+        yield Tab(opened.new_page())
+        opened.close()

@@ -3,7 +3,6 @@
 import base64
 import json
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -158,10 +157,9 @@ def test_the_command_writes_the_page_and_starts_no_server(result: Path, tmp_path
 
 
 @pytest.fixture
-def tab(tmp_path: Path) -> Iterator[Tab]:
-    with open_tab(tmp_path) as opened:
+def tab() -> Iterator[Tab]:
+    with open_tab() as opened:
         yield opened
-    shutil.rmtree(tmp_path / "profile", ignore_errors=True)
 
 
 def drawn_by(tab: Tab) -> np.ndarray:

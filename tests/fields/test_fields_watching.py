@@ -1,129 +1,168 @@
-"""A training that is watched: from where the browser looks, within its share of the time."""
+"""A training that is watched: what the page shows, within its fraction of the time."""
 
 import json
 import threading
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from browser_tab import BROWSER, open_tab
 from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
 
-from epipole import splat
+from epipole import nerf, splat
 from epipole.errors import ConfigError
 from epipole.fields.rasterizer import render
-from epipole.geometry import Rotation3
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
-from epipole.pipelines.fields.watching import BrowserWatch, Watch, open_watch
-from epipole.synthetic import look_at
-from epipole.viewer.field_watch import SIDE_PX, camera_of
-from epipole.viewer.server import open_server
+from epipole.pipelines.fields.scene import cameras_of
+from epipole.pipelines.fields.watching import SHARE, BrowserWatch, Watch, open_watch
+from epipole.report.space_scene import SpaceScene
+from epipole.viewer.asked_views import AskedViews
+from epipole.viewer.live import LiveScene
+from epipole.viewer.page_server import PageServer, fixed
+from epipole.viewer.ports import port_for
+
+FINAL = "document.documentElement.dataset.live === 'final'"
+BLOBS = {"sh_degree": 0, "max_gaussians": 300, "steps": 60}
+LONGEST_S = 60.0
 
 
-def test_the_camera_is_that_of_the_browser():
-    place = look_at((2.0, 1.0, 0.5), (0, 0, 0)).inverse()
-    quat = Rotation3(place.rotation).as_quat_wxyz()
-    seen = SimpleNamespace(aspect=1.5, fov=np.deg2rad(60.0), wxyz=quat, position=place.translation)
-    camera, cam_from_world = camera_of(seen)
-    assert (camera.width, camera.height) == (480, SIDE_PX)
-    np.testing.assert_allclose(
-        camera.project(cam_from_world.apply(np.zeros((1, 3)))), [[239.5, 159.5]], atol=1e-9
-    )
-    rays = camera.unproject(np.array([[239.5, -0.5], [239.5, 319.5]]))
-    angle = np.arccos(rays[0] @ rays[1] / np.prod(np.linalg.norm(rays, axis=1)))
-    assert abs(np.rad2deg(angle) - 60.0) < 1e-9
-    seen.aspect = 1e9
-    assert camera_of(seen)[0].width == 4 * SIDE_PX
+class Page(LiveScene):
+    """An open page with a tab or without one."""
+
+    is_watched = False
+
+    def __init__(self, is_watched):
+        self.is_watched, self.states = is_watched, []
+
+    def publish(self, state, make_scene=None, **parts):
+        self.states.append(state)
 
 
-class Slow:
-    """A viewer whose pictures take their time."""
+class Slow(AskedViews):
+    """Views that take their time."""
 
-    def __init__(self, someone_looks):
-        self.someone_looks, self.spent, self.drawn = someone_looks, 0.0, []
+    spent = 0.0
 
-    def show(self, draw, words):
-        if self.someone_looks:
-            begin = time.perf_counter()
-            self.drawn.append(draw(CAMERA, views()[0].cam_from_world))
-            time.sleep(0.02)
-            self.spent += time.perf_counter() - begin
-        return int(self.someone_looks)
+    def __init__(self):
+        self.rendered = []
+
+    def render_next(self, draw):
+        begin = time.perf_counter()
+        self.rendered.append(draw(CAMERA, views()[0].cam_from_world))
+        time.sleep(0.02)
+        self.spent += time.perf_counter() - begin
+        return True
 
 
 class Known:
     """A trainer that has learnt."""
 
-    num_steps = 7
+    num_steps, background = 7, WHITE
 
     def draw(self, view):
         return render(scene(), view.camera, view.cam_from_world).over(WHITE)
 
 
-@pytest.mark.parametrize("someone_looks", [True, False])
-def test_a_tenth_of_the_time_is_given_to_it(someone_looks):
+@pytest.mark.parametrize("is_watched", [True, False])
+def test_a_fraction_of_the_time_is_given_to_it(is_watched):
     Known().draw(views()[0])  # compiled
-    viewer = Slow(someone_looks)
-    watch, begin = BrowserWatch(viewer), time.perf_counter()
-    while time.perf_counter() < begin + 2.0:
+    page, slow = Page(is_watched), Slow()
+    cameras = SpaceScene("", "", "", cameras=cameras_of(views()))
+    watch, begin = BrowserWatch(page, slow, cameras), time.perf_counter()
+    while time.perf_counter() < begin + 1.5:
         watch.show(Known(), 0.5)
         time.sleep(0.001)
-    # One picture more, for what the next one takes is only known from the last.
-    assert viewer.spent < 0.2 + 0.05 and (len(viewer.drawn) > 2) == someone_looks
-    for picture in viewer.drawn:
-        np.testing.assert_array_equal(picture, Known().draw(views()[0]))
+    # One view more, for what the next one takes is only known from the last.
+    assert slow.spent < 1.5 * SHARE + 0.05 and (len(slow.rendered) > 1) == is_watched
+    assert bool(page.states) == is_watched
+    for image in slow.rendered:
+        np.testing.assert_array_equal(image, Known().draw(views()[0]))
 
 
 def test_nothing_is_opened_that_nobody_asked_for():
     none = FieldPictures([], [], np.empty((0, 3)), np.empty((0, 3), np.uint8), False, [])
-    with open_watch(FieldOptions(), none) as watch:
+    with open_watch(FieldOptions(), none, Known(), "out") as watch:
         assert type(watch) is Watch
 
 
-def test_a_port_in_use_is_told(tmp_path):
-    server = open_server("127.0.0.1", None)
+@pytest.fixture
+def source(tmp_path):
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
+    return folder
+
+
+def test_a_port_in_use_is_told(source, tmp_path):
+    server = PageServer({"": fixed("text/html", b"")}, "127.0.0.1", port_for("127.0.0.1", None))
     try:
-        folder = tmp_path / "scene"
-        folder.mkdir()
-        (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
         with pytest.raises(ConfigError, match="in use"):
-            splat(folder, tmp_path / "out", steps=3, view=True, port=server.get_port())
+            splat(source, tmp_path / "out", steps=3, view=True, port=server.port)
     finally:
         server.stop()
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
-def test_a_browser_sees_the_scene(tmp_path):
-    folder = tmp_path / "scene"
-    folder.mkdir()
-    (folder / "transforms.json").write_text(json.dumps(lens() | {"frames": frames_of(views(), folder)}))
-    server = open_server("127.0.0.1", None)
-    port = server.get_port()
-    server.stop()
-    looked = threading.Event()
+def watched(job, out, options, act, tab):
+    """Train with a tab open from a tenth of the training on; `act` looks at the final page."""
+    port, is_listening, is_open = port_for("127.0.0.1", None), threading.Event(), threading.Event()
+    results, problems = [], []
 
-    def until_it_was_seen(_progress):
-        if looked.is_set():
-            raise KeyboardInterrupt
+    def wait_for_the_tab(progress):
+        if progress.stage == "train" and progress.done >= 10:
+            is_listening.set()
+            is_open.wait(LONGEST_S)
 
-    options = {"time": "40s", "max_gaussians": 300, "sh_degree": 0, "view": True, "port": port}
-    options["progress"] = until_it_was_seen
-    training = threading.Thread(target=splat, args=(folder, tmp_path / "out"), kwargs=options)
+    def train():
+        try:
+            results.append(
+                job(out.parent / "scene", out, view=True, port=port, progress=wait_for_the_tab, **options)
+            )
+        except BaseException as error:
+            problems.append(error)
+            raise
+        finally:
+            is_listening.set()
+
+    training = threading.Thread(target=train)
     training.start()
     try:
-        with open_tab(tmp_path) as tab:
-            stop, text, picture = time.monotonic() + 30, "", np.zeros(1)
-            # A page that is asked for before the server listens is asked for again.
-            while time.monotonic() < stop and ("% of the training" not in text or picture.std() < 5):
-                if "% of the training" not in text:
-                    tab.call("Page.navigate", url=f"http://127.0.0.1:{port}")
-                time.sleep(1.5)
-                text = tab.value("document.body ? document.body.innerText : ''")
-                picture = tab.picture({"x": 300, "y": 200, "width": 200, "height": 300})
-            assert "% of the training" in text and picture.std() > 5  # coloured balls before white
+        assert is_listening.wait(LONGEST_S) and not problems
+        tab.open(f"http://127.0.0.1:{port}/")
+        tab.wait_until("document.documentElement.dataset.live === 'running'")
+        is_open.set()
+        tab.wait_until(FINAL)
     finally:
-        looked.set()
-        training.join()
-    assert (tmp_path / "out" / "splat.ply").is_file()
+        is_open.set()
+        training.join(LONGEST_S)
+    assert not problems
+    act(results[0])
+    assert tab.problems == []
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path):
+    with open_tab() as tab:
+
+        def look(result):
+            assert tab.value("space.then(s => s.drawn.gaussians.numbers.count)") == len(result.cloud)
+            means = tab.value("space.then(s => Array.from(s.drawn.gaussians.places))")
+            np.testing.assert_allclose(np.reshape(means, (-1, 3)), result.cloud.means_in_world, atol=1e-5)
+            text = tab.value("document.body.innerText")
+            assert "The training has ended" in text and f"{len(result.cloud):,} Gaussians" in text
+            assert tab.picture({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+
+        watched(splat, tmp_path / "out", BLOBS, look, tab)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path):
+    with open_tab() as tab:
+
+        def look(result):
+            o = tab.value("space.then(s => s.view.basis().o)")
+            assert tab.value("space.then(s => s.drawn.backdrop.place)") == o
+            tab.wait_until("document.getElementById('space').dataset.settled === 'yes'")
+            assert tab.picture({"x": 300, "y": 200, "width": 200, "height": 300}).std() > 5
+
+        watched(nerf, tmp_path / "out", {"kind": "grid", "steps": 100}, look, tab)

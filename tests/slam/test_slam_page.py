@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import threading
 import urllib.request
 from dataclasses import replace
 
@@ -19,10 +20,11 @@ from epipole.pipelines.slam.frames import TrackingState
 from epipole.pipelines.slam.output import page as slam_page
 from epipole.pipelines.slam.output import results as slam_results
 from epipole.pipelines.slam.output.drawing import LOOPS, loop_curve, path_curve, upright_from_world
-from epipole.pipelines.slam.output.live import BrowserView
+from epipole.pipelines.slam.output.live import PLACED_RGB, WAITING_RGB, BrowserView, image_with_points
 from epipole.pipelines.slam.output.scene import is_mine
 from epipole.scene import Trajectory
-from epipole.viewer.live import PLACED_RGB, WAITING_RGB, Budget, frusta_pieces, picture_with_points
+from epipole.viewer.live import Budget
+from epipole.viewer.ports import port_for
 
 OPEN = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -172,6 +174,57 @@ def test_a_run_is_shown_while_it_goes_on(made, tmp_path, monkeypatch, capsys):
         slam_run.slam(folder, tmp_path / "out", port=8123)
 
 
+def test_a_tab_sees_the_run_to_its_end(made, tmp_path, browser):
+    """Opened in the middle of the run, which waits for it."""
+    folder, result, _ = made
+    port, is_listening, is_open = port_for("127.0.0.1", None), threading.Event(), threading.Event()
+    problems = []
+
+    def wait_for_the_tab(progress):
+        if progress.stage == "track" and progress.done >= 6:
+            is_listening.set()
+            is_open.wait(60)
+
+    def run():
+        try:
+            slam_run.slam(folder, tmp_path / "out", view=True, port=port, progress=wait_for_the_tab)
+        except BaseException as error:
+            problems.append(error)
+            raise
+
+    running = threading.Thread(target=run)
+    page = browser.new_page(viewport={"width": 900, "height": 700})
+    page.on("pageerror", lambda error: problems.append(error))
+    page.on("console", lambda said: problems.append(said.text) if said.type == "error" else None)
+    running.start()
+    try:
+        assert is_listening.wait(60)
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector("html[data-live=running]")
+        is_open.set()
+        page.wait_for_selector("html[data-live=final]", timeout=60_000)
+    finally:
+        is_open.set()
+        running.join(60)
+    seen = page.evaluate(
+        """space.then(s => ({ points: s.data.points[0].count, keyframes: s.data.cameras.names.length,
+        path: s.data.curves[0].count, near: s.view.eye().focus, width: document.getElementById("live-image").naturalWidth }))"""
+    )
+    assert (
+        seen["points"] == result.summary["num_points"]
+        and seen["keyframes"] == result.summary["num_keyframes"]
+    )
+    assert seen["path"] == 11 and seen["width"] == 320
+    at_end = result.trajectory.world_from_body.translation[-1]
+    np.testing.assert_allclose(
+        np.add(seen["near"], page.evaluate("space.then(s => s.data.origin)")), at_end, atol=0.02
+    )
+    text = page.inner_text(".lead")
+    assert "The run has ended" in text and f"{result.summary['num_keyframes']} keyframes" in text
+    page.close()
+    assert problems == []
+
+
 def test_a_snapshot_does_not_change_with_the_map():
     slam, _ = followed(ride().frames("mono")[:1], MONO)
     first = slam.snapshot()
@@ -206,7 +259,7 @@ def test_a_budget_keeps_its_share(monkeypatch):
 
 
 def test_followed_points_are_drawn_where_they_are():
-    drawn = picture_with_points(
+    drawn = image_with_points(
         np.zeros((480, 960), np.uint8), np.array([[200.5, 100.5], [700.5, 300.5]]), np.array([True, False])
     )
     assert drawn.shape == (240, 480, 3)
@@ -215,13 +268,3 @@ def test_followed_points_are_drawn_where_they_are():
         and tuple(drawn[150, 350]) == WAITING_RGB
         and not drawn[200, 20].any()
     )
-
-
-def test_frusta_are_eight_edges():
-    corners = np.array([[-1.0, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
-    pieces = frusta_pieces(Rigid3(np.eye(3)[None], np.array([[5.0, 0, 0]])), corners, 2.0)
-    assert pieces.shape == (8, 2, 3)
-    np.testing.assert_array_equal(pieces[:4, 0], np.tile([5.0, 0, 0], (4, 1)))
-    np.testing.assert_array_equal(pieces[:4, 1], pieces[4:, 0])
-    np.testing.assert_array_equal(pieces[4:, 1], np.roll(pieces[4:, 0], 1, axis=0))
-    assert frusta_pieces(Rigid3.identity(0), corners, 1.0).shape == (0, 2, 3)

@@ -14,20 +14,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-import viser
-import websockets.asyncio.server
 from viewer_scenes import OPEN, free_port, three_cameras
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
-from epipole.errors import ConfigError, MissingDependencyError
+from epipole.errors import ConfigError
 from epipole.io import write_colmap_model
 from epipole.report.space_model import scene_of_model
-from epipole.viewer import ViewerHandle, ports, server, view_scene
+from epipole.viewer import ViewerHandle, ports, view_scene
 from epipole.viewer.allowed import is_allowed
 from epipole.viewer.page_server import PageServer, Served, fixed
-
-PROTOCOL = [f"viser-v{viser.__version__}"]
 
 
 def view(**options: object) -> ViewerHandle:
@@ -41,16 +35,6 @@ def shown(**options: object) -> Iterator[ViewerHandle]:
         yield handle
     finally:
         handle.stop()
-
-
-@contextmanager
-def live(host: str = "127.0.0.1") -> Iterator[int]:
-    """viser's server, of a job that runs."""
-    opened = server.open_server(host, free_port())
-    try:
-        yield opened.get_port()
-    finally:
-        server.close_server(opened)
 
 
 @contextmanager
@@ -68,47 +52,14 @@ def status_of_page(port: int, host: str, address: str = "/", **headers: str) -> 
         return answer.status
 
 
-def refusal(port: int, **options: object) -> int:
-    with pytest.raises(InvalidStatus) as refused:
-        connect(f"ws://127.0.0.1:{port}", subprotocols=PROTOCOL, proxy=None, **options).close()
-    return refused.value.response.status_code
-
-
-@pytest.fixture(scope="module")
-def open_port() -> Iterator[int]:
-    with live() as port:
-        yield port
-
-
 @pytest.fixture(scope="module")
 def page_port() -> Iterator[int]:
     with shown(port=free_port()) as handle:
         yield int(handle.url.rsplit(":", 1)[1])
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "http://127.0.0.1.evil.example", "http://["]
-)
-def test_other_web_pages_cannot_open_the_socket(open_port, origin):
-    assert refusal(open_port, origin=origin) == 403
-
-
-def test_another_port_of_this_machine_is_another_page(open_port):
-    assert refusal(open_port, origin=f"http://127.0.0.1:{open_port + 1}") == 403
-
-
-@pytest.mark.parametrize("own", [True, False])
-def test_the_viewers_own_page_and_programs_that_are_no_browser_get_the_scene(open_port, own):
-    origin = f"http://127.0.0.1:{open_port}" if own else None
-    with connect(
-        f"ws://127.0.0.1:{open_port}", subprotocols=PROTOCOL, origin=origin, proxy=None, max_size=None
-    ) as socket_:
-        assert len(socket_.recv(timeout=10)) > 0
-
-
-@pytest.mark.parametrize("kind", ["open_port", "page_port"])
-def test_a_name_that_was_made_to_point_here_is_refused(kind, request):
-    port = request.getfixturevalue(kind)
+def test_a_name_that_was_made_to_point_here_is_refused(page_port):
+    port = page_port
     assert status_of_page(port, f"rebound.example:{port}") == 403
     assert status_of_page(port, "localhost:9000") == 200  # through a tunnel
     assert status_of_page(port, f"[::1]:{port}") == 200
@@ -134,42 +85,11 @@ def test_headers_that_come_twice_or_not_at_all():
 
 
 def test_other_machines_may_be_let_in_by_any_name_but_not_other_pages():
-    with live("0.0.0.0") as port:
-        assert status_of_page(port, f"workstation.lab:{port}") == 200
-        assert refusal(port, origin="http://evil.example") == 403
     with shown(port=free_port(), host="0.0.0.0") as handle:
         port = int(handle.url.rsplit(":", 1)[1])
         assert handle.url.startswith("http://127.0.0.1:")
         assert status_of_page(port, f"workstation.lab:{port}") == 200
         assert status_of_page(port, f"workstation.lab:{port}", Origin="http://evil.example") == 403
-
-
-def test_a_viser_that_opens_its_server_otherwise_is_not_used(monkeypatch):
-    """Its server goes past the check: it is closed again."""
-    begun = []
-    real = websockets.asyncio.server.serve
-
-    class Otherwise(viser.ViserServer):
-        def __init__(self, **options: object) -> None:
-            websockets.asyncio.server.serve, checked = real, websockets.asyncio.server.serve
-            super().__init__(**options)
-            websockets.asyncio.server.serve = checked
-            begun.append(self.get_port())
-
-    monkeypatch.setattr(server.viser, "ViserServer", Otherwise)
-    with pytest.raises(MissingDependencyError, match="viser"):
-        server.open_server("127.0.0.1", free_port())
-    with pytest.raises(OSError):
-        OPEN(f"http://127.0.0.1:{begun[0]}", timeout=2)
-    assert websockets.asyncio.server.serve is real
-
-
-def test_servers_that_are_not_ours_stay_as_they_are(open_port):
-    other = viser.ViserServer(host="127.0.0.1", port=free_port(), verbose=False)
-    try:
-        assert status_of_page(other.get_port(), "anything.example") == 200
-    finally:
-        other.stop()
 
 
 def test_a_port_that_was_asked_for_is_the_port_or_an_error():

@@ -57,7 +57,7 @@ def open_lesson(host: str = "127.0.0.1", port: int | None = None) -> ViewerHandl
     chosen = port_for(host, port)
     made = {name: html.encode("utf-8") for name, html in lesson_pages().items()}
     pages = {name: fixed(HTML, data) for name, data in made.items()}
-    pages[""] = Served(HTML, lambda headers: made[_index_for(str(headers.get("Accept-Language", "")))])
+    pages[""] = Served(HTML, lambda asked: made[_index_for(str(asked.headers.get("Accept-Language", "")))])
     server = PageServer(pages, host, chosen)
     return serve(server, server.port, host, note_on_port(port, server.port), block=False)
 

@@ -56,17 +56,29 @@ class SpaceData:
 
 
 def space_data(
-    scene: SpaceScene, most_points: int | None = None, most_gaussians: int | None = None
+    scene: SpaceScene,
+    most_points: int | None = None,
+    most_gaussians: int | None = None,
+    origin_in_world: Float64[np.ndarray, " 3"] | None = None,
 ) -> SpaceData:
-    """A scene for the script, with at most so many points a layer, drawn evenly at random, and as many Gaussians, merged."""
+    """A scene for the script.
+
+    Args:
+        scene: what is shown.
+        most_points: points of each layer at most, sampled at random.
+        most_gaussians: Gaussians at most; more are merged.
+        origin_in_world: what the coordinates are relative to; None: the middle of the scene, or zero for Gaussians.
+    """
     extent = _extent(scene)
     # Gaussians are told as their file has them.
-    origin = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
+    middle = np.zeros(3) if scene.gaussians is not None else extent.focus.astype(np.float32).astype(float)
+    origin = middle if origin_in_world is None else origin_in_world
     turn = np.eye(3) if scene.upright_from_world is None else scene.upright_from_world
     view = scene.view or FirstView(extent.focus + extent.radius * FROM_A_CORNER @ turn, extent.focus, turn[2])
     numbers: dict[str, Any] = {
         "title": scene.title,
         "unit": scene.unit,
+        "live": None,
         "scaleWords": "" if scene.unit else ", up to scale: no unit is known",
         "origin": origin.tolist(),
         "position": rounded(view.position - origin),
@@ -84,6 +96,7 @@ def space_data(
     numbers["cameras"] = _cameras(data, scene.cameras, origin, extent) if scene.cameras is not None else None
     numbers["mesh"] = _mesh(data, scene.mesh, origin) if scene.mesh is not None else None
     numbers["gaussians"] = _gaussians(data, scene, most_gaussians)
+    numbers["blocks"] = list(data.blocks)
     return data
 
 
@@ -174,9 +187,11 @@ def _curve(data: SpaceData, k: int, curve: Curve, origin: np.ndarray) -> dict[st
 def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Extent) -> dict[str, Any]:
     """Centres, axes (right and ahead) and corners of the pictures around the centres."""
     centers, rotations = layer.cams_from_world.centers(), layer.cams_from_world.rotation
+    lenses = np.concatenate([layer.K.reshape(-1, 9), layer.sizes], axis=1)
+    different, of_camera = np.unique(lenses, axis=0, return_inverse=True)
     in_cam = np.array(
-        [frustum_corners_in_cam(K, int(w), int(h)) for K, (w, h) in zip(layer.K, layer.sizes)]
-    ).reshape(-1, 4, 3)
+        [frustum_corners_in_cam(row[:9].reshape(3, 3), int(row[9]), int(row[10])) for row in different]
+    ).reshape(-1, 4, 3)[of_camera.reshape(-1)]
     # From the centre to a corner in the world: R^T corner.
     corners = in_cam @ rotations
     return {

@@ -1,35 +1,100 @@
-"""What a live view shows, and how often it may: data and arithmetic without a server."""
+"""A live page that is open while a job runs, and how often the job may update it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from time import perf_counter
+from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
 
-from epipole.geometry import Rigid3
+from epipole.report.space_scene import SpaceScene
+from epipole.screen import open_console
+from epipole.viewer.handle import serve
+from epipole.viewer.live_feed import LiveFeed, scene_bytes
+from epipole.viewer.page_server import PageServer, Served
+from epipole.viewer.ports import note_on_port, port_for
+from epipole.viewer.viewer import scene_pages
 
-PICTURE_WIDTH = 480
-PLACED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LivePage:
+    """How a live page differs from that of a finished scene."""
+
+    job: str
+    """What the page calls the job."""
+    image_caption: str = ""
+    """Of the current image; empty: there is none."""
+    has_camera: bool = False
+    """Whether the state has a current camera, `camera` (its frustum's edges, in the last curve) and `position`."""
+    has_views: bool = False
+    """Whether the job renders views at `live/view`."""
+    pages: Mapping[str, Served] = field(default_factory=dict)
+    """More addresses."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class LiveScene:
-    """A path, its map and what is known now; the world has y down (a camera's axes)."""
+    """The scene of an open live page."""
 
-    words: str
-    """Counts, as Markdown."""
-    places_in_world: Float64[np.ndarray, "n 3"]
-    """Of the path so far."""
-    path_in_world: Float64[np.ndarray, "m 2 3"]
-    """Its pieces."""
-    world_from_keyframes: Rigid3
-    """(k,)."""
-    points_in_world: Float64[np.ndarray, "p 3"]
-    loops_in_world: Float64[np.ndarray, "l 2 3"]
-    """Pieces between the ends of closed loops."""
+    def __init__(self, feed: LiveFeed, origin_in_world: np.ndarray) -> None:
+        self._feed, self._origin = feed, origin_in_world
+        self.meanwhile: Callable[[], object] = lambda: None
+        """Called while tabs fetch the final state."""
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a tab is open."""
+        return self._feed.is_watched
+
+    def publish(
+        self,
+        state: Mapping[str, Any],
+        make_scene: Callable[[], SpaceScene] | None = None,
+        **parts: Callable[[], bytes],
+    ) -> None:
+        """Show a new state.
+
+        Args:
+            state: `state` and `words` of the page, the `fraction` of the job that is done, the current `camera`.
+            make_scene: makes the scene, of the layers that the page was opened with, in a thread of the server; None: it
+                has not changed.
+            parts: as of `LiveFeed.publish`.
+        """
+        if make_scene is not None:
+            parts["scene"] = lambda: scene_bytes(make_scene(), self._origin)
+        self._feed.publish(state, **parts)
+
+
+@contextmanager
+def opened_live(page: LivePage, scene: SpaceScene, host: str, port: int | None) -> Iterator[LiveScene]:
+    """A live page, whose address is printed. At the end of the block it shows the final state, and its server stops.
+
+    Args:
+        page: how it differs from that of a finished scene.
+        scene: what it shows first.
+        host: the address to listen on.
+        port: where to listen; None: as `port_for` chooses.
+
+    Raises:
+        ConfigError: the port is in use or out of range, or the host is no address of this machine.
+    """
+    chosen, feed = port_for(host, port), LiveFeed()
+    names = ("image_caption", "has_camera", "has_views")
+    told = {"run": feed.run_id, **{name: getattr(page, name) for name in names}}
+    pages, origin = scene_pages(scene, told)
+    server = PageServer({**pages, **feed.pages(), **page.pages}, host, chosen)
+    handle = serve(server, server.port, host, note_on_port(port, server.port), block=False)
+    noted = f" ({handle.note})" if handle.note else ""
+    open_console(stderr=True).print(f"Live view at {handle.url}{noted}", highlight=False)
+    view, ended = LiveScene(feed, origin), f"The {page.job} stopped with an error. This is its last state."
+    try:
+        yield view
+        ended = f"The {page.job} has ended. This is its final state."
+    finally:
+        feed.end(ended, view.meanwhile)
+        handle.stop()
 
 
 class Budget:
@@ -51,28 +116,3 @@ class Budget:
         """An update has taken this long."""
         self._cost_s, self._last_s = seconds, perf_counter()
         self.spent_s += seconds
-
-
-def picture_with_points(
-    grey: UInt8[np.ndarray, "h w"], pixels: Float64[np.ndarray, "n 2"], has_place: Bool[np.ndarray, " n"]
-) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """The picture at `PICTURE_WIDTH`, with the points that have a place in green, and the others in orange."""
-    scale = min(1.0, PICTURE_WIDTH / grey.shape[1])
-    size = (max(1, round(scale * grey.shape[1])), max(1, round(scale * grey.shape[0])))
-    small = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
-    for (x, y), known in zip((pixels + 0.5) * scale - 0.5, has_place):
-        color = PLACED_RGB if known else WAITING_RGB
-        cv2.circle(small, (round(x), round(y)), 2, color, -1, cv2.LINE_AA)
-    return small
-
-
-def frusta_pieces(
-    world_from_cams: Rigid3, corners_in_cam: Float64[np.ndarray, "4 3"], size: float
-) -> Float64[np.ndarray, "k 2 3"]:
-    """The edges of cameras as pieces of lines: four from the centre, four around the picture."""
-    count = len(world_from_cams.translation)
-    centers = np.repeat(world_from_cams.translation[:, None], 4, axis=1)
-    turned = np.einsum("nij,kj->nki", world_from_cams.rotation, size * corners_in_cam)
-    corners = centers + turned
-    edges = np.stack([np.stack([centers, corners], 2), np.stack([corners, np.roll(corners, 1, 1)], 2)], 1)
-    return edges.reshape(8 * count, 2, 3)

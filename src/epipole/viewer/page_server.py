@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from email.message import Message
 from functools import partial
@@ -17,6 +19,18 @@ from epipole.viewer.allowed import is_allowed
 from epipole.viewer.ports import is_local
 
 HTML, BYTES, JPEG = "text/html; charset=utf-8", "application/octet-stream", "image/jpeg"
+EVENTS = "text/event-stream"
+OWN_SITE = (None, "same-origin", "none")
+"""Where a browser's request may come from (`Sec-Fetch-Site`): the page itself, the address bar, or a program that is no browser."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A request."""
+
+    headers: Message
+    query: str
+    """What follows the question mark of its address."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,8 +39,8 @@ class Served:
 
     kind: str
     """Its media type."""
-    make: Callable[[Message], bytes | None]
-    """The bytes, or None where there are none after all; it gets the request's headers."""
+    make: Callable[[Asked], bytes | Generator[bytes, None, None] | None]
+    """The bytes, or None where there are none after all. A generator's are sent as they come, until the tab closes."""
 
 
 def fixed(kind: str, data: bytes) -> Served:
@@ -65,9 +79,28 @@ class PageServer:
             self.stopped.set()
             self.http.shutdown()
             self.http.server_close()
+            self.http.close_connections()
 
 
 class _Server(ThreadingHTTPServer):
+    def __init__(self, *args: Any) -> None:
+        self.connections = set[socket.socket]()
+        super().__init__(*args)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        self.connections.add(request)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        self.connections.discard(request)
+        super().shutdown_request(request)
+
+    def close_connections(self) -> None:
+        """Those that browsers keep open: another server at this address must get what they ask next."""
+        for connection in self.connections.copy():
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing where the browser has closed its tab, or asks for nothing more."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
@@ -84,21 +117,36 @@ class _Answer(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
-        if not is_allowed(hosts, origins, is_local=self.local):
+        is_own = is_allowed(hosts, origins, is_local=self.local) and not self._is_embedded()
+        if not is_own:
             self.send_error(HTTPStatus.FORBIDDEN, "This viewer answers its own page alone")
             return
-        served = self.pages.get(self.path.partition("?")[0].removeprefix("/"))
-        data = served.make(self.headers) if served is not None else None
+        address, _, query = self.path.removeprefix("/").partition("?")
+        served = self.pages.get(address)
+        data = served.make(Asked(self.headers, query)) if served is not None else None
         if served is None or data is None:
             self.send_error(HTTPStatus.NOT_FOUND)
             return
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", served.kind)
-        self.send_header("Content-Length", str(len(data)))
+        if isinstance(data, bytes):
+            self.send_header("Content-Length", str(len(data)))
+        else:
+            self.send_header("Connection", "close")
         self.send_header("Cache-Control", "no-store")
         self.send_header("X-Content-Type-Options", "nosniff")
         self.end_headers()
-        self.wfile.write(data)
+        if isinstance(data, bytes):
+            self.wfile.write(data)
+            return
+        with closing(data):
+            for piece in data:
+                self.wfile.write(piece)
+
+    def _is_embedded(self) -> bool:
+        """Whether another web page asks for it as an image, a frame or a script; it may only link to it."""
+        site, kind = (self.headers.get(f"Sec-Fetch-{name}") for name in ("Site", "Dest"))
+        return site not in OWN_SITE and kind != "document"
 
     def log_message(self, *_: object) -> None:
         """Say nothing of what is asked for."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from epipole.report.frame import render
 from epipole.report.markup import count
@@ -33,9 +34,15 @@ def scene_page(scene: SpaceScene, most: int) -> ScenePage:
     return ScenePage(_html(scene, data, words, data.blocks), words)
 
 
-def served_page(scene: SpaceScene) -> tuple[str, SpaceData]:
-    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `picture/NUMBER`."""
+def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
+    """A page of a server, which has the bytes at `data/NAME` and the cameras' pictures at `picture/NUMBER`.
+
+    Args:
+        scene: what is shown.
+        live: what the script of a live page is told; None: the scene is finished.
+    """
     data = space_data(scene)
+    data.numbers["live"] = live
     if scene.cameras is not None and scene.cameras.load_picture is not None:
         data.numbers["cameras"]["pictures"] = [
             f"{PICTURE_ADDRESS}{k}" for k in range(len(scene.cameras.names))

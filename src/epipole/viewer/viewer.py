@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from email.message import Message
 from functools import partial
+from typing import Any
+
+import numpy as np
 
 from epipole.report.space import small_jpeg
 from epipole.report.space_scene import SpaceScene
 from epipole.viewer.handle import ViewerHandle, serve
-from epipole.viewer.page_server import BYTES, HTML, JPEG, PageServer, Served, fixed
+from epipole.viewer.page_server import BYTES, HTML, JPEG, Asked, PageServer, Served, fixed
 from epipole.viewer.ports import note_on_port, port_for
 from epipole.viewer.scene_page import PICTURE_ADDRESS, served_page
 
@@ -32,7 +34,20 @@ def view_scene(
         ConfigError: the port is in use or out of range, or the host is no address of this machine.
     """
     chosen = port_for(host, port)
-    html, data = served_page(scene)
+    server = PageServer(scene_pages(scene)[0], host, chosen)
+    return serve(server, server.port, host, note_on_port(port, server.port), block=block)
+
+
+def scene_pages(
+    scene: SpaceScene, live: dict[str, Any] | None = None
+) -> tuple[dict[str, Served], np.ndarray]:
+    """The page of a scene and its bytes by their addresses, and what its coordinates are relative to.
+
+    Args:
+        scene: what is shown.
+        live: what the script of a live page is told; None: the scene is finished.
+    """
+    html, data = served_page(scene, live)
     pages = {"": fixed(HTML, html.encode("utf-8"))}
     pages |= {f"data/{name}": fixed(BYTES, block_) for name, block_ in data.blocks.items()}
     cameras = scene.cameras
@@ -40,9 +55,8 @@ def view_scene(
         for k, name in enumerate(cameras.names):
             make = partial(_picture, partial(small_jpeg, cameras.load_picture, name))
             pages[f"{PICTURE_ADDRESS}{k}"] = Served(JPEG, make)
-    server = PageServer(pages, host, chosen)
-    return serve(server, server.port, host, note_on_port(port, server.port), block=block)
+    return pages, np.array(data.numbers["origin"], np.float64)
 
 
-def _picture(make: Callable[[], bytes | None], _: Message) -> bytes | None:
+def _picture(make: Callable[[], bytes | None], _: Asked) -> bytes | None:
     return make()

@@ -71,7 +71,7 @@ def scene(path: Path) -> SpaceScene:
         title=path.resolve().name,
         words=f"{plural(len(cloud), 'Gaussian')}{stands_for}; {colours_in_words(cloud.sh_degree)}",
         unit=UNIT if shots else UNIT_OF_FILE,
-        cameras=_cameras(shots, origin) if shots else None,
+        cameras=cameras_of(shots, origin) if shots else None,
         gaussians=cloud,
         view=view,
         background=told_background(folder / SUMMARY) or 0.0,
@@ -100,9 +100,12 @@ def colours_in_words(degree: int) -> str:
     return f"colours change with the direction by harmonics of degree {DEGREE_KEPT}, of {degree} that were trained"
 
 
-def _cameras(shots: Sequence[Shot], origin_in_world: np.ndarray) -> CameraLayer:
+def cameras_of(
+    shots: Sequence[Shot] | Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+) -> CameraLayer:
     """Not shown at first: they stand before what they see. Relative to the origin of the Gaussians."""
-    places = [shot.cam_from_world @ Rigid3(np.eye(3), origin_in_world) for shot in shots]
+    origin = np.zeros(3) if origin_in_world is None else origin_in_world
+    places = [shot.cam_from_world @ Rigid3(np.eye(3), origin) for shot in shots]
     return CameraLayer(
         "Cameras",
         tuple(shot.name for shot in shots),

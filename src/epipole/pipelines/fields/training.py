@@ -166,7 +166,7 @@ def train(
     is_over = False
     run.report("train", 0, 100, note)
     num_due = sum(share < done() for share in PROBES)
-    with open_watch(wanted, pictures) as watch, heeded_interrupts() as is_pressed:
+    with open_watch(wanted, pictures, trainer, run.root.name) as watch, heeded_interrupts() as is_pressed:
         while (share := done()) < 1.0 and not is_over:
             if num_due < len(PROBES) and share >= PROBES[num_due]:
                 num_due += 1

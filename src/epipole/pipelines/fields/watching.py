@@ -1,70 +1,107 @@
-"""A training that is watched: pictures for whoever looks, for at most a tenth of its time."""
+"""A training that is watched: what is learnt, for whoever has the page open."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from time import perf_counter
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from epipole._jit import compile_seconds
 from epipole.cameras import Camera
+from epipole.fields.splat_trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
-from epipole.pipelines.fields.scene import first_view_of
-from epipole.viewer.live import Budget
-from epipole.viewer.live_server import opened_live
+from epipole.pipelines.fields.scene import UNIT, cameras_of, first_view_of
+from epipole.report.gaussians import most_visible
+from epipole.report.space_scene import FirstView, SpaceScene
+from epipole.scene.gaussian_cloud import GaussianCloud
+from epipole.viewer.asked_views import AskedViews
+from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
+from epipole.viewer.page_server import JPEG, Served
 
-if TYPE_CHECKING:
-    from epipole.viewer.field_watch import FieldWatch
-
-SHARE, PAUSE_S = 0.1, 0.1
-"""Of the time, for pictures, and the shortest time between two."""
+SHARE, PAUSE_S = 0.08, 0.25
+"""Fraction of the training's time, at most, for what is shown; and the shortest time between two updates."""
+MOST_GAUSSIANS = 60_000
+"""Of an update: 2.6 MB."""
 
 
 @runtime_checkable
 class Drawn(Protocol):
-    """What is learnt, and can be drawn."""
+    """What is learnt, and can be rendered."""
 
     num_steps: int
+    background: np.ndarray
 
     def draw(self, view: TrainingView) -> np.ndarray:
-        """(h, w, 3) the picture of a view."""
+        """(h, w, 3) the image of a view."""
 
 
 class Watch:
     """Shows nothing: what a training without a viewer has."""
 
     def show(self, trainer: Drawn, share: float) -> None:
-        """A step was taken, at a share of the training."""
+        """A step was taken, at a fraction of the training."""
 
 
 class BrowserWatch(Watch):
-    """Shows what is learnt, as often as its share of the time allows."""
+    """Shows what is learnt, as often as its fraction of the time allows.
 
-    def __init__(self, viewer: FieldWatch) -> None:
-        self.viewer, self.budget = viewer, Budget(SHARE, PAUSE_S)
+    Gaussians are copied, and rendered by the page. Fields are rendered here, for the viewpoint of each tab.
+    """
+
+    def __init__(self, page: LiveScene, views: AskedViews, scene: SpaceScene) -> None:
+        self.page, self.views, self.scene = page, views, scene
+        self.budget, self.words_budget, self.share = Budget(SHARE, PAUSE_S), Budget(SHARE, PAUSE_S), 0.0
 
     def show(self, trainer: Drawn, share: float) -> None:
-        """A picture for everyone who looks."""
-        if not self.budget.allows():
+        """Update the page, if a tab is open and the budget allows it."""
+        self.share = min(share, 1.0)
+        if not self.page.is_watched:
             return
+        if self.words_budget.allows():
+            self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
+        if self.budget.allows():
+            self._spend(self.budget, lambda: self.show_field(trainer))
+
+    def show_field(self, trainer: Drawn) -> None:
+        """The Gaussians of now, or one of the views that tabs wait for."""
+        if isinstance(trainer, SplatTrainer):
+            cloud = trainer.cloud
+            self.page.publish(self._state(trainer), lambda: replace(self.scene, gaussians=_bounded(cloud)))
+        else:
+            self.render_next(trainer)
+
+    def _state(self, trainer: Drawn) -> dict[str, Any]:
+        words = f"step {trainer.num_steps:,}, {round(100 * self.share)} % of the training"
+        if isinstance(trainer, SplatTrainer):
+            words += f", {len(trainer):,} Gaussians"
+        return {"state": "Running", "words": words, "fraction": self.share}
+
+    def _spend(self, budget: Budget, act: Callable[[], object]) -> None:
+        """Kernels that compile are no part of it: they do so once."""
+        begin, compiling = perf_counter(), compile_seconds()
+        act()
+        budget.spend(perf_counter() - begin - (compile_seconds() - compiling))
+
+    def render_next(self, trainer: Drawn) -> bool:
+        """Render the view of a field that has waited longest, if there is one."""
 
         def draw(camera: Camera, cam_from_world: Rigid3) -> np.ndarray:
             blank = np.zeros((camera.height, camera.width, 3), np.uint8)
             return trainer.draw(TrainingView("watched", blank, camera, cam_from_world))
 
-        begin = perf_counter()
-        if self.viewer.show(draw, f"step {trainer.num_steps:,}, {round(100 * share)} % of the training"):
-            self.budget.spend(perf_counter() - begin)
+        return self.views.render_next(draw)
 
 
 @contextmanager
-def open_watch(wanted: FieldOptions, pictures: FieldPictures) -> Iterator[Watch]:
-    """What shows the training: a viewer in the browser, whose address is printed, or nothing.
+def open_watch(wanted: FieldOptions, pictures: FieldPictures, trainer: Drawn, name: str) -> Iterator[Watch]:
+    """What shows the training of that name: a page in the browser, whose address is printed, or nothing.
 
     Raises:
         ConfigError: the port is in use or out of range.
@@ -72,12 +109,33 @@ def open_watch(wanted: FieldOptions, pictures: FieldPictures) -> Iterator[Watch]
     if not wanted.view:
         yield Watch()
         return
-    from epipole.viewer.field_watch import FieldWatch
+    is_splat, views = isinstance(trainer, SplatTrainer), AskedViews()
+    own = {} if is_splat else {"live/view": Served(JPEG, views.answer)}
+    live = LivePage(job="training", has_views=not is_splat, pages=own)
+    scene = _scene(pictures, trainer, f"{name}: training")
+    with opened_live(live, scene, wanted.host, wanted.port) as page:
+        watch = BrowserWatch(page, views, scene)
+        page.meanwhile = lambda: watch.render_next(trainer)
+        yield watch
+        watch.show_field(trainer)
 
+
+def _scene(pictures: FieldPictures, trainer: Drawn, title: str) -> SpaceScene:
+    """Cameras, and the Gaussians of now if it trains some."""
     told = first_view_of(_places_of(pictures), pictures.train)
-    first = tuple(np.array(told[name]) for name in ("position", "look_at", "up"))
-    with opened_live(lambda server: FieldWatch(server, first), wanted.host, wanted.port) as viewer:
-        yield BrowserWatch(viewer)
+    return SpaceScene(
+        title=title,
+        words="",
+        unit=UNIT,
+        cameras=cameras_of(pictures.train),
+        gaussians=_bounded(trainer.cloud) if isinstance(trainer, SplatTrainer) else None,
+        view=FirstView(*(np.array(told[name]) for name in ("position", "look_at", "up"))),
+        background=float(trainer.background[0]),
+    )
+
+
+def _bounded(cloud: GaussianCloud) -> GaussianCloud:
+    return cloud.rows(most_visible(cloud, MOST_GAUSSIANS))
 
 
 def _places_of(pictures: FieldPictures) -> np.ndarray:

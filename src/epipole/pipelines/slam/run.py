@@ -101,7 +101,8 @@ def slam(
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = _settings(wanted, given, config)
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
-    with open_run(task, out) as run, open_live(frames, wanted) as live, heeded_interrupts() as is_stopped:
+    shown = open_live(system, frames.num_frames, wanted, out.name)
+    with open_run(task, out) as run, shown as live, heeded_interrupts() as is_stopped:
         key = key_of(run.folder.source.sketch, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
         run.warnings += [*_notes(found, system), *stands.notes]
@@ -272,4 +273,5 @@ def _track(
             live.show(system, frame, answer)
         progress(Progress("track", len(records), max(before + feed.num_expected, len(records))))
     stands.autosave.save_map(system, lambda: keyframe_names(system, records, known))
+    live.show_map(system, "Adjusting the map")
     return records

@@ -86,19 +86,18 @@ void main() {
   drawn = vec4(colour * alpha, alpha);
 }`;
 
-/* Gaussians of `data`; `words` holds 8 numbers for each, `harmonics` 3 or none. */
-function gaussianDrawing(gl, data, words, harmonics) {
+/* `put` uploads Gaussians: `words` holds 8 numbers for each, `harmonics` 3 or is null. */
+function gaussianDrawing(gl) {
   const made = glProgram(gl, VERTEX_SHADER, FRAGMENT_SHADER);
   gl.useProgram(made.program);
   const at = made.at;
-
-  function newTexture(unitNumber, name) {
+  ["rows", "harmonics", "order"].forEach((name, unitNumber) => {
     gl.activeTexture(gl.TEXTURE0 + unitNumber);
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
       gl.texParameteri(gl.TEXTURE_2D, side, gl.NEAREST);
     gl.uniform1i(at(name), unitNumber);
-  }
+  });
   function heightOf(texels) {
     const height = Math.max(1, Math.ceil(texels / TEXTURE_WIDTH));
     if (height > gl.getParameter(gl.MAX_TEXTURE_SIZE))
@@ -106,22 +105,16 @@ function gaussianDrawing(gl, data, words, harmonics) {
     return height;
   }
   /* Words in texels of four, of which the first `used` are told. */
-  function putWords(unitNumber, name, numbers, used) {
+  function putWords(unitNumber, numbers, used) {
     const texels = numbers.length / used,
       height = heightOf(texels),
       padded = new Uint32Array(4 * TEXTURE_WIDTH * height);
     if (used === 4) padded.set(numbers);
     else for (let k = 0; k < texels; k++) padded.set(numbers.subarray(used * k, used * k + used), 4 * k);
-    newTexture(unitNumber, name);
     const form = [gl.RGBA_INTEGER, gl.UNSIGNED_INT, padded];
+    gl.activeTexture(gl.TEXTURE0 + unitNumber);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, TEXTURE_WIDTH, height, 0, ...form);
   }
-  putWords(0, "rows", words, 4);
-  putWords(1, "harmonics", harmonics || new Uint32Array(0), 3);
-  gl.uniform1i(at("hasHarmonics"), harmonics ? 1 : 0);
-  for (const name of ["scaleRange", "colourRange", "harmonicRange"]) gl.uniform2fv(at(name), data[name]);
-  newTexture(ORDER_UNIT, "order");
-  gl.texStorage2D(gl.TEXTURE_2D, 1, gl.R32UI, TEXTURE_WIDTH, heightOf(data.count));
 
   const corners = new Uint16Array(6 * TOGETHER);
   for (let k = 0; k < TOGETHER; k++)
@@ -137,6 +130,18 @@ function gaussianDrawing(gl, data, words, harmonics) {
 
   let shown = 0;
   return {
+    put({ numbers, words, harmonics }) {
+      gl.useProgram(made.program);
+      putWords(0, words, 4);
+      putWords(1, harmonics || new Uint32Array(0), 3);
+      gl.uniform1i(at("hasHarmonics"), harmonics ? 1 : 0);
+      for (const name of ["scaleRange", "colourRange", "harmonicRange"])
+        gl.uniform2fv(at(name), numbers[name]);
+      const form = [heightOf(numbers.count), 0, gl.RED_INTEGER, gl.UNSIGNED_INT, null];
+      gl.activeTexture(gl.TEXTURE0 + ORDER_UNIT);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32UI, TEXTURE_WIDTH, ...form);
+      shown = 0;
+    },
     /* The first `count` rows, the farthest first, are drawn; there is room for whole lines of the texture. */
     setOrder(rows, count) {
       const form = [gl.RED_INTEGER, gl.UNSIGNED_INT, rows];
@@ -186,17 +191,18 @@ function sortByDepth(places, f, o, near, order) {
   return kept;
 }
 
-/* Sorts beside the page where the browser lets it, else on it; `ready(order, count, milliseconds)` gets whole
-   lines of a texture, of which the first `count` rows are told. */
-function gaussianSorter(places, ready) {
-  const room = TEXTURE_WIDTH * Math.ceil(places.length / 3 / TEXTURE_WIDTH);
-  let order = new Uint32Array(room),
+/* Sorts beside the page where the browser lets it, else on it; `ready(order, count, milliseconds, places)` gets whole
+   lines of a texture, of which the first `count` rows are told, and the places that they are the order of. */
+function gaussianSorter(ready) {
+  let places = null,
+    order = null,
     worker = null,
     asked = null;
+  const newOrder = () => new Uint32Array(TEXTURE_WIDTH * Math.ceil(places.length / 3 / TEXTURE_WIDTH));
   function sortHere({ f, o, near }) {
     const begin = performance.now(),
       kept = sortByDepth(places, f, o, near, order);
-    ready(order, kept, performance.now() - begin);
+    ready(order, kept, performance.now() - begin, places);
   }
   const source = `"use strict";
 ${sortByDepth}
@@ -212,20 +218,25 @@ onmessage = ({ data }) => {
     worker.onmessage = ({ data }) => {
       order = data.order;
       asked = null;
-      ready(order, data.kept, data.spent);
+      ready(order, data.kept, data.spent, places);
     };
     worker.onerror = () => {
-      worker = null;
-      order = new Uint32Array(room);
-      if (asked) sortHere(asked);
-      asked = null;
+      const view = asked;
+      worker = asked = null;
+      order = newOrder();
+      if (view) sortHere(view);
     };
-    worker.postMessage({ places });
   } catch {
     worker = null;
   }
   return {
     isBusy: () => asked !== null,
+    /* The places to sort from now on; not while it is busy. */
+    hold(held) {
+      places = held;
+      order = newOrder();
+      if (worker) worker.postMessage({ places });
+    },
     sort(view) {
       if (!worker) return sortHere(view);
       asked = view;

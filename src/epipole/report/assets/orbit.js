@@ -41,13 +41,14 @@ function eyeAt(frame, { o, f, r, dist, spread }) {
    three axes of the world, the third of them up. Of `basis`, r is right, d down, f ahead and o where the eye is. */
 function orbitEye(
   canvas,
-  { start, radius, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways, reset },
+  { start, radiusNow, redraw, frame = WORLD, hover, click, leave, keys, wheelAlways, reset },
 ) {
   const fingers = new Map();
   let eye = start(),
     moved = 0,
     span = 0,
     flight = 0,
+    isFlying = false,
     active = false;
 
   function basis() {
@@ -65,6 +66,7 @@ function orbitEye(
 
   function jumpTo(goal) {
     flight++;
+    isFlying = false;
     eye = goal;
     redraw();
   }
@@ -72,6 +74,7 @@ function orbitEye(
     const from = eye,
       begin = performance.now(),
       mine = ++flight;
+    isFlying = true;
     const length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : 600;
     const nearest = (angle) => Math.atan2(Math.sin(angle), Math.cos(angle));
     const turn = nearest(goal.yaw - from.yaw),
@@ -88,8 +91,9 @@ function orbitEye(
         dist: from.dist + s * (goal.dist - from.dist),
         spread: from.spread + s * (goal.spread - from.spread),
       };
+      isFlying = t < 1;
       redraw();
-      if (t < 1) requestAnimationFrame(step);
+      if (isFlying) requestAnimationFrame(step);
     })(begin);
   }
 
@@ -104,10 +108,11 @@ function orbitEye(
     eye.focus = eye.focus.map((v, k) => v - scale * (dx * b.r[k] + dy * b.d[k]));
   }
   function zoomBy(factor) {
-    eye.dist = Math.max(0.005 * radius, Math.min(60 * radius, eye.dist * factor));
+    eye.dist = Math.max(0.005 * radiusNow(), Math.min(60 * radiusNow(), eye.dist * factor));
   }
   function byHand(change) {
     flight++;
+    isFlying = false;
     eye = { ...eye };
     change();
     redraw();
@@ -176,7 +181,7 @@ function orbitEye(
     else if (reset) reset();
     else flyTo(start());
   });
-  return { basis, focal, flyTo, jumpTo, eye: () => eye };
+  return { basis, focal, flyTo, jumpTo, eye: () => eye, isFlying: () => isFlying };
 }
 
 function fullScreen(stage) {

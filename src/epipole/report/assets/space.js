@@ -3,7 +3,7 @@
    sample of them, and the rest follows as soon as it rests. */
 /* global byId, readJson, cssColour, darkScheme, showTip, fitCanvas, fullScreen */
 /* global orbitEye, eyeAt, frameOf, unit, cross, dot, glTarget */
-/* global spaceLayers, gaussianSorter, spaceTools, pickPoint, pickTriangle, pickGaussian */
+/* global spaceBlocks, spaceLayers, gaussiansOf, gaussianSorter, spaceTools, pickPoint, pickTriangle, pickGaussian */
 "use strict";
 const SPREAD = 0.75 * Math.tan((25 * Math.PI) / 180); // 50 degrees across a picture of 4 : 3
 const EVERYWHERE = { low: [-1e30, -1e30, -1e30], high: [1e30, 1e30, 1e30] };
@@ -17,8 +17,9 @@ async function spaceView(canvas, data) {
     byId("no-drawing").textContent = text;
     byId("no-drawing").hidden = !text;
   };
-  const total = data.points.reduce((sum, layer) => sum + layer.count, 0);
-  const isFine = total < FINE_POINTS && !data.gaussians;
+  const countPoints = () => data.points.reduce((sum, layer) => sum + layer.count, 0);
+  let total = countPoints();
+  const isFine = total < FINE_POINTS && !data.gaussians && !data.live;
   const gl = canvas.getContext("webgl2", {
     alpha: false,
     antialias: isFine,
@@ -32,7 +33,7 @@ async function spaceView(canvas, data) {
   say("Loading \u2026");
   let drawn = null;
   try {
-    drawn = await spaceLayers(gl, data);
+    drawn = spaceLayers(gl, data, await spaceBlocks(data));
   } catch (error) {
     say(`The scene cannot be drawn here: ${error.message}.`);
     return null;
@@ -40,9 +41,9 @@ async function spaceView(canvas, data) {
   say("");
 
   const frame = frameOf(data.up),
-    radius = data.radius;
+    settlers = [];
   const look = {
-    near: 0.002 * radius,
+    near: 0.002 * data.radius,
     box: EVERYWHERE,
     pointPx: 2,
     frustum: 1,
@@ -58,6 +59,8 @@ async function spaceView(canvas, data) {
     paintedAt = 0,
     portion = FIRST_PORTION,
     sorted = "",
+    fresh = null, // Gaussians that are not sorted yet
+    held = null, // those that are being sorted
     chosen = -1,
     hovered = -1;
   /* On a narrow screen from farther away, so that as much is seen across as on one of 4 : 3. */
@@ -69,7 +72,7 @@ async function spaceView(canvas, data) {
   }
   const view = orbitEye(canvas, {
     start,
-    radius,
+    radiusNow: () => data.radius,
     redraw,
     frame,
     wheelAlways: canvas.dataset.whole === "yes",
@@ -96,11 +99,13 @@ async function spaceView(canvas, data) {
   });
   const sorter =
     drawn.gaussians &&
-    gaussianSorter(drawn.gaussians.places, (order, count, spent) => {
+    gaussianSorter((order, count, spent, places) => {
+      if (places !== drawn.gaussians.places) drawn.gaussians.drawing.put(Object.assign(drawn.gaussians, held));
       drawn.gaussians.drawing.setOrder(order, count);
       canvas.dataset.sortMs = spent.toFixed(2);
       redraw();
     });
+  if (sorter) sorter.hold(drawn.gaussians.places);
 
   function lookingAt(o, place, up, spread) {
     const away = place.map((v, k) => v - o[k]),
@@ -119,6 +124,11 @@ async function spaceView(canvas, data) {
       grey === null ? [1, 3, 5].map((k) => parseInt(ground.slice(k, k + 2), 16) / 255) : [grey, grey, grey];
     gl.clearColor(...back, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (drawn.backdrop) {
+      gl.disable(gl.DEPTH_TEST);
+      drawn.backdrop.drawing.draw(eye, drawn.backdrop);
+      gl.enable(gl.DEPTH_TEST);
+    }
     if (drawn.mesh && look.shown.mesh) drawn.mesh.drawing.draw(eye);
     const width = 1.6 * ratio;
     for (let k = drawn.curves.length - 1; k >= 0; k--)
@@ -186,6 +196,17 @@ async function spaceView(canvas, data) {
     canvas.toBlob(ready, "image/png"); // of what was drawn in this very task
   }
 
+  /* Whether the Gaussians are in order for an eye; they will be. */
+  function sort({ f, o }) {
+    if (sorter.isBusy()) return false;
+    const seen = JSON.stringify([f, o]);
+    if (seen === sorted) return true;
+    sorted = seen;
+    if (fresh) sorter.hold((held = fresh).places);
+    fresh = null;
+    sorter.sort({ f, o, near: look.near });
+    return false;
+  }
   function draw(now) {
     asked = false;
     const before = `${canvas.width} ${canvas.height}`,
@@ -198,16 +219,12 @@ async function spaceView(canvas, data) {
     if (isMoving && spent > SLOW_MS && spent < 3000) portion = Math.max(LEAST_PORTION, 0.7 * portion);
     if (isMoving && spent < QUICK_MS) portion = Math.min(1.3 * portion, Math.max(total, FIRST_PORTION));
     paintedAt = isMoving ? now : -Infinity;
-    const seen = JSON.stringify([eye.basis.f, eye.basis.o]);
-    if (sorter && seen !== sorted && !sorter.isBusy()) {
-      sorted = seen;
-      sorter.sort({ f: eye.basis.f, o: eye.basis.o, near: look.near });
-    }
-    paint(eye, ratio, total ? portion / total : 1);
+    const isSorted = !sorter || sort(eye.basis);
+    if (isMoving || painted.share < 1) paint(eye, ratio, total ? portion / total : 1);
     tools.mark(eye);
-    const isSorted = !sorter || (seen === sorted && !sorter.isBusy());
     canvas.dataset.settled = isSorted && painted.share === 1 ? "yes" : "no";
     if (painted.share < 1) ask();
+    else if (isSorted) settlers.splice(0).forEach((ready) => ready());
   }
   function ask() {
     if (asked) return;
@@ -218,6 +235,27 @@ async function spaceView(canvas, data) {
     canvas.dataset.settled = "no";
     version++;
     ask();
+  }
+
+  /* Replaces the scene by another with the same layers. */
+  function update(scene, blocks) {
+    drawn.put(scene, blocks);
+    if (scene.gaussians) {
+      fresh = gaussiansOf(scene.gaussians, blocks);
+      sorted = "";
+      sort(view.basis()); // and draw once they are
+    } else redraw();
+    Object.assign(data, scene);
+    total = countPoints();
+    look.near = 0.002 * data.radius;
+  }
+  /* Once all of the scene is drawn, and the graphics card is done with it. */
+  async function settled() {
+    await new Promise((ready) => {
+      settlers.push(ready);
+      ask();
+    });
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
   function cameraAt(event) {
@@ -259,7 +297,7 @@ async function spaceView(canvas, data) {
     tools.showCamera(k);
     showPicture(k);
     const spread = (0.5 * side) / (scale * data.cameras.focals[k]);
-    view.flyTo(eyeAt(frame, { o, f, r, dist: Math.max(depth, 0.3 * radius), spread }));
+    view.flyTo(eyeAt(frame, { o, f, r, dist: Math.max(depth, 0.3 * data.radius), spread }));
   }
   function reset() {
     chosen = -1;
@@ -313,7 +351,7 @@ async function spaceView(canvas, data) {
       found.push(pickTriangle(drawn.mesh.vertices, drawn.mesh.faces, basis.o, ray, inside));
     if (sorter && look.shown.gaussians) {
       const { words, places } = drawn.gaussians;
-      const range = data.gaussians.scaleRange;
+      const range = drawn.gaussians.numbers.scaleRange;
       found.push(pickGaussian(words, places, range, basis, u, v, focal, look.near, inside));
     }
     return found.filter(Boolean).sort((a, b) => a.depth - b.depth)[0] || null;
@@ -348,9 +386,9 @@ async function spaceView(canvas, data) {
     stepCamera,
     reset,
     above() {
-      const o = data.lookAt.map((v, k) => v + 3 * radius * frame[2][k]);
+      const o = data.lookAt.map((v, k) => v + 3 * data.radius * frame[2][k]);
       view.flyTo(
-        eyeAt(frame, { o, f: frame[2].map((v) => -v), r: frame[0], dist: 3 * radius, spread: SPREAD }),
+        eyeAt(frame, { o, f: frame[2].map((v) => -v), r: frame[0], dist: 3 * data.radius, spread: SPREAD }),
       );
     },
     snapshot,
@@ -360,7 +398,11 @@ async function spaceView(canvas, data) {
   darkScheme.addEventListener("change", redraw);
   toViewOfAddress();
   redraw();
-  return { view, drawn, look, placeAt, toCamera, tools, snapshot, portion: () => portion };
+  return {
+    ...{ gl, data, view, drawn, look, placeAt, toCamera, tools, snapshot, redraw, update, settled, start },
+    portion: () => portion,
+    chosen: () => chosen,
+  };
 }
 
 const space = byId("space") ? spaceView(byId("space"), readJson("space-data")) : null;

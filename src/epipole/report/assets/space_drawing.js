@@ -35,26 +35,29 @@ in vec3 colour;
 out vec4 drawn;
 void main() { drawn = vec4(colour, 1.0); }`;
 
-/* One layer of points, each three floats and three bytes of colour in 16 bytes; `draw(eye, look)` draws `look.count` of
-   them from `look.first` on. */
-function pointDrawing(gl, rows, values, ramp) {
+/* One layer of points. `put` uploads them, each three floats and three bytes of colour in 16 bytes, with their measures
+   or null; `draw(eye, look)` draws `look.count` of them from `look.first` on. */
+function pointDrawing(gl, ramp) {
   const made = glProgram(gl, POINT_VERTEX, POINT_FRAGMENT),
-    array = gl.createVertexArray();
-  const fill = (data) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+    array = gl.createVertexArray(),
+    [rowBuffer, valueBuffer] = [gl.createBuffer(), gl.createBuffer()];
+  const fill = (buffer, data) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
   };
-  gl.bindVertexArray(array);
-  fill(rows);
-  gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 16, 0);
-  gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 16, 12);
-  if (values) {
-    fill(values);
-    gl.vertexAttribPointer(2, 2, gl.UNSIGNED_SHORT, true, 0, 0);
-  }
-  for (const location of values ? [0, 1, 2] : [0, 1]) gl.enableVertexAttribArray(location);
-  gl.bindVertexArray(null);
   return {
+    put(rows, values) {
+      gl.bindVertexArray(array);
+      fill(rowBuffer, rows);
+      gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 16, 0);
+      gl.vertexAttribPointer(1, 3, gl.UNSIGNED_BYTE, true, 16, 12);
+      if (values) {
+        fill(valueBuffer, values);
+        gl.vertexAttribPointer(2, 2, gl.UNSIGNED_SHORT, true, 0, 0);
+      }
+      for (const location of values ? [0, 1, 2] : [0, 1]) gl.enableVertexAttribArray(location);
+      gl.bindVertexArray(null);
+    },
     draw(eye, { first, count, sizePx, mostPx, limits, colourBy }) {
       setEye(gl, made, eye);
       gl.uniform1f(made.at("pointSize"), sizePx);
@@ -115,14 +118,14 @@ void main() {
 }`;
 const LINE_FLOATS = 16;
 
-/* `pieces` holds 16 numbers each: place, offset, place, offset, colour (0 to 1), and whose it is (-1: nobody's). */
-function lineDrawing(gl, pieces) {
+/* `put` uploads pieces of 16 numbers each: place, offset, place, offset, colour (0 to 1), and whose it is (-1: nobody's). */
+function lineDrawing(gl) {
   const made = glProgram(gl, LINE_VERTEX, LINE_FRAGMENT),
     array = gl.createVertexArray(),
-    count = pieces.length / LINE_FLOATS;
+    buffer = gl.createBuffer();
+  let count = 0;
   gl.bindVertexArray(array);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ARRAY_BUFFER, pieces, gl.STATIC_DRAW);
+  gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
   [3, 3, 3, 3, 3, 1].forEach((length, location) => {
     gl.enableVertexAttribArray(location);
     gl.vertexAttribPointer(location, length, gl.FLOAT, false, 4 * LINE_FLOATS, 12 * location);
@@ -130,7 +133,13 @@ function lineDrawing(gl, pieces) {
   });
   gl.bindVertexArray(null);
   return {
+    put(pieces) {
+      count = pieces.length / LINE_FLOATS;
+      gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+      gl.bufferData(gl.ARRAY_BUFFER, pieces, gl.STATIC_DRAW);
+    },
     draw(eye, { scale = 0, width, chosen = -1, hovered = -1 }) {
+      if (!count) return;
       setEye(gl, made, eye);
       gl.uniform1f(made.at("scale"), scale);
       gl.uniform1f(made.at("width"), width);

@@ -1,7 +1,7 @@
 /* What a 3D view holds, from the page's bytes or its server's to the graphics card. */
 /* global byId, bytesOf, gaussianDrawing */
 /* global pointDrawing, lineDrawing, meshDrawing, pictureDrawing, frustumPieces, curvePieces */
-/* exported spaceLayers */
+/* exported spaceBlocks, spaceLayers, gaussiansOf */
 "use strict";
 const CAMERA_RGB = [0.56, 0.82, 0.9];
 
@@ -18,52 +18,72 @@ async function spaceBytes(name) {
   return answer.arrayBuffer();
 }
 
-/* Everything on the graphics card, and what has to be looked up again kept beside it. */
-async function spaceLayers(gl, data) {
-  const out = { points: [], curves: [], shown: {}, cameras: null, mesh: null, gaussians: null };
-  const floats = async (name) => new Float32Array(await spaceBytes(name));
-  for (const [k, layer] of data.points.entries()) {
-    const rows = await floats(layer.rows),
-      values = layer.values ? new Uint16Array(await spaceBytes(layer.values)) : null,
-      covariances = layer.covariances ? await floats(layer.covariances) : null;
-    const drawing = pointDrawing(gl, rows, values, data.ramp);
-    out.points.push({ layer, drawing, rows, values, covariances });
+/* The bytes of every block that a scene names. */
+async function spaceBlocks(data) {
+  const blocks = {};
+  for (const name of data.blocks) blocks[name] = await spaceBytes(name);
+  return blocks;
+}
+
+/* Everything on the graphics card, with what has to be looked up again kept beside it. `put(data, blocks)` replaces
+   points, lines and cameras by those of a scene with the same layers. */
+function spaceLayers(gl, data, blocks) {
+  const out = { shown: {}, cameras: null, mesh: null, gaussians: null };
+  out.points = data.points.map((layer, k) => {
     out.shown[`points-${k}`] = true;
-  }
-  for (const [k, curve] of data.curves.entries()) {
-    const rgb = curve.rgb.map((v) => v / 255);
-    out.curves.push(lineDrawing(gl, curvePieces(await floats(curve.pieces), rgb)));
+    return { drawing: pointDrawing(gl, data.ramp) };
+  });
+  out.curves = data.curves.map((curve, k) => {
     out.shown[`curve-${k}`] = curve.shown;
-  }
+    return lineDrawing(gl);
+  });
   if (data.cameras) {
-    const [places, axes, corners] = [
-      await floats(data.cameras.places),
-      await floats(data.cameras.axes),
-      await floats(data.cameras.corners),
-    ];
-    const drawing = lineDrawing(gl, frustumPieces(places, corners, CAMERA_RGB));
-    out.cameras = { drawing, places, axes, corners };
+    out.cameras = { drawing: lineDrawing(gl) };
     out.shown.cameras = data.cameras.shown;
   }
   out.picture = { drawing: pictureDrawing(gl), of: -1 };
   if (data.mesh) {
-    const vertices = await floats(data.mesh.vertices),
-      faces = new Uint32Array(await spaceBytes(data.mesh.faces)),
-      rgba = new Uint8Array(await spaceBytes(data.mesh.rgba)),
-      blocks = { [data.mesh.vertices]: vertices, [data.mesh.faces]: faces, [data.mesh.rgba]: rgba };
-    out.mesh = { drawing: meshDrawing(gl, data.mesh, (name) => blocks[name]), vertices, faces };
+    const drawing = meshDrawing(gl, data.mesh, (name) => blocks[name]);
+    out.mesh = {
+      drawing,
+      vertices: new Float32Array(blocks[data.mesh.vertices]),
+      faces: new Uint32Array(blocks[data.mesh.faces]),
+    };
     out.shown.mesh = true;
   }
   if (data.gaussians) {
-    const words = new Uint32Array(await spaceBytes(data.gaussians.rows)),
-      harmonics = data.gaussians.harmonics
-        ? new Uint32Array(await spaceBytes(data.gaussians.harmonics))
-        : null,
-      numbers = new Float32Array(words.buffer),
-      places = new Float32Array(3 * data.gaussians.count);
-    for (let k = 0; k < data.gaussians.count; k++) places.set(numbers.subarray(8 * k, 8 * k + 3), 3 * k);
-    out.gaussians = { drawing: gaussianDrawing(gl, data.gaussians, words, harmonics), words, places };
+    out.gaussians = { drawing: gaussianDrawing(gl), ...gaussiansOf(data.gaussians, blocks) };
+    out.gaussians.drawing.put(out.gaussians);
     out.shown.gaussians = true;
   }
+  out.put = (fresh, found) => {
+    const floats = (name) => new Float32Array(found[name]);
+    fresh.points.forEach((layer, k) => {
+      const rows = floats(layer.rows),
+        values = layer.values ? new Uint16Array(found[layer.values]) : null,
+        covariances = layer.covariances ? floats(layer.covariances) : null;
+      Object.assign(out.points[k], { layer, rows, values, covariances });
+      out.points[k].drawing.put(rows, values);
+    });
+    fresh.curves.forEach((curve, k) => {
+      const rgb = curve.rgb.map((v) => v / 255);
+      out.curves[k].put(curvePieces(floats(curve.pieces), rgb));
+    });
+    if (!fresh.cameras) return;
+    const [places, axes, corners] = ["places", "axes", "corners"].map((part) => floats(fresh.cameras[part]));
+    Object.assign(out.cameras, { places, axes, corners });
+    out.cameras.drawing.put(frustumPieces(places, corners, CAMERA_RGB));
+  };
+  out.put(data, blocks);
   return out;
+}
+
+/* Gaussians as they are drawn, sorted and picked. */
+function gaussiansOf(numbers, blocks) {
+  const words = new Uint32Array(blocks[numbers.rows]),
+    harmonics = numbers.harmonics ? new Uint32Array(blocks[numbers.harmonics]) : null,
+    floats = new Float32Array(words.buffer),
+    places = new Float32Array(3 * numbers.count);
+  for (let k = 0; k < numbers.count; k++) places.set(floats.subarray(8 * k, 8 * k + 3), 3 * k);
+  return { numbers, words, harmonics, places };
 }

@@ -2,67 +2,110 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import Any
 
+import cv2
 import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+from PIL import Image
 
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import Frame, TrackedFrame
-from epipole.pipelines.slam.output.drawing import FINAL_RGB, path_curve
+from epipole.pipelines.slam.output.drawing import FINAL_RGB, LOOP_RGB, LOOPS, path_curve
 from epipole.pipelines.slam.slam import Slam
-from epipole.pipelines.slam.sources.folder import FrameSource
-from epipole.viewer.live import Budget, LiveScene, picture_with_points
-from epipole.viewer.live_server import opened_live
+from epipole.pipelines.slam.snapshot import Snapshot
+from epipole.report.markup import plural
+from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, FirstView, PointLayer, SpaceScene
+from epipole.scene import Curve, frustum_corners_in_cam
+from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 
-if TYPE_CHECKING:
-    from epipole.viewer.live_viewer import LiveViewer
-
-PICTURE_SHARE, SCENE_SHARE = 0.04, 0.05
-"""Of the run's time, at most, for picture and state, and for path and map."""
-PICTURE_PAUSE_S, SCENE_PAUSE_S = 0.04, 0.3
+SHARE, PAUSE_S = 0.05, 0.25
+"""Fraction of the run's time, at most, for copies of what is shown; and the shortest time between two."""
+IMAGE_WIDTH_PX = 480
+PLACED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
+POINT_RGB, NOW_RGB = (200, 200, 200), (240, 170, 40)
+NOW_SIZE = 0.12
+"""Size of the current camera: fraction of the median distance to the points."""
+FROM_BEHIND = np.array([-0.25, -0.9, -1.3])
+"""First viewpoint, seen from the camera: beside, above and behind, in median distances to the points."""
+UP = np.array([0.0, -1.0, 0.0])
+CAPTION = "Points in the map are green, others orange"
 
 
 class LiveView:
     """Shows nothing: what a run without a viewer has."""
 
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
-        """A frame was followed."""
+        """A frame was tracked."""
+
+    def show_map(self, system: Slam, words: str) -> None:
+        """All frames were tracked, or the run has ended."""
 
 
 class BrowserView(LiveView):
-    """Shows the run, as often as a tenth of its time allows."""
+    """Shows the run to whoever has its page open.
 
-    def __init__(self, viewer: LiveViewer, num_frames: int) -> None:
-        self.viewer, self.num_frames, self.count = viewer, num_frames, 0
-        self.pictures, self.scenes = (
-            Budget(PICTURE_SHARE, PICTURE_PAUSE_S),
-            Budget(SCENE_SHARE, SCENE_PAUSE_S),
-        )
+    The thread of the run copies what is shown, for at most `SHARE` of its time; threads of the server make bytes of it.
+    """
+
+    def __init__(self, page: LiveScene, num_frames: int) -> None:
+        self.page, self.num_frames, self.count = page, num_frames, 0
+        self.budget, self.depth = Budget(SHARE, PAUSE_S), 0.0
 
     def show(self, system: Slam, frame: Frame, answer: TrackedFrame) -> None:
-        """Picture and state, path and map, each if its share of the time allows."""
+        """Image, state, trajectory and map, if a tab is open and the budget allows it."""
         self.count += 1
-        words = _words(f"frame {self.count} of {self.num_frames}", answer)
-        if self.pictures.allows():
-            begin = perf_counter()
-            now = system.snapshot()
-            self.viewer.show_picture(
-                picture_with_points(frame.grey, now.tracked_px, now.is_triangulated), words
-            )
-            self.viewer.show_now(answer.world_from_body)
-            self.pictures.spend(perf_counter() - begin)
-        if self.scenes.allows():
-            begin = perf_counter()
-            self.viewer.show_scene(_scene(system))
-            self.scenes.spend(perf_counter() - begin)
+        if not (self.page.is_watched and self.budget.allows()):
+            return
+        begin, now = perf_counter(), system.snapshot()
+        state = {
+            "state": answer.state.value.capitalize() + (f": {answer.reason}" if answer.reason else ""),
+            "words": f"frame {self.count} of {self.num_frames}, {plural(len(now.tracked_px), 'tracked point')}",
+            "fraction": self.count / max(self.num_frames, self.count),
+        }
+        image = partial(image_with_points, frame.grey, now.tracked_px, now.is_triangulated)
+        self._publish(system, now, state, answer.world_from_body, image=lambda: _jpeg(image()))
+        self.budget.spend(perf_counter() - begin)
+
+    def show_map(self, system: Slam, words: str) -> None:
+        """Trajectory and map. Whether or not a tab is open: one may be, before the next state."""
+        path = system.trajectory().world_from_body
+        newest = path[-1] if len(path.translation) else None
+        state = {"state": words, "words": f"{self.count} frames", "fraction": None}
+        self._publish(system, system.snapshot(), state, newest)
+
+    def _publish(
+        self,
+        system: Slam,
+        now: Snapshot,
+        state: dict[str, Any],
+        world_from_camera: Rigid3 | None,
+        **parts: Any,
+    ) -> None:
+        path, loops, points = system.trajectory(), _loop_pieces(system), now.points_in_world
+        newest = path.world_from_body.translation[-1] if len(path) else np.zeros(3)
+        if not self.depth and len(points):
+            self.depth = float(np.median(np.linalg.norm(points - newest, axis=1)))
+        size = self.depth or 1.0
+        num_keyframes = len(now.world_from_keyframes.translation)
+        state["words"] += f"; map: {plural(num_keyframes, 'keyframe')}, {plural(len(points), 'point')}"
+        state |= _camera(system.camera.camera, world_from_camera, NOW_SIZE * size)
+        curves = (path_curve("trajectory", path, FINAL_RGB), Curve(LOOPS, loops, LOOP_RGB))
+        view = _view(newest, size)
+        self.page.publish(state, lambda: _scene(system, now, curves, view), **parts)
 
 
 @contextmanager
-def open_live(source: FrameSource, job: JobOptions) -> Iterator[LiveView]:
-    """What shows the run: a viewer in the browser, whose address is printed, or nothing.
+def open_live(system: Slam, num_frames: int, job: JobOptions, name: str) -> Iterator[LiveView]:
+    """What shows the run of that name: a page in the browser, whose address is printed, or nothing.
 
     Raises:
         ConfigError: the port is in use or out of range.
@@ -70,33 +113,80 @@ def open_live(source: FrameSource, job: JobOptions) -> Iterator[LiveView]:
     if not job.view:
         yield LiveView()
         return
-    from epipole.viewer.live_viewer import LiveViewer
-
-    with opened_live(lambda server: LiveViewer(server, source.camera.camera), job.host, job.port) as viewer:
-        yield BrowserView(viewer, source.num_frames)
-
-
-def _words(first: str, answer: TrackedFrame) -> str:
-    reason = f": {answer.reason}" if answer.reason else ""
-    return f"**{answer.state.value}**{reason}  \n{first}, {answer.num_points} points"
+    first = _scene(system, system.snapshot(), (), _view(np.zeros(3), 1.0))
+    first = replace(first, title=f"{name}: SLAM")
+    live = LivePage(job="run", image_caption=CAPTION, has_camera=True)
+    with opened_live(live, first, job.host, job.port) as page:
+        view = BrowserView(page, num_frames)
+        yield view
+        view.show_map(system, "")
 
 
-def _scene(system: Slam) -> LiveScene:
-    now, path = system.snapshot(), system.trajectory()
-    num_keyframes = len(now.world_from_keyframes.translation)
-    counts = f"{num_keyframes} keyframes, {len(now.points_in_world):,} points in the map"
-    return LiveScene(
-        counts,
-        path.world_from_body.translation,
-        path_curve("path", path, FINAL_RGB).segments_in_world,
-        now.world_from_keyframes,
-        now.points_in_world,
-        _loop_pieces(system),
+def image_with_points(
+    grey: UInt8[np.ndarray, "h w"],
+    pixels: Float64[np.ndarray, "n 2"],
+    is_triangulated: Bool[np.ndarray, " n"],
+) -> UInt8[np.ndarray, "h2 w2 3"]:
+    """The image, `IMAGE_WIDTH_PX` wide, with points that are in the map in green, and others in orange."""
+    scale = min(1.0, IMAGE_WIDTH_PX / grey.shape[1])
+    size = (max(1, round(scale * grey.shape[1])), max(1, round(scale * grey.shape[0])))
+    small = cv2.cvtColor(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB)
+    for (x, y), known in zip((pixels + 0.5) * scale - 0.5, is_triangulated):
+        color = PLACED_RGB if known else WAITING_RGB
+        cv2.circle(small, (round(x), round(y)), 2, color, -1, cv2.LINE_AA)
+    return small
+
+
+def _jpeg(rgb: UInt8[np.ndarray, "h w 3"]) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(rgb).save(stream, "JPEG", quality=70)
+    return stream.getvalue()
+
+
+def _view(position: Float64[np.ndarray, " 3"], depth: float) -> FirstView:
+    return FirstView(position + depth * FROM_BEHIND, position, UP)
+
+
+def _camera(camera: Camera, world_from_camera: Rigid3 | None, size: float) -> dict[str, list[float] | None]:
+    """The current camera's position and the edges of its frustum; None if its pose is unknown."""
+    if world_from_camera is None:
+        return {"position": None, "camera": None}
+    corners_in_cam = frustum_corners_in_cam(camera.K, camera.width, camera.height)
+    center, corners = world_from_camera.translation, world_from_camera.apply(size * corners_in_cam)
+    centers = np.broadcast_to(center, (4, 3))
+    edges = np.stack([np.stack([centers, corners], 1), np.stack([corners, np.roll(corners, -1, 0)], 1)])
+    return {"position": center.tolist(), "camera": edges.ravel().tolist()}
+
+
+def _scene(system: Slam, now: Snapshot, curves: tuple[Curve, ...], view: FirstView) -> SpaceScene:
+    """Of the same layers at all times. The current camera is in the state, and the first pose is known before any frame."""
+    camera = system.camera.camera
+    cams_from_world = now.world_from_keyframes.inverse()
+    if not len(cams_from_world.translation):
+        cams_from_world = Rigid3.identity(1)
+    n, none = len(cams_from_world.translation), np.zeros((0, 2, 3))
+    rgb = np.full((len(now.points_in_world), 3), POINT_RGB, np.uint8)
+    keyframes = CameraLayer(
+        "Keyframes",
+        tuple(f"keyframe {k + 1}" for k in range(n)),
+        cams_from_world,
+        np.broadcast_to(camera.K, (n, 3, 3)).copy(),
+        np.broadcast_to([camera.width, camera.height], (n, 2)).copy(),
+    )
+    path = curves or (Curve("trajectory", none, FINAL_RGB), Curve(LOOPS, none, LOOP_RGB))
+    return SpaceScene(
+        title="SLAM",
+        words="",
+        unit=METRES if system.camera.tells_depth else NO_UNIT,
+        points=(PointLayer("Points", now.points_in_world, rgb),),
+        cameras=keyframes,
+        curves=(*path, Curve("current camera", none, NOW_RGB)),
+        view=view,
     )
 
 
-def _loop_pieces(system: Slam) -> np.ndarray:
-    """(l, 2, 3) between the keyframes of accepted loops."""
+def _loop_pieces(system: Slam) -> Float64[np.ndarray, "l 2 3"]:
+    """Between the keyframes of accepted loops."""
     center = {k.number: k.cam_from_world.inverse().translation for k in system.map.keyframes}
     pieces = [
         (center[loop.frame], center[loop.keyframe])
