@@ -101,7 +101,7 @@ def slam(
     check_known_map(wanted.anchors, known, is_map_fixed=wanted.localize)
     settings = _settings(wanted, given, config)
     task = Job(kind="slam", inputs=(_input(source),), settings=settings, progress=progress)
-    shown = open_live(system, frames.num_frames, wanted, out.name)
+    shown = open_live(system, FrameStream(frames, wanted).num_expected, wanted, out.name)
     with open_run(task, out) as run, shown as live, heeded_interrupts() as is_stopped:
         key = key_of(run.folder.source.sketch, frames, system, wanted)
         stands = start_or_continue(run.root / autosave.FOLDER, key, system, frames, wanted)
