@@ -4,7 +4,7 @@ import io
 import json
 import math
 import zipfile
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from test_io_gaussian_files import CAMERA, cloud_of
 from test_io_gaussian_ply import PARTS
 
 from epipole import _parallel
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError, FileFormatError, ShapeError
 from epipole.fields.rasterizer import render
 from epipole.io._sog_palettes import codebook_of, codes_of, palette_of
 from epipole.io.gaussian_files import is_sog, read_gaussians, write_gaussians
@@ -220,7 +220,10 @@ def test_only_finite_gaussians_are_written(rng, tmp_path):
     cloud.opacity_logits[9:11] = 3e38, -3e38
     write_sog(tmp_path / "a.sog", cloud)
     assert len(read_sog(tmp_path / "a.sog")) == 18
-    nothing = GaussianCloud(*(np.full_like(getattr(cloud, field.name), np.nan) for field in fields(cloud)))
+    per_gaussian = [field.name for field in fields(cloud) if field.name != "origin_in_world"]
+    nothing = replace(cloud, **{name: np.full_like(getattr(cloud, name), np.nan) for name in per_gaussian})
+    with pytest.raises(ShapeError, match="origin_in_world must be finite"):
+        replace(cloud, origin_in_world=np.full(3, np.inf))
     for empty in (nothing, nothing.rows(np.zeros(0, np.int64))):
         with pytest.raises(ConfigError, match="nothing to write"):
             write_sog(tmp_path / "b.sog", empty)
