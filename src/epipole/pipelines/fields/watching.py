@@ -27,6 +27,8 @@ from epipole.viewer.page_server import JPEG, Served
 
 SHARE, PAUSE_S = 0.08, 0.25
 """Fraction of the training's time, at most, for what is shown; and the shortest time between two updates."""
+SPLAT_PAUSE_S = 1.0
+"""The same for Gaussians: without a graphics card, a browser needs 45 ms to show even a new word above a large view."""
 MOST_GAUSSIANS = 60_000
 """Of an update: 2.6 MB."""
 
@@ -57,17 +59,18 @@ class BrowserWatch(Watch):
 
     def __init__(self, page: LiveScene, views: AskedViews, scene: SpaceScene) -> None:
         self.page, self.views, self.scene = page, views, scene
-        self.budget, self.words_budget, self.share = Budget(SHARE, PAUSE_S), Budget(SHARE, PAUSE_S), 0.0
+        pause_s = PAUSE_S if scene.gaussians is None else SPLAT_PAUSE_S
+        self.budget, self.words_budget, self.share = Budget(SHARE, pause_s), Budget(SHARE, pause_s), 0.0
 
     def show(self, trainer: Drawn, share: float) -> None:
         """Update the page, if a tab is open and the budget allows it."""
         self.share = min(share, 1.0)
         if not self.page.is_watched:
             return
-        if self.words_budget.allows():
-            self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
         if self.budget.allows():
             self._spend(self.budget, lambda: self.show_field(trainer))
+        if self.words_budget.allows():
+            self._spend(self.words_budget, lambda: self.page.publish(self._state(trainer)))
 
     def show_field(self, trainer: Drawn) -> None:
         """The Gaussians of now, or one of the views that tabs wait for."""

@@ -46,6 +46,7 @@ async function spaceView(canvas, data) {
     near: 0.002 * data.radius,
     box: EVERYWHERE,
     pointPx: 2,
+    mostRatio: 2, // pixels of the canvas to one of the page
     frustum: 1,
     opacity: 0.5,
     shown: drawn.shown,
@@ -210,7 +211,7 @@ async function spaceView(canvas, data) {
   function draw(now) {
     asked = false;
     const before = `${canvas.width} ${canvas.height}`,
-      ratio = fitCanvas(canvas, 2),
+      ratio = fitCanvas(canvas, look.mostRatio),
       eye = eyeNow(),
       spent = now - paintedAt;
     if (before !== `${canvas.width} ${canvas.height}`) version++;

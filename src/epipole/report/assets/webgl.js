@@ -12,7 +12,15 @@ bool isCut(vec3 place) { return any(lessThan(place, boxLow)) || any(greaterThan(
 vec4 clipOf(vec3 p) { return vec4(2.0 * focal * p.xy / size * vec2(1.0, -1.0), p.z - 2.0 * near, p.z); }
 `;
 
+/* Drawings of one kind share a program: to compile one takes long in software. */
+const programs = new WeakMap();
 function glProgram(gl, vertex, fragment) {
+  if (!programs.has(gl)) programs.set(gl, new Map());
+  const made = programs.get(gl);
+  if (!made.has(vertex)) made.set(vertex, newProgram(gl, vertex, fragment));
+  return made.get(vertex);
+}
+function newProgram(gl, vertex, fragment) {
   const program = gl.createProgram();
   for (const [kind, source] of [
     [gl.VERTEX_SHADER, vertex],

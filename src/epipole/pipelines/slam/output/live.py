@@ -27,7 +27,7 @@ from epipole.report.space_scene import METRES, NO_UNIT, CameraLayer, FirstView, 
 from epipole.scene import Curve, frustum_corners_in_cam
 from epipole.viewer.live import Budget, LivePage, LiveScene, opened_live
 
-SHARE, PAUSE_S = 0.05, 0.25
+SHARE, PAUSE_S = 0.05, 0.4
 """Fraction of the run's time, at most, for copies of what is shown; and the shortest time between two."""
 IMAGE_WIDTH_PX = 480
 PLACED_RGB, WAITING_RGB = (60, 220, 110), (255, 170, 60)
