@@ -33,7 +33,7 @@ SOFTWARE_GL = (
     "--ignore-gpu-blocklist",
 )
 FRAMES, SKIPPED = 150, 30
-"""RotationEstimate by hand, one step a frame; so many at the begin, while the number of points settles, do not count."""
+"""Rotated by hand, one step per frame; the first frames, while the number of points settles, do not count."""
 TURN = """async ([frames, skipped]) => {
   const canvas = document.getElementById("space"), { view } = await space, times = [], counts = [];
   for (let k = 0, last = performance.now(); k < frames; k++) {

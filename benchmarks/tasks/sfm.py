@@ -23,7 +23,7 @@ class SfmTask:
     """What a reconstruction is told besides the pictures, in words."""
     camera_model: str | None = None
     camera_params: tuple[float, ...] | None = None
-    """RunInputs as constants; None: the program finds the intrinsics itself."""
+    """Given as constants; None: the program finds the intrinsics itself."""
     truth: Path | None = None
     unit: str = ""
     has_gps: bool = False

@@ -186,6 +186,14 @@ def test_damaged_files_are_refused_and_a_cut_log_is_not(source):
     ):
         answers.write_bytes(data)
         assert len(read_answers(answers)) == count
+    for data in (
+        b"x" + kept[answers],
+        kept[answers].replace(b'"number":3', b'"number":4'),
+        first + kept[answers],
+    ):
+        answers.write_bytes(data)
+        with pytest.raises(FileFormatError, match=r"damaged in line \d.*to start again"):
+            run_slam(place / "ride", out, resume=True)
     answers.write_bytes(kept[answers] + kept[answers][:70])
     source("stereo", is_live=True, first=8)
     assert run_slam(place / "ride", out, resume=True, max_frames=20).summary["num_placed"] == 20

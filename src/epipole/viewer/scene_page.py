@@ -39,7 +39,7 @@ def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[
 
     Args:
         scene: what is shown.
-        live: what the script of a live page is told; None: the scene is finished.
+        live: settings for the script of a live page; None: the scene is finished.
     """
     data = space_data(scene)
     data.numbers["live"] = live

@@ -45,7 +45,7 @@ def scene_pages(
 
     Args:
         scene: what is shown.
-        live: what the script of a live page is told; None: the scene is finished.
+        live: settings for the script of a live page; None: the scene is finished.
     """
     html, data = served_page(scene, live)
     pages = {"": fixed(HTML, html.encode("utf-8"))}

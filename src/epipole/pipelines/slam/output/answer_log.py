@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from epipole.errors import EpipoleError
+from epipole.errors import EpipoleError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.files import file_bytes
 from epipole.io.json_files import json_values
@@ -48,26 +48,35 @@ def line_of(record: FrameRecord) -> bytes:
 
 
 def read_answers(path: Path) -> list[FrameRecord]:
-    """The frames of a log, up to the first line that is damaged: a killed process, or a full disk, cuts the last one.
+    """The frames of a log. A last line that is cut off, by a kill or a full disk, is ignored.
 
     Raises:
-        FileFormatError: there is no such file.
+        FileFormatError: there is no such file, or a line before the last one is damaged or out of order.
     """
     out: list[FrameRecord] = []
     time_s = -np.inf
-    for line in file_bytes(path).splitlines():
+    lines = file_bytes(path).splitlines()
+    for number, line in enumerate(lines, 1):
         try:
             record = _record_of(path, line)
-        except (EpipoleError, KeyError, TypeError, ValueError, OverflowError, RecursionError):
-            break
-        if record.number <= (out[-1].number if out else -1):
-            break
-        if record.answer is not None:
-            if record.answer.timestamp_s <= time_s:
+            time_s = _time_after(record, out[-1].number if out else -1, time_s)
+        except (EpipoleError, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+            if number == len(lines):
                 break
-            time_s = record.answer.timestamp_s
+            raise FileFormatError(path, f"is damaged in line {number}: {error}") from error
         out.append(record)
     return out
+
+
+def _time_after(record: FrameRecord, number: int, time_s: float) -> float:
+    """Time of the last frame that was tracked, once the frame is known to be later than the one before."""
+    if record.number <= number:
+        raise ValueError("the frame is not later than the one before")
+    if record.answer is None:
+        return time_s
+    if record.answer.timestamp_s <= time_s:
+        raise ValueError("the time is not later than the one before")
+    return record.answer.timestamp_s
 
 
 def _record_of(path: Path, line: bytes) -> FrameRecord:

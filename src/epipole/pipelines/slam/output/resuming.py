@@ -188,8 +188,8 @@ def _saved(folder: Path, key: Key, system: Slam, job: JobOptions) -> list[FrameR
     if other:
         differences = "; ".join(_difference(name, before.get(name), key.get(name)) for name in other)
         raise ConfigError(f"{folder} is of a run that cannot be continued like this: {differences}; {advice}")
-    records = read_answers(folder / ANSWERS)
     try:
+        records = read_answers(folder / ANSWERS)
         _restore(folder, system, records)
     except (FileFormatError, ConfigError) as error:
         raise FileFormatError(folder, f"{error}; {advice}") from error
@@ -204,13 +204,14 @@ def _restore(folder: Path, system: Slam, records: Sequence[FrameRecord]) -> None
         ConfigError: it is the map of another camera.
     """
     tracked = [record.answer for record in records if record.answer is not None]
-    for path in folder.glob(SAVED_MAP.format("*")):
-        number = path.stem.partition("-")[2]
-        if number.isdecimal() and len(number) < 16:
-            model = read_slam_map(path, system.camera).model
-            model.number = int(number)
-            system.continue_in(model, tracked)
-            return
+    # A kill between writing a map and removing the one before leaves two.
+    stems = [path.stem.partition("-")[2] for path in folder.glob(SAVED_MAP.format("*"))]
+    numbers = [int(stem) for stem in stems if stem.isdecimal() and len(stem) < 16]
+    if numbers:
+        model = read_slam_map(folder / SAVED_MAP.format(max(numbers)), system.camera).model
+        model.number = max(numbers)
+        system.continue_in(model, tracked)
+        return
     system.continue_in(system.maps[0], tracked)
 
 

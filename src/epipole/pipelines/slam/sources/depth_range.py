@@ -20,7 +20,7 @@ class DepthRange:
         self._medians_m: list[float] = []
 
     def add(self, depth_m: np.ndarray) -> None:
-        """FrameQuality at a depth picture: metres, 0 or NaN where not known."""
+        """Take the median of a depth image: metres, 0 or NaN where unknown."""
         sample = depth_m[::_STEP, ::_STEP]
         known = sample[np.isfinite(sample) & (sample > 0)]
         if len(known):
