@@ -27,7 +27,8 @@ from epipole.cameras import Camera
 from epipole.config import AnchorOptions
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rotation3, Similarity3, align_points
-from epipole.mapping import AnchorViews, Freedom, adjust_reconstruction, anchor_model, views_of_model
+from epipole.mapping import Freedom, adjust_reconstruction
+from epipole.scale import AnchorViews, anchor_model, views_of_model
 from epipole.scene import Reconstruction
 from epipole.synthetic import SyntheticScene, render
 from epipole.synthetic.markers import chessboard_sheet, tag_sheet

@@ -22,7 +22,7 @@ from benchmarks.side_by_side import table_of
 from epipole.cameras import Camera, CameraModel
 from epipole.config import BoardConfig
 from epipole.features.boards import BoardView, corners_on_board, find_board
-from epipole.io.photographs import read_grey
+from epipole.io.images.photographs import read_grey
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
 from epipole.pipelines.calibration.config import CalibrationConfig

@@ -22,10 +22,10 @@ from rich.table import Table
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import multiplied
 from epipole.fields.config import SplatConfig
-from epipole.fields.rasterizer import render
-from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.splat.rasterizer import render
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.scene import seen_gaussians

@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.tasks.sfm import SfmTask
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points
-from epipole.io.exif import gps_to_enu
-from epipole.io.photographs import read_header
+from epipole.io.images.exif import gps_to_enu
+from epipole.io.images.photographs import read_header
 from epipole.scene import Reconstruction
 
 MAX_TRIPLES = 2000

@@ -22,12 +22,12 @@ from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import MountedImu, align_path_to_imu
-from epipole.io.imu_logs import read_imu
-from epipole.mapping import fit_scale_to_imu
+from epipole.io.sequences.imu_logs import read_imu
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.output.scale import scale_by_imu
 from epipole.pipelines.slam.slam import Slam
+from epipole.scale import fit_scale_to_imu
 from epipole.synthetic.inertial import imu_along, inertial_path
 from epipole.synthetic.rides import loop_room
 

@@ -20,16 +20,16 @@ import epipole
 from benchmarks.measure import REPOSITORY
 from benchmarks.rasterizer import FLOPS
 from epipole.cameras import Camera
-from epipole.fields import _hash_kernels as kernels
-from epipole.fields._blend_kernels import OVER
-from epipole.fields._projection_kernels import BLUE, DEPTH, PEAK, RED, XX, XY, YY, X, Y
-from epipole.fields._simd_kernels import LARGEST_ALPHA, LEAST_ALPHA
-from epipole.fields._tile_kernels import TILE
-from epipole.fields.hash_field import DELTA, FEATURES, HashField, coloured, draw_hash, sampled
-from epipole.fields.rasterizer import Rendering, render
+from epipole.fields.nerf import _hash_kernels as kernels
+from epipole.fields.nerf.hash_field import DELTA, FEATURES, HashField, coloured, draw_hash, sampled
 from epipole.fields.rays import rays_of_camera
+from epipole.fields.splat._blend_kernels import OVER
+from epipole.fields.splat._projection_kernels import BLUE, DEPTH, PEAK, RED, XX, XY, YY, X, Y
+from epipole.fields.splat._simd_kernels import LARGEST_ALPHA, LEAST_ALPHA
+from epipole.fields.splat._tile_kernels import TILE
+from epipole.fields.splat.rasterizer import Rendering, render
 from epipole.geometry import Rigid3
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.kinds import read_neural
 from epipole.pipelines.fields.pictures import gather_field_pictures

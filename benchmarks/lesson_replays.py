@@ -23,7 +23,7 @@ from rich.console import Console
 import epipole
 from benchmarks.measure import REPOSITORY
 from epipole.geometry import Rigid3, align_points
-from epipole.io.trajectories import read_pose_matrix
+from epipole.io.trajectories.files import read_pose_matrix
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackedFrame
 from epipole.pipelines.slam.slam import Slam
 from epipole.synthetic import rides

@@ -17,7 +17,7 @@ from rich.table import Table
 
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
-from epipole.fields.rasterizer import (
+from epipole.fields.splat.rasterizer import (
     RenderOptions,
     arrays_of,
     blend,
@@ -26,7 +26,7 @@ from epipole.fields.rasterizer import (
     tiles_of,
     view_of,
 )
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussians.files import read_gaussians
 from epipole.pipelines.fields.cameras import Shot, orbit
 from epipole.pipelines.fields.config import FieldOptions, RenderJob
 from epipole.pipelines.fields.pictures import gather_field_pictures
@@ -35,7 +35,7 @@ from epipole.scene.gaussian_cloud import GaussianCloud
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "rasterizer.json"
 FLOPS = (32, 58)
-"""Of a pair, forward and back: counted in `epipole.fields._simd_kernels`, a product with a sum as two, the exponential as 12."""
+"""Of a pair, forward and back: counted in `epipole.fields.splat._simd_kernels`, a product with a sum as two, the exponential as 12."""
 SCENE_STEPS = 600
 """Of training the Gaussians of a scene: enough for their number to be reached."""
 

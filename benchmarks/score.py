@@ -10,7 +10,7 @@ from benchmarks.gps import score_gps
 from benchmarks.tasks.sfm import SfmTask
 from epipole.errors import DegenerateGeometryError, EpipoleError
 from epipole.geometry import Rigid3
-from epipole.io.colmap import read_colmap_model
+from epipole.io.colmap.model import read_colmap_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 from epipole.scene import Reconstruction

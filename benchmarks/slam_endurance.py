@@ -28,7 +28,7 @@ from benchmarks.peers.epipole_slam import camera_of, frames_of
 from benchmarks.peers.slam_frames import SlamFrames, load_frames
 from benchmarks.tasks.slam import prepare
 from epipole.geometry import Rigid3
-from epipole.io.trajectories import read_trajectory
+from epipole.io.trajectories.files import read_trajectory
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.output.autosave import Autosave
 from epipole.pipelines.slam.output.record import FrameRecord

@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.errors import EpipoleError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io.trajectories import read_trajectory
+from epipole.io.trajectories.files import read_trajectory
 from epipole.metrics import absolute_error, associate
 from epipole.scene import Trajectory
 

@@ -24,7 +24,7 @@ from scipy.stats import chi2
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 from epipole.geometry import Rotation3, align_points
-from epipole.io.true_paths import true_path_at
+from epipole.io.trajectories.true_trajectories import true_path_at
 from epipole.metrics import absolute_error, associate
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.scene import Trajectory

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.features import describe_upright, train_vocabulary
-from epipole.io.photographs import read_grey
+from epipole.io.images.photographs import read_grey
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.loops.recognition import WORDS
 from epipole.pipelines.slam.tracking.corners import new_corners

@@ -20,7 +20,7 @@ from rich.table import Table
 
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.fields.training_view import TrainingView
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.kinds import KINDS

@@ -23,10 +23,10 @@ from rich.table import Table
 import epipole
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.rasterizer import FLOPS
-from epipole.fields import splat_trainer
 from epipole.fields.config import SplatConfig
-from epipole.fields.gaussian_adam import GaussianAdam
-from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.splat import trainer as splat_trainer
+from epipole.fields.splat.gaussian_adam import GaussianAdam
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import first_gaussians
 from epipole.pipelines.fields.pictures import gather_field_pictures

@@ -22,7 +22,7 @@ from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.search import match_stereo
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
-from epipole.io.photographs import read_grey
+from epipole.io.images.photographs import read_grey
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.depth import depth_of
 from epipole.pipelines.stereo.doctor import examine

@@ -22,7 +22,7 @@ from rich.table import Table
 
 import epipole
 from benchmarks.measure import describe_machine
-from epipole.io.ply import write_points_ply
+from epipole.io.meshes.ply import write_points_ply
 
 RESULTS = Path(__file__).parent / "results" / "viewer.json"
 SIZE = (1200, 800)

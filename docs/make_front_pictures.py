@@ -19,7 +19,7 @@ from epipole.disparity_search.search import match_stereo
 from epipole.geometry import Rigid3
 from epipole.image import color_map
 from epipole.io import read_colmap_model, read_trajectory
-from epipole.io.photographs import read_rgb
+from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.stereo.depth import depth_of
 from epipole.scene import RectifiedRig
 from epipole.synthetic import look_at

@@ -71,4 +71,4 @@ print(f"a horizontal edge is bent by {bend_px[0]:.1f} px in the lens, by {bend_p
 assert bend_px[0] > 1.0 and bend_px[1] < 1e-6
 
 # A real camera's parameters come from a calibration: `read_calibration("calibration.json").cameras[0]` of
-# `epipole.io.calibration_files`, or `read_colmap_model("OUT/sparse/0").cameras[0]` of `epipole.io`.
+# `epipole.io.calibration.files`, or `read_colmap_model("OUT/sparse/0").cameras[0]` of `epipole.io`.

@@ -23,7 +23,7 @@ from epipole.robust import estimate_essential_matrix, estimate_fundamental_matri
 from epipole.synthetic import courtyard, courtyard_views, render
 
 # Two pictures of a small courtyard. With photographs, read grey pictures instead: `grey1 =
-# epipole.io.photographs.read_grey("one.jpg")`.
+# epipole.io.images.photographs.read_grey("one.jpg")`.
 
 camera = epipole.Camera("PINHOLE", 480, 320, [380.0, 380.0, 239.5, 159.5])
 cams_from_world = courtyard_views(24)[[8, 13]]

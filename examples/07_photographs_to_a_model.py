@@ -12,7 +12,7 @@ import numpy as np
 
 import epipole
 from epipole.io import read_colmap_model, read_points_ply
-from epipole.io.photographs import write_jpeg_with_exif
+from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.metrics import camera_errors
 from epipole.synthetic import courtyard, courtyard_views, render
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 import epipole
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io.calibration_files import read_calibration
+from epipole.io.calibration.files import read_calibration
 from epipole.synthetic import SyntheticScene, render
 from epipole.synthetic.markers import chessboard_sheet
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.errors import DegenerateGeometryError
 from epipole.geometry import Similarity3
-from epipole.mapping import ScaleEstimate, agreed_scale, fit_scale_to_object, fit_scale_to_positions
+from epipole.scale import ScaleEstimate, agreed_scale, fit_scale_to_object, fit_scale_to_positions
 from epipole.synthetic.problems import bundle_problem
 
 # A made-up model of 16 pictures in metres, and the same model as a reconstruction would give it: in a world

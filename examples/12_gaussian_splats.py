@@ -15,7 +15,7 @@ from PIL import Image
 
 import epipole
 from epipole.fields.photometric import psnr
-from epipole.fields.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import render as draw
 from epipole.io import write_points_ply
 from epipole.scene import depth_map_to_point_cloud
 from epipole.synthetic import courtyard, courtyard_views, render

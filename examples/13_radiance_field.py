@@ -8,10 +8,10 @@ learnt from pictures; then one pixel is computed again in plain NumPy.
 import numpy as np
 
 import epipole
+from epipole.fields.nerf.voxel_field import draw_voxels
+from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.photometric import psnr
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import draw_voxels
-from epipole.fields.voxel_trainer import VoxelTrainer
 from epipole.synthetic import Box, Sphere, SyntheticScene, look_at, render
 
 # A box and two balls before nothing: where the rendering has no depth, pictures are transparent. Such

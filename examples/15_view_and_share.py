@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import epipole
-from epipole.fields.rasterizer import render as draw
-from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from epipole.fields.splat.rasterizer import render as draw
+from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
 from epipole.scene import depth_map_to_point_cloud
 from epipole.scene.gaussian_cloud import DC, GaussianCloud
 from epipole.synthetic import courtyard, courtyard_views, render

@@ -12,7 +12,7 @@ from epipole.config import options_of
 from epipole.errors import ConfigError, EpipoleError
 from epipole.geometry import decompose_homography
 from epipole.io import PlyPoints, TruthCameras
-from epipole.io.calibration_files import CalibrationFile
+from epipole.io.calibration.files import CalibrationFile
 from epipole.optim import PoseGraph
 from epipole.pipelines.stereo.doctor import examine
 from epipole.robust import PairMatches, verify_pairs

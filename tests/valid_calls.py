@@ -23,6 +23,7 @@ from epipole import (
     metrics,
     optim,
     robust,
+    scale,
     scene,
     solvers,
     synthetic,
@@ -53,6 +54,7 @@ ROOMS = (
     optim,
     features,
     robust,
+    scale,
     scene,
     metrics,
     synthetic,
@@ -540,26 +542,26 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
     two = Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0, 6], [1.0, 0, 6]]))
     pixels = np.stack([PINHOLE.project(two[v].apply(sheet)) for v in range(2)])
     yield _row(
-        mapping.fit_scale_to_object, points_in_object=sheet, cams_from_world=two, cameras=[PINHOLE, PINHOLE],
+        scale.fit_scale_to_object, points_in_object=sheet, cams_from_world=two, cameras=[PINHOLE, PINHOLE],
         pixels=pixels, sigma_px=0.5, cam_covariance=np.zeros((2, 6, 6)),
     )  # fmt: skip
     times = np.arange(12.0)
     way = np.stack([times, 0 * times, 0 * times], axis=1)
     yield _row(
-        mapping.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
+        scale.fit_scale_to_distances, timestamp_s=times, places_in_model=way, log_s=times, travelled_m=2 * times,
         places_by_odometry=None, sigma=0.01, levers_m=0.1 * way,
     )  # fmt: skip
     instants = np.arange(12) * 0.25 + 0.2
     swing = np.sin(2.0 * (instants - 0.2))[:, None] * np.array([1.0, 0.5, 0.2])
     path = geometry.Rigid3(np.tile(np.eye(3), (12, 1, 1)), swing)
     given = {"world_from_camera": path, "log": _imu_log(), "camera_from_imu": geometry.Rigid3.identity()}
-    yield _row(mapping.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
-    yield _row(mapping.check_anchor_files, options=AnchorOptions())
-    yield _row(mapping.mounted_imu, options=AnchorOptions())
+    yield _row(scale.fit_scale_to_imu, timestamp_s=instants, **given, noise=inertial.ImuNoise())
+    yield _row(scale.check_anchor_files, options=AnchorOptions())
+    yield _row(scale.mounted_imu, options=AnchorOptions())
     estimate = {"kind": "tag", "name": "tag 1", "scale": 2.0, "sigma": 0.1, "shared_sigma": 0.01, "note": ""}
-    yield _row(mapping.ScaleEstimate, **estimate)
-    known = mapping.ScaleEstimate(**estimate)
-    yield _row(mapping.agreed_scale, estimates=[known], refusals=["tag 2: not seen"])
+    yield _row(scale.ScaleEstimate, **estimate)
+    known = scale.ScaleEstimate(**estimate)
+    yield _row(scale.agreed_scale, estimates=[known], refusals=["tag 2: not seen"])
     metric = {
         "scale": 2.0,
         "sigma": 0.1,
@@ -567,20 +569,20 @@ def _anchors(model: scene.Reconstruction) -> Iterator[Row]:
         "kept_mask": np.ones(1, bool),
         "refusals": (),
     }
-    yield _row(mapping.MetricScale, **metric)
-    views = mapping.views_of_model(model, lambda _: None)
-    yield _row(mapping.views_of_model, model=model, picture_of=lambda _: None)
-    yield _row(mapping.AnchorViews, **{name: getattr(views, name) for name in views.__slots__})
-    yield _row(mapping.place_covariance, model=model, image=1)
-    yield _row(mapping.anchor_model, views=views, options=AnchorOptions(), path=None, others=[known])
+    yield _row(scale.MetricScale, **metric)
+    views = scale.views_of_model(model, lambda _: None)
+    yield _row(scale.views_of_model, model=model, picture_of=lambda _: None)
+    yield _row(scale.AnchorViews, **{name: getattr(views, name) for name in views.__slots__})
+    yield _row(scale.place_covariance, model=model, image=1)
+    yield _row(scale.anchor_model, views=views, options=AnchorOptions(), path=None, others=[known])
     whole = {
         "world_from_model": Similarity3.identity(),
-        "scale": mapping.MetricScale(**metric),
+        "scale": scale.MetricScale(**metric),
         "places": None,
     }
-    yield _row(mapping.Anchoring, **whole)
-    anchoring, centers = mapping.Anchoring(**whole), model.camera_centers_in_world()
-    yield _row(mapping.after_adjustment, anchoring=anchoring, before=centers, after=2.0 * centers)
+    yield _row(scale.Anchoring, **whole)
+    anchoring, centers = scale.Anchoring(**whole), model.camera_centers_in_world()
+    yield _row(scale.after_adjustment, anchoring=anchoring, before=centers, after=2.0 * centers)
 
 
 def _mapping() -> Iterator[Row]:
@@ -607,7 +609,7 @@ def _mapping() -> Iterator[Row]:
     yield _row(mapping.Disparities, **deep)
     spread = np.random.default_rng(5).normal(size=(12, 3))
     yield _row(
-        mapping.fit_scale_to_positions, positions_in_model=spread, positions_in_world=2.0 * spread, sigma=0.01
+        scale.fit_scale_to_positions, positions_in_model=spread, positions_in_world=2.0 * spread, sigma=0.01
     )
     yield from _anchors(model)
     more = {"sigma_px": np.ones(6), "disparities": mapping.Disparities(**deep), "loss_scale": 2.0}

@@ -7,23 +7,16 @@ from typing import Any
 import numpy as np
 
 from epipole.cameras import Camera, CameraModel
-from epipole.fields import (
-    exposure,
-    hash_field,
-    normals,
-    photometric,
-    point_depths,
-    rasterizer,
-    rays,
-    starting,
-    tsdf,
-    voxel_field,
-)
+from epipole.dense import tsdf
+from epipole.fields import exposure, normals, photometric, point_depths, rays
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.hash_trainer import HashTrainer
-from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.nerf import hash_field, voxel_field
+from epipole.fields.nerf.hash_trainer import HashTrainer
+from epipole.fields.nerf.voxel_trainer import VoxelTrainer
+from epipole.fields.splat import rasterizer, starting
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_trainer import VoxelTrainer
+from epipole.scene import Mesh
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
 
@@ -163,4 +156,4 @@ def _volumes() -> Iterator[Row]:
         "faces": np.array([[0, 1, 2]]),
         "rgb": np.zeros((3, 3), np.uint8),
     }
-    yield _row(tsdf.Mesh, **corners)
+    yield _row(Mesh, **corners)

@@ -13,38 +13,24 @@ import numpy as np
 
 from epipole import io
 from epipole.cameras import Camera, CameraModel
+from epipole.fields.nerf import hash_files, voxel_files
 from epipole.geometry import Rigid3
-from epipole.io import (
-    anchor_files,
-    calibration_files,
-    camera_params,
-    compressed_ply,
-    depth_maps,
-    exif,
-    frame_tables,
-    gaussian_files,
-    gaussian_ply,
-    hash_files,
-    imu_logs,
-    json_files,
-    llff,
-    mesh_ply,
-    morton,
-    photograph_writing,
-    photographs,
-    picture_names,
-    ply,
-    rgba_pictures,
-    sensor_widths,
-    sog,
-    spz,
-    stereo_folders,
-    trajectories,
-    transforms_json,
-    video,
-    video_files,
-    voxel_files,
-)
+from epipole.io import anchor_files, json_files
+from epipole.io.calibration import camera_params
+from epipole.io.calibration import files as calibration_files
+from epipole.io.gaussians import compressed_ply, morton, sog, spz
+from epipole.io.gaussians import files as gaussian_files
+from epipole.io.gaussians import ply as gaussian_ply
+from epipole.io.images import depth_maps, exif, photographs, sensor_widths, video, video_files
+from epipole.io.images import image_names as picture_names
+from epipole.io.images import rgba as rgba_pictures
+from epipole.io.images import writing as photograph_writing
+from epipole.io.meshes import mesh_ply, ply
+from epipole.io.models import llff
+from epipole.io.models import transforms as transforms_json
+from epipole.io.sequences import imu_logs, stereo_folders
+from epipole.io.trajectories import files as trajectories
+from epipole.io.trajectories import frame_tables
 from epipole.scene import Trajectory
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import problems

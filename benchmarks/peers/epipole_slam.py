@@ -36,7 +36,7 @@ class EpipoleSlam:
 def main() -> None:
     """Track every frame, then adjust the map; write the path as it was known then, and the final one."""
     folder, sensor, out = Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3])
-    from epipole.io.trajectories import write_trajectory
+    from epipole.io.trajectories.files import write_trajectory
     from epipole.pipelines.slam.shutter.check import find_readout
     from epipole.pipelines.slam.slam import Slam
 

@@ -18,7 +18,7 @@ from epipole.config import FeatureConfig
 from epipole.features import detect_features, match_descriptors
 from epipole.geometry import Rigid3
 from epipole.io import read_database
-from epipole.io.photographs import read_grey
+from epipole.io.images.photographs import read_grey
 from epipole.io.truth import read_truth
 from epipole.synthetic.problems import absolute_pose_problem, dominant_plane_problem, two_view_problem
 

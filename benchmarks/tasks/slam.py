@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from epipole.geometry import Rigid3
-from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import read_grey
-from epipole.io.sequences import read_sequence
-from epipole.io.trajectories import write_trajectory
+from epipole.io.images.depth_maps import read_png16
+from epipole.io.images.photographs import read_grey
+from epipole.io.sequences.sequence import read_sequence
+from epipole.io.trajectories.files import write_trajectory
 from epipole.scene import Trajectory
 from epipole.synthetic import rides
 from epipole.synthetic.ride import Ride

@@ -8,15 +8,15 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "epipole"
 PACKAGES = (
     *("api", "cameras", "geometry", "solvers", "robust", "optim", "features", "image", "scene", "io"),
-    *("metrics", "mapping", "inertial", "synthetic", "config", "errors"),
+    *("metrics", "mapping", "scale", "inertial", "synthetic", "config", "errors"),
 )
 MODULES = {
-    "calibration": ("features.boards", "io.calibration_files", "pipelines.calibration.calibrate"),
+    "calibration": ("features.boards", "io.calibration.files", "pipelines.calibration.calibrate"),
     "stereo": (
         *("disparity_search.rectification", "disparity_search.search"),
         *("pipelines.stereo.depth", "pipelines.stereo.calibration_error", "pipelines.stereo.uncalibrated"),
     ),
-    "fields": ("fields.rasterizer", "io.gaussian_ply", "io.gaussian_files", "fields.tsdf"),
+    "fields": ("fields.splat.rasterizer", "io.gaussians.ply", "io.gaussians.files", "dense.tsdf"),
 }
 """Pages of single modules that the other pages speak of."""
 HEAD = """# API reference

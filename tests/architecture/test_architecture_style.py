@@ -2,16 +2,17 @@
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 
-from architecture_sources import classes, functions, is_documented, is_public, parameters, sources
+from architecture_sources import PACKAGE, classes, functions, is_documented, is_public, parameters, sources
 
 # Alone, these words do not tell from which frame to which.
 BANNED = {
     *("pose", "poses", "extrinsic", "extrinsics", "transform", "transforms", "transformation", "matrix_4x4"),
     *("c2w", "w2c", "T", "Rt", "RT", "pts", "img", "imgs", "intrinsics_matrix"),
 }
-MAX_LINES, MAX_FUNCTION, MAX_KERNEL, MAX_PARAMETERS = 400, 60, 120, 7
+MAX_LINES, MAX_FILES, MAX_FUNCTION, MAX_KERNEL, MAX_PARAMETERS = 400, 25, 60, 120, 7
 
 
 def public_names() -> Iterator[tuple[str, str]]:
@@ -96,6 +97,13 @@ def test_files_are_short() -> None:
     wrong = {name: lines for name, lines in lengths.items() if lines > MAX_LINES}
     assert not wrong, wrong
     assert sorted(lengths.values())[len(lengths) // 2] < 180
+
+
+def test_folders_are_small() -> None:
+    folders = Counter(source.path.parent.relative_to(PACKAGE).as_posix() for source in sources())
+    assert len(folders) > 40
+    wrong = {folder: files for folder, files in folders.items() if files > MAX_FILES}
+    assert not wrong, wrong
 
 
 def test_functions_are_short() -> None:

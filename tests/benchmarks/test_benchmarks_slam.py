@@ -16,7 +16,7 @@ from benchmarks.tasks import slam as tasks
 
 from benchmarks import slam as bench
 from epipole.geometry import Rigid3
-from epipole.io.trajectories import write_trajectory
+from epipole.io.trajectories.files import write_trajectory
 from epipole.scene import Trajectory
 from epipole.synthetic import rides
 

@@ -6,7 +6,7 @@ from PIL import Image
 
 from epipole.config import BoardConfig
 from epipole.errors import DegenerateGeometryError, FileFormatError, WorkspaceError
-from epipole.io.stereo_folders import pair_folders
+from epipole.io.sequences.stereo_folders import pair_folders
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.calibration.run import calibrate, pictures_of_cameras
 

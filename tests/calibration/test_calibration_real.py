@@ -10,8 +10,8 @@ from epipole import api
 from epipole.cameras import Camera, CameraModel
 from epipole.config import BoardConfig
 from epipole.features.boards import BoardView, find_board
-from epipole.io.calibration_files import read_calibration, read_stereo_rig
-from epipole.io.photographs import read_grey
+from epipole.io.calibration.files import read_calibration, read_stereo_rig
+from epipole.io.images.photographs import read_grey
 from epipole.pipelines.calibration.calibrate import ViewState, calibrate_views
 from epipole.pipelines.calibration.comparison import projection_difference
 from epipole.pipelines.calibration.config import CalibrationConfig

@@ -17,7 +17,7 @@ from epipole.cameras.image_fit import (
     with_likely_principal_point,
 )
 from epipole.errors import ConfigError
-from epipole.io._photograph_pixels import turn
+from epipole.io.images.pixels import turn
 
 W, H = 40, 30
 LENSES = [

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from epipole.io import write_colmap_model
-from epipole.io.gaussian_files import write_gaussians
+from epipole.io.gaussians.files import write_gaussians
 from io_models import mappable_model
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fields"))

@@ -19,9 +19,9 @@ from epipole.cli.main import main
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.depth_maps import read_pfm
-from epipole.io.photograph_writing import write_photograph
+from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.images.depth_maps import read_pfm
+from epipole.io.images.writing import write_photograph
 from epipole.metrics import camera_errors
 from epipole.pipelines.stereo import command
 from epipole.pipelines.stereo.config import RigOptions, StereoConfig

@@ -16,9 +16,9 @@ from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import write_points_ply
-from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.io.contents_in_words import results_of, what_it_is
-from epipole.io.gaussian_ply import write_gaussian_ply
+from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.sfm.gps.evidence import GpsEvidence
 from epipole.pipelines.sfm.mapping_stage import gps_notes

@@ -9,7 +9,7 @@ import pytest
 
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io import read_colmap_model, read_points_ply, read_transforms, write_colmap_model
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.pipelines.conversion.run import convert
 from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud

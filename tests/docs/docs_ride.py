@@ -13,8 +13,8 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io import write_trajectory
-from epipole.io.depth_maps import write_png16
-from epipole.io.video_files import write_video
+from epipole.io.images.depth_maps import write_png16
+from epipole.io.images.video_files import write_video
 from epipole.scene import Trajectory
 from epipole.synthetic import SyntheticScene, courtyard, look_at, render
 from epipole.synthetic.inertial import imu_along

@@ -15,7 +15,7 @@ from board_pictures import board_pictures
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import write_colmap_model, write_g2o
-from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.optim import PoseGraph
 from epipole.synthetic import courtyard, look_at, render
 from epipole.synthetic.problems import absolute_pose_problem, bundle_problem, two_view_problem

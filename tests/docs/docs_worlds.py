@@ -17,14 +17,14 @@ from board_pictures import board_pictures
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io import write_trajectory
-from epipole.io.calibration_files import (
+from epipole.io.calibration.files import (
     CalibrationFile,
     read_calibration,
     write_calibration,
     write_opencv_yaml,
 )
-from epipole.io.photographs import write_jpeg_with_exif
-from epipole.io.ply import write_points_ply
+from epipole.io.images.photographs import write_jpeg_with_exif
+from epipole.io.meshes.ply import write_points_ply
 from epipole.scene import Trajectory
 from epipole.synthetic import courtyard, courtyard_views, render
 

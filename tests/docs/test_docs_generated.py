@@ -75,7 +75,7 @@ def test_names_of_the_api_stand_once() -> None:
     pages = api_pages()
     described = [line for page in pages.values() for line in page.splitlines() if line.startswith("::: ")]
     assert len(described) == len(set(described)) > 200
-    assert "::: epipole.robust.two_view.estimate_relative_pose" in pages["api/robust.md"]
+    assert "::: epipole.robust.pairs.two_view.estimate_relative_pose" in pages["api/robust.md"]
 
 
 def test_a_loss_is_told() -> None:

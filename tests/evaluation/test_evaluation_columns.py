@@ -9,7 +9,7 @@ from epipole.cli.main import main
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory, write_trajectory
-from epipole.io.trajectories import trajectory_format
+from epipole.io.trajectories.files import trajectory_format
 from epipole.metrics import associate, score_trajectory
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory, trajectories_of
 from epipole.scene import Trajectory

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.fields.training_view import TrainingView
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at

@@ -8,7 +8,7 @@ from fields_scenes import frames_of, lens, views
 
 from epipole import compare_fields
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.photographs import read_rgb
+from epipole.io.images.photographs import read_rgb
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from fields_scenes import scene as small_cloud
 
 from epipole import convert
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.pipelines.fields.scene import is_mine, scene
 
 UTM = np.array([500_000.0, 5_200_000.0, 300.0])

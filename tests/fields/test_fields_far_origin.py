@@ -8,10 +8,10 @@ from fields_scenes import CAMERA, frames_of, lens, scene, views
 
 from epipole import mesh, splat
 from epipole.errors import FileFormatError
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
-from epipole.io.transforms_json import read_transforms
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
+from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields.cameras import shots_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.scene import scene as viewer_scene

@@ -10,13 +10,14 @@ from test_fields_voxels import direction_of
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError
-from epipole.fields import _hash_kernels, _projection_kernels, hash_trainer
-from epipole.fields.hash_field import HashField, Room, asked, draw_hash, new_weights, voxels_of
-from epipole.fields.hash_trainer import HashTrainer
+from epipole.fields.nerf import _hash_kernels, hash_trainer
+from epipole.fields.nerf.hash_field import HashField, Room, asked, draw_hash, new_weights, voxels_of
+from epipole.fields.nerf.hash_trainer import HashTrainer
+from epipole.fields.nerf.voxel_field import draw_voxels
 from epipole.fields.photometric import psnr
 from epipole.fields.rays import blocks_of
+from epipole.fields.splat import _projection_kernels
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import draw_voxels
 from epipole.synthetic import look_at
 from kernel_references import reference_of
 

@@ -9,10 +9,10 @@ from fields_scenes import WHITE, views
 
 from epipole.errors import EpipoleError, WorkspaceError
 from epipole.fields.config import SplatConfig
-from epipole.fields.hash_trainer import HashTrainer
-from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes
-from epipole.fields.voxel_trainer import VoxelTrainer
+from epipole.fields.nerf.hash_trainer import HashTrainer
+from epipole.fields.nerf.voxel_trainer import VoxelTrainer
+from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.pipelines.fields.checkpoints import CHECKPOINT, Checkpoint
 from epipole.runs.units import store
 

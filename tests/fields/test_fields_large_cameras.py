@@ -7,8 +7,8 @@ import pytest
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
-from epipole.fields.rasterizer import RenderOptions, view_of
 from epipole.fields.rays import rays_of_camera
+from epipole.fields.splat.rasterizer import RenderOptions, view_of
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.cameras import shots_of_model
 from epipole.pipelines.fields.config import RenderJob

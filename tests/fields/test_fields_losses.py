@@ -7,9 +7,9 @@ import pytest
 from fields_scenes import frames_of, lens, views
 
 from epipole import compare_fields, convert, nerf, splat, undistort
-from epipole.io.colmap import write_colmap_model
-from epipole.io.reconstruction_losses import losses_in
-from epipole.io.transforms_json import read_transforms
+from epipole.io.colmap.model import write_colmap_model
+from epipole.io.models.losses import losses_in
+from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import training
 
 SUMMARY = {

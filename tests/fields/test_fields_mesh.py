@@ -10,10 +10,11 @@ from plyfile_of import mesh_in
 from epipole import mesh, nerf, splat
 from epipole.cameras import Camera
 from epipole.cli.main import main
+from epipole.dense import _tsdf_kernels
+from epipole.dense.tsdf import BAND, DistanceVolume
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
-from epipole.fields import _tsdf_kernels
-from epipole.fields.tsdf import BAND, DistanceVolume, Mesh
-from epipole.io.mesh_ply import write_mesh_ply
+from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.scene import Mesh
 from epipole.synthetic import look_at
 from kernel_references import reference_of
 

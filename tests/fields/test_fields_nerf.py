@@ -9,12 +9,12 @@ from fields_scenes import CAMERA, frames_of, lens, views
 
 from epipole import nerf, render, share
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
+from epipole.fields.nerf.hash_files import HashContents, write_hash
+from epipole.fields.nerf.voxel_field import gaussians_of
+from epipole.fields.nerf.voxel_files import GridContents, read_grid, write_grid
 from epipole.fields.photometric import psnr
-from epipole.fields.rasterizer import render as draw
-from epipole.fields.voxel_field import gaussians_of
-from epipole.io.hash_files import HashContents, write_hash
-from epipole.io.photographs import read_rgb
-from epipole.io.voxel_files import GridContents, read_grid, write_grid
+from epipole.fields.splat.rasterizer import render as draw
+from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_voxels
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 

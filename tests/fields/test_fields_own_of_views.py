@@ -11,11 +11,13 @@ from epipole.errors import ConfigError
 from epipole.fields import _photometric_kernels
 from epipole.fields.config import SplatConfig
 from epipole.fields.exposure import IDENTITY, Exposures, colour_match
-from epipole.fields.hash_trainer import HashTrainer
+from epipole.fields.nerf.hash_trainer import HashTrainer
 from epipole.fields.photometric import likeness, psnr
 from epipole.fields.point_depths import depth_loss, point_depths
 from epipole.fields.pose_steps import PoseSteps
-from epipole.fields.rasterizer import (
+from epipole.fields.rays import drawn_pixels, rays_of
+from epipole.fields.rows_adam import RowsAdam
+from epipole.fields.splat.rasterizer import (
     Rendering,
     RenderOptions,
     arrays_of,
@@ -26,10 +28,8 @@ from epipole.fields.rasterizer import (
     tiles_of,
     view_of,
 )
-from epipole.fields.rays import drawn_pixels, rays_of
-from epipole.fields.rows_adam import RowsAdam
-from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.scores import scores_of

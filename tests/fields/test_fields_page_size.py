@@ -11,7 +11,7 @@ from PIL import Image
 from epipole.cameras import Camera
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
-from epipole.io.rgba_pictures import write_png
+from epipole.io.images.rgba import write_png
 from epipole.pipelines.fields.page import FieldPage, render_page
 from epipole.pipelines.fields.pictures import FieldPictures
 

@@ -7,8 +7,14 @@ from plain_rasterizer import plain_render
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields import _blend_kernels, _gradient_kernels, _projection_kernels, _tile_kernels, rasterizer
-from epipole.fields.rasterizer import (
+from epipole.fields.splat import (
+    _blend_kernels,
+    _gradient_kernels,
+    _projection_kernels,
+    _tile_kernels,
+    rasterizer,
+)
+from epipole.fields.splat.rasterizer import (
     RenderOptions,
     arrays_of,
     blend,

@@ -12,13 +12,13 @@ from epipole import render, splat
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.fields.normals import normals_of
-from epipole.fields.rasterizer import RenderOptions
-from epipole.fields.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import RenderOptions
+from epipole.fields.splat.rasterizer import render as draw
 from epipole.image import color_map
 from epipole.io import write_colmap_model
-from epipole.io.gaussian_files import write_gaussians
-from epipole.io.gaussian_ply import read_gaussian_ply
-from epipole.io.photographs import read_rgb
+from epipole.io.gaussians.files import write_gaussians
+from epipole.io.gaussians.ply import read_gaussian_ply
+from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
 from epipole.synthetic.problems import bundle_problem

@@ -12,12 +12,12 @@ from fields_scenes import CAMERA, frames_of, lens, scene, views
 
 from epipole import splat, view
 from epipole.errors import ConfigError, FileFormatError, NoModelError, WorkspaceError
-from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.io import write_points_ply
-from epipole.io.gaussian_ply import read_gaussian_ply
-from epipole.io.transforms_json import read_transforms
+from epipole.io.gaussians.ply import read_gaussian_ply
+from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import checkpoints, training
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import gather_field_pictures

@@ -19,9 +19,9 @@ from fields_scenes import scene, views
 from epipole import share
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
-from epipole.fields.rasterizer import render
-from epipole.io.gaussian_files import write_gaussians
-from epipole.io.gaussian_ply import read_gaussian_ply
+from epipole.fields.splat.rasterizer import render
+from epipole.io.gaussians.files import write_gaussians
+from epipole.io.gaussians.ply import read_gaussian_ply
 from epipole.pipelines.fields.scene import first_view_of, write_cameras
 from epipole.report.frame import content_hash
 from epipole.report.gaussians import ROW

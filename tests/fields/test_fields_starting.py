@@ -10,9 +10,9 @@ from fields_scenes import CAMERA, scene, views
 from epipole.cameras import Camera
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.fields.config import SplatConfig
-from epipole.fields.starting import look_the_same_way, points_in_frusta
+from epipole.fields.splat.starting import look_the_same_way, points_in_frusta
 from epipole.fields.training_view import TrainingView
-from epipole.io.gaussian_ply import write_gaussian_ply
+from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.dense_points import dense_points, neighbours_of
 from epipole.pipelines.fields.first_gaussians import first_gaussians
 from epipole.pipelines.fields.pictures import FieldPictures

@@ -7,13 +7,13 @@ from fields_scenes import CAMERA, WHITE, scene, views
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.fields import _gradient_kernels
 from epipole.fields.config import SplatConfig
-from epipole.fields.gaussian_adam import GaussianAdam, Rates
-from epipole.fields.growing_cloud import GrowingCloud
-from epipole.fields.growth import FAINTER, Growth, halves
 from epipole.fields.photometric import psnr
-from epipole.fields.rasterizer import (
+from epipole.fields.splat import _gradient_kernels
+from epipole.fields.splat.gaussian_adam import GaussianAdam, Rates
+from epipole.fields.splat.growing_cloud import GrowingCloud
+from epipole.fields.splat.growth import FAINTER, Growth, halves
+from epipole.fields.splat.rasterizer import (
     Cloud,
     RenderOptions,
     arrays_of,
@@ -24,8 +24,8 @@ from epipole.fields.rasterizer import (
     tiles_of,
     view_of,
 )
-from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import DC

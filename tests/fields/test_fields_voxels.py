@@ -8,14 +8,14 @@ from plain_voxels import SHIFT, STEP, plain_ray
 from epipole import _parallel
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError
-from epipole.fields import _voxel_kernels, voxel_trainer
-from epipole.fields._simd_kernels import ROW
+from epipole.fields.nerf import _voxel_kernels, voxel_trainer
+from epipole.fields.nerf.voxel_field import corners_of, draw_voxels, march_work, voxels_on
+from epipole.fields.nerf.voxel_trainer import GridAdam, VoxelTrainer
 from epipole.fields.photometric import psnr
 from epipole.fields.rays import rays_of
-from epipole.fields.starting import may_be_full, silhouettes_of
+from epipole.fields.splat._simd_kernels import ROW
+from epipole.fields.splat.starting import may_be_full, silhouettes_of
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import corners_of, draw_voxels, march_work, voxels_on
-from epipole.fields.voxel_trainer import GridAdam, VoxelTrainer
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import DC
 from epipole.synthetic import look_at

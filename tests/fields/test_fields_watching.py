@@ -11,7 +11,7 @@ from fields_scenes import CAMERA, WHITE, frames_of, lens, scene, views
 
 from epipole import nerf, splat
 from epipole.errors import ConfigError
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.pipelines.fields.scene import cameras_of

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera
+from epipole.dense.tsdf import DistanceVolume
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.fields.exposure import colour_match
 from epipole.fields.photometric import psnr
-from epipole.fields.tsdf import DistanceVolume, Mesh
 from epipole.geometry import Rigid3
+from epipole.scene import Mesh
 
 CAMERA = Camera("PINHOLE", 8, 6, [8.0, 8.0, 3.5, 2.5])
 GOOD = {

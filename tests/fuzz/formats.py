@@ -39,7 +39,9 @@ from test_io_hostile_pictures import GPS, RGB
 from epipole._declared.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
-from epipole.fields.hash_field import asked
+from epipole.fields.nerf.hash_field import asked
+from epipole.fields.nerf.hash_files import HashContents, read_hash, write_hash
+from epipole.fields.nerf.voxel_files import GridContents, read_grid, write_grid
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io import (
     read_bal,
@@ -59,8 +61,8 @@ from epipole.io import (
     write_trajectory,
 )
 from epipole.io.anchor_files import read_lengths, read_odometry, read_places
-from epipole.io.bags import bag_frames, read_bag, read_bag_imu, read_bag_topics
-from epipole.io.calibration_files import (
+from epipole.io.bags.recording import bag_frames, read_bag, read_bag_imu, read_bag_topics
+from epipole.io.calibration.files import (
     read_body_from_camera,
     read_calibration,
     read_stereo_rig,
@@ -68,26 +70,24 @@ from epipole.io.calibration_files import (
     write_opencv_yaml,
     write_ros_yaml,
 )
-from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
-from epipole.io.exif import new_exif
-from epipole.io.frame_tables import read_frame_table
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
-from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
-from epipole.io.hash_files import HashContents, read_hash, write_hash
-from epipole.io.imu_logs import read_camera_from_imu, read_imu
-from epipole.io.llff import read_llff
-from epipole.io.mesh_ply import read_mesh_ply, write_mesh_ply
-from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
-from epipole.io.rgba_pictures import read_rgba
-from epipole.io.stereo_video import extract_pairs
-from epipole.io.trajectories import read_pose_matrix, trajectory_format
-from epipole.io.true_paths import true_path_at
-from epipole.io.video import extract_frames, frame_size
-from epipole.io.voxel_files import GridContents, read_grid, write_grid
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
+from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
+from epipole.io.images.exif import new_exif
+from epipole.io.images.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.images.rgba import read_rgba
+from epipole.io.images.video import extract_frames, frame_size
+from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
+from epipole.io.models.llff import read_llff
+from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
+from epipole.io.sequences.stereo_video import extract_pairs
+from epipole.io.trajectories.files import read_pose_matrix, trajectory_format
+from epipole.io.trajectories.frame_tables import read_frame_table
+from epipole.io.trajectories.true_trajectories import true_path_at
 from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.fields.kinds import read_neural, read_voxels
-from epipole.pipelines.sfm.pairing import read_pairs
+from epipole.pipelines.sfm.matching.pairing import read_pairs
 from epipole.pipelines.slam.frames import SlamCamera, TrackedFrame, TrackingState
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of, read_answers

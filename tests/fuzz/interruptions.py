@@ -32,7 +32,7 @@ from tests.board_pictures import board_pictures
 
 from epipole import api
 from epipole.errors import EpipoleError
-from epipole.io.photographs import write_jpeg_with_exif
+from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.runs import thread_scope
 from epipole.scene import RectifiedRig

@@ -13,15 +13,15 @@ from slam_rides import STEREO, ride
 from epipole.cameras import Camera
 from epipole.features import Features
 from epipole.fields.config import SplatConfig
-from epipole.fields.hash_trainer import HashTrainer
-from epipole.fields.splat_trainer import SplatTrainer
-from epipole.fields.starting import cloud_of_points, points_in_silhouettes
-from epipole.fields.voxel_trainer import VoxelTrainer
+from epipole.fields.nerf.hash_trainer import HashTrainer
+from epipole.fields.nerf.voxel_trainer import VoxelTrainer
+from epipole.fields.splat.starting import cloud_of_points, points_in_silhouettes
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.pipelines.fields.checkpoints import CHECKPOINT, Checkpoint
-from epipole.pipelines.sfm.feature_stage import load_features
-from epipole.pipelines.sfm.match_stage import load_putative, load_view_graph
-from epipole.pipelines.sfm.pair_blocks import PairBlock, filled
-from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES
+from epipole.pipelines.sfm.matching.feature_stage import load_features
+from epipole.pipelines.sfm.matching.match_stage import load_putative, load_view_graph
+from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, filled
+from epipole.pipelines.sfm.matching.unit_tables import GEOMETRIES, MATCHES
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.output.map_file import read_slam_map, sketch_of_map, write_slam_map
 from epipole.pipelines.slam.slam import Slam

@@ -9,8 +9,8 @@ from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise, align_path_to_imu, preintegrate
 from epipole.inertial._inertial_problem import InertialProblem, States
-from epipole.io.imu_logs import read_camera_from_imu, read_imu
-from epipole.mapping import fit_scale_to_imu
+from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
+from epipole.scale import fit_scale_to_imu
 from epipole.synthetic.inertial import InertialPath, inertial_path
 
 

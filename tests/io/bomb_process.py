@@ -14,18 +14,20 @@ from types import FrameType
 from typing import Any
 
 from epipole.errors import EpipoleError
-from epipole.io import calibration_files, depth_maps, photographs, stereo_folders, stereo_video, video
-from epipole.io.bags import bag_frames, read_bag
-from epipole.io.bal import read_bal
-from epipole.io.colmap import read_colmap_model
-from epipole.io.colmap_database import read_database
+from epipole.fields.nerf.hash_files import read_hash
+from epipole.fields.nerf.voxel_files import read_grid
+from epipole.io.bags.recording import bag_frames, read_bag
+from epipole.io.calibration import files as calibration_files
+from epipole.io.colmap.database import read_database
+from epipole.io.colmap.model import read_colmap_model
 from epipole.io.g2o import read_g2o
-from epipole.io.gaussian_files import read_gaussians
-from epipole.io.hash_files import read_hash
-from epipole.io.ply import read_points_ply
-from epipole.io.transforms_json import read_transforms
+from epipole.io.gaussians.files import read_gaussians
+from epipole.io.images import depth_maps, photographs, video
+from epipole.io.meshes.ply import read_points_ply
+from epipole.io.models.bal import read_bal
+from epipole.io.models.transforms import read_transforms
+from epipole.io.sequences import stereo_folders, stereo_video
 from epipole.io.truth import read_truth
-from epipole.io.voxel_files import read_grid
 from epipole.pipelines.stereo.files import read_stereo
 
 SECONDS = 10

@@ -5,7 +5,7 @@ import pytest
 
 from epipole.errors import FileFormatError
 from epipole.io.anchor_files import NamedPositions, read_lengths, read_odometry, read_places
-from epipole.io.trajectories import PositionLog
+from epipole.io.trajectories.files import PositionLog
 
 LENGTHS = """# name metres end picture x y
 shelf 1.5 a one.jpg 10 20.5

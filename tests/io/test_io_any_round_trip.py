@@ -31,15 +31,15 @@ from epipole.io import (
     write_points_ply,
     write_transforms,
 )
-from epipole.io.calibration_files import (
+from epipole.io.calibration.files import (
     CalibrationFile,
     read_calibration,
     write_calibration,
     write_opencv_yaml,
     write_ros_yaml,
 )
-from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
-from epipole.io.exif import gps_of, new_exif
+from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
+from epipole.io.images.exif import gps_of, new_exif
 from epipole.optim import BundleProblem, free_params_mask
 from epipole.scene import Reconstruction
 from io_models import mappable_model

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import EpipoleError
-from epipole.io.bags import bag_frames, read_bag
+from epipole.io.bags.recording import bag_frames, read_bag
 
 pytest.importorskip("rosbags", reason="rosbags is not installed")
 from bag_writing import Recorded

@@ -10,8 +10,8 @@ import pytest
 from bag_writing import Recorded
 
 from epipole.errors import FileFormatError
-from epipole.io._bag_unpacking import _ZSTD, bound_unpacking, unpacked
-from epipole.io.bags import bag_frames, read_bag
+from epipole.io.bags._unpacking import _ZSTD, bound_unpacking, unpacked
+from epipole.io.bags.recording import bag_frames, read_bag
 from epipole.io.files import SMALL_BYTES
 
 SMALL = bytes(range(256)) * 40

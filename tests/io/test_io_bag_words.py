@@ -9,7 +9,7 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
-from epipole.io._bag_pictures import camera_of
+from epipole.io.bags._images import camera_of
 
 K = np.array([404.0, 0.0, 320.0, 0.0, 404.0, 240.0, 0.0, 0.0, 1.0])
 

@@ -8,8 +8,8 @@ import pytest
 from bag_writing import KINDS, Recorded, jpeg, png
 
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError
-from epipole.io._bag_pairing import paired
-from epipole.io.bags import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics
+from epipole.io.bags._pairing import paired
+from epipole.io.bags.recording import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics
 
 SECOND, STEP = 10**9, 10**8
 BEGIN = 1_500_000_000 * SECOND

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera, CameraModel
-from epipole.io import _built_in_calibrations, read_sequence
+from epipole.io import read_sequence
+from epipole.io.calibration import built_in as _built_in_calibrations
 
 # TUM RGB-D: the benchmark's page on its file formats (color cameras, ROS' default distortion model); width, height,
 # fx, fy, cx, cy, then k1, k2, p1, p2, k3.

@@ -11,8 +11,8 @@ import yaml
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io._lens_coefficients import camera_of_coefficients
-from epipole.io.calibration_files import (
+from epipole.io.calibration.coefficients import camera_of_coefficients
+from epipole.io.calibration.files import (
     CalibrationFile,
     read_calibration,
     read_stereo_rig,

@@ -11,8 +11,8 @@ import yaml
 from epipole.cameras import CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import read_calibration, read_stereo_rig
-from epipole.io.imu_logs import read_camera_from_imu
+from epipole.io.calibration.files import read_calibration, read_stereo_rig
+from epipole.io.sequences.imu_logs import read_camera_from_imu
 
 FAULTS = Path(__file__).parents[2].parent / "shared" / "data" / "faults"
 POINTS = np.array([[0.3, -0.2, 1.0], [-0.5, 0.4, 1.2], [0.1, 0.6, 0.9]])

@@ -12,7 +12,7 @@ from pycolmap_process import needs_pycolmap, run_pycolmap
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3, align_points, essential_from_cam2_from_cam1, fundamental_from_essential
 from epipole.io import DatabaseContents, read_database, write_database
-from epipole.robust.pair_kind import PairKind
+from epipole.robust.pairs.kind import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 from io_models import mappable_model, small_model
 

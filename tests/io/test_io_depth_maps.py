@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
-from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
+from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
-from epipole.io.exif import (
+from epipole.io.images.exif import (
     GpsPosition,
     camera_of,
     capture_time_of,
@@ -20,7 +20,7 @@ from epipole.io.exif import (
     orientation_of,
     upright_exif,
 )
-from epipole.io.sensor_widths import SENSOR_WIDTH_MM, camera_key, sensor_width_mm
+from epipole.io.images.sensor_widths import SENSOR_WIDTH_MM, camera_key, sensor_width_mm
 
 FOCAL_MM, FOCAL_35MM, PIXEL_WIDTH, PLANE_X, PLANE_UNIT = 0x920A, 0xA405, 0xA002, 0xA20E, 0xA210
 SEMI_MAJOR_M, E2 = 6378137.0, 0.00669437999014

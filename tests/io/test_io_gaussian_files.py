@@ -9,9 +9,9 @@ from test_io_gaussian_ply import PARTS
 
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 from epipole.synthetic import look_at
 

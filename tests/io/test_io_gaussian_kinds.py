@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 UTM = np.array([500_000.0, 5_200_000.0, 300.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import FileFormatError
-from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
 from epipole.scene.gaussian_cloud import NUM_SH, GaussianCloud
 
 PARTS = ("means_in_world", "log_scales", "quats_wxyz", "opacity_logits", "sh")

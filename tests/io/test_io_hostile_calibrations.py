@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import (
+from epipole.io.calibration.files import (
     CalibrationFile,
     read_calibration,
     read_stereo_rig,

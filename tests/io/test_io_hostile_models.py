@@ -28,7 +28,7 @@ from epipole.io import (
     write_g2o,
     write_points_ply,
 )
-from epipole.io.depth_maps import read_pfm
+from epipole.io.images.depth_maps import read_pfm
 from epipole.optim import PoseGraph
 from hostile_bytes import assert_model, assert_motions, read_or_refuse, spoil_one, spoilt
 from io_models import small_model

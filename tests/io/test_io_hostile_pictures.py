@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from epipole.errors import FileFormatError
-from epipole.io.depth_maps import read_pfm, read_png16, write_pfm, write_png16
-from epipole.io.exif import new_exif
-from epipole.io.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
-from epipole.io.stereo_video import extract_pairs
-from epipole.io.video import extract_frames, frame_size
+from epipole.io.images.depth_maps import read_pfm, read_png16, write_pfm, write_png16
+from epipole.io.images.exif import new_exif
+from epipole.io.images.photographs import copy_or_rotate, read_grey, read_header, read_mask, read_rgb
+from epipole.io.images.video import extract_frames, frame_size
+from epipole.io.sequences.stereo_video import extract_pairs
 from hostile_bytes import read_or_refuse, spoilt
 
 RGB = np.random.default_rng(0).integers(0, 255, (24, 32, 3)).astype(np.uint8)
@@ -227,8 +227,8 @@ PEAK = """
 import json, sys
 from pathlib import Path
 from epipole.errors import EpipoleError
-from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import read_grey, read_rgb
+from epipole.io.images.depth_maps import read_png16
+from epipole.io.images.photographs import read_grey, read_rgb
 
 def kib(name):
     return int(Path("/proc/self/status").read_text().split(name + ":")[1].split()[0])

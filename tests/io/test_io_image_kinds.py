@@ -14,8 +14,7 @@ from PIL import Image
 
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
-from epipole.io.photograph_writing import write_photograph
-from epipole.io.photographs import (
+from epipole.io.images.photographs import (
     common_range,
     copy_or_rotate,
     list_photographs,
@@ -24,8 +23,9 @@ from epipole.io.photographs import (
     read_mask,
     read_rgb,
 )
-from epipole.io.rgba_pictures import read_rgba
-from epipole.io.sequences import read_sequence
+from epipole.io.images.rgba import read_rgba
+from epipole.io.images.writing import write_photograph
+from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.slam.sources.folder import open_sequence
 
 

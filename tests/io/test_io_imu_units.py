@@ -5,7 +5,7 @@ import pytest
 
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.imu_logs import read_imu
+from epipole.io.sequences.imu_logs import read_imu
 from epipole.synthetic.inertial import imu_along
 
 RATE_S = 0.005

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from epipole.errors import FileFormatError
-from epipole.io.llff import LLFF, read_llff
+from epipole.io.models.llff import LLFF, read_llff
 from epipole.synthetic import look_at
 
 

@@ -7,8 +7,8 @@ import pytest
 from test_io_hostile_models import TEXT_MESH
 
 from epipole.errors import FileFormatError
-from epipole.io.mesh_ply import read_mesh_ply, write_mesh_ply
-from epipole.io.ply import read_points_ply, write_points_ply
+from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
+from epipole.io.meshes.ply import read_points_ply, write_points_ply
 
 HEAD = (
     b"ply\nformat binary_little_endian 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"

@@ -11,13 +11,13 @@ from epipole.cameras import Camera
 from epipole.cameras.image_fit import inverse_orientation, turned_pixels
 from epipole.errors import FileFormatError
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io._photograph_pixels import turn
-from epipole.io.model_images import ModelImages
-from epipole.io.photographs import read_rgb
-from epipole.io.rgba_pictures import read_rgba
+from epipole.io.images.photographs import read_rgb
+from epipole.io.images.pixels import turn
+from epipole.io.images.rgba import read_rgba
+from epipole.io.models.images import ModelImages
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.pictures import gather_field_pictures
-from epipole.pipelines.sfm.scene import picture_loader
+from epipole.pipelines.sfm.page.scene import picture_loader
 from epipole.pipelines.undistortion.run import undistort
 from epipole.scene import Cameras, Reconstruction, Rigs
 from io_models import mappable_model

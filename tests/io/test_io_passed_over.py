@@ -10,8 +10,8 @@ from PIL import Image
 
 import epipole
 from epipole.errors import EpipoleError
-from epipole.io.photographs import list_photographs
-from epipole.io.sequences import read_sequence
+from epipole.io.images.photographs import list_photographs
+from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.calibration import run as calibration
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 from epipole.errors import FileFormatError, MissingDependencyError
-from epipole.io import _photograph_pixels
-from epipole.io.exif import GpsPosition, gps_to_enu
-from epipole.io.photographs import (
+from epipole.io.images import pixels as _photograph_pixels
+from epipole.io.images.exif import GpsPosition, gps_to_enu
+from epipole.io.images.photographs import (
     copy_or_rotate,
     list_photographs,
     mask_of,
@@ -234,7 +234,7 @@ def test_a_200_megapixel_jpeg_stays_in_bounded_memory(tmp_path):
     script = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from epipole.io.photographs import read_grey, read_header, read_rgb\n"
+        "from epipole.io.images.photographs import read_grey, read_header, read_rgb\n"
         "def peak_mb():\n"
         "    lines = Path('/proc/self/status').read_text().splitlines()\n"
         "    return int(next(l for l in lines if l.startswith('VmHWM')).split()[1]) / 1024\n"

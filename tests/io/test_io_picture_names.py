@@ -2,7 +2,7 @@
 
 import pytest
 
-from epipole.io.picture_names import depth_among, fits
+from epipole.io.images.image_names import depth_among, fits
 
 
 @pytest.mark.parametrize(

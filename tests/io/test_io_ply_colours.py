@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from epipole.errors import FileFormatError
-from epipole.io.mesh_ply import read_mesh_ply
-from epipole.io.ply import read_points_ply
+from epipole.io.meshes.mesh_ply import read_mesh_ply
+from epipole.io.meshes.ply import read_points_ply
 
 EXPECTED = [[255, 128, 0], [10, 20, 30]]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from epipole.io.mesh_ply import read_mesh_ply, write_mesh_ply
-from epipole.io.ply import read_points_ply, write_points_ply
+from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
+from epipole.io.meshes.ply import read_points_ply, write_points_ply
 
 UTM = np.array([500_000.0, 5_200_000.0, 300.0])
 

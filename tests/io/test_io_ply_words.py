@@ -7,8 +7,8 @@ import pytest
 
 from epipole.errors import FileFormatError
 from epipole.io import read_points_ply
-from epipole.io.gaussian_ply import read_gaussian_ply, write_gaussian_ply
-from epipole.io.mesh_ply import read_mesh_ply
+from epipole.io.gaussians.ply import read_gaussian_ply, write_gaussian_ply
+from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 VERTEX = "element vertex 3\nproperty float x\nproperty float y\nproperty float z\n"

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from epipole.io.gaussian_files import read_gaussians, write_gaussians
-from epipole.io.ply import read_points_ply, write_points_ply
+from epipole.io.gaussians.files import read_gaussians, write_gaussians
+from epipole.io.images.video_files import write_video
+from epipole.io.meshes.ply import read_points_ply, write_points_ply
 from epipole.io.seals import add_seal, sealed_by
-from epipole.io.video_files import write_video
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 

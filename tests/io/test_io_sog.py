@@ -15,10 +15,10 @@ from test_io_gaussian_ply import PARTS
 
 from epipole import _parallel
 from epipole.errors import ConfigError, FileFormatError, ShapeError
-from epipole.fields.rasterizer import render
-from epipole.io._sog_palettes import codebook_of, codes_of, palette_of
-from epipole.io.gaussian_files import is_sog, read_gaussians, write_gaussians
-from epipole.io.sog import read_sog, write_sog
+from epipole.fields.splat.rasterizer import render
+from epipole.io.gaussians._sog_palettes import codebook_of, codes_of, palette_of
+from epipole.io.gaussians.files import is_sog, read_gaussians, write_gaussians
+from epipole.io.gaussians.sog import read_sog, write_sog
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
 

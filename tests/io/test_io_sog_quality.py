@@ -6,8 +6,8 @@ import zipfile
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.fields.rasterizer import render
-from epipole.io.sog import read_sog, write_sog
+from epipole.fields.splat.rasterizer import render
+from epipole.io.gaussians.sog import read_sog, write_sog
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.synthetic import look_at
 

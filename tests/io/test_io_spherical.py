@@ -10,10 +10,10 @@ from PIL import Image, PngImagePlugin
 from epipole.cameras import CameraModel
 from epipole.errors import FileFormatError, NoModelError
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io.photographs import read_grey, read_header, read_rgb
-from epipole.io.rgba_pictures import read_rgba
-from epipole.io.video import frame_size
-from epipole.io.video_files import write_video
+from epipole.io.images.photographs import read_grey, read_header, read_rgb
+from epipole.io.images.rgba import read_rgba
+from epipole.io.images.video import frame_size
+from epipole.io.images.video_files import write_video
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from epipole.pipelines.slam.config import CameraOptions, JobOptions

@@ -7,7 +7,7 @@ import pytest
 from spz_writing import write_packed_whole, write_streams
 
 from epipole.errors import EpipoleError
-from epipole.io.gaussian_files import read_gaussians
+from epipole.io.gaussians.files import read_gaussians
 
 FAULTS = Path(os.environ.get("EPIPOLE_DATA", Path(__file__).parents[3] / "shared" / "data")) / "faults"
 

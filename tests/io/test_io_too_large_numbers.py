@@ -9,8 +9,8 @@ import pytest
 
 from epipole.errors import FileFormatError
 from epipole.io import read_sequence
-from epipole.io.imu_logs import read_camera_from_imu
-from epipole.io.mesh_ply import read_mesh_ply
+from epipole.io.meshes.mesh_ply import read_mesh_ply
+from epipole.io.sequences.imu_logs import read_camera_from_imu
 
 HUGE = "9" * 400
 VERTICES = "".join(f"property float {axis}\n" for axis in "xyz")

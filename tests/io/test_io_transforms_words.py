@@ -12,7 +12,7 @@ from PIL import Image
 from epipole.cameras import CameraModel
 from epipole.errors import FileFormatError
 from epipole.io import read_transforms, write_points_ply
-from epipole.io.transforms_json import read_transforms_scene
+from epipole.io.models.transforms import read_transforms_scene
 
 FAULTS = Path(__file__).parents[2].parent / "shared" / "data" / "faults"
 EYE = np.eye(4).tolist()

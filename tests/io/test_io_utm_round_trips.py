@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from epipole.geometry import Rigid3, Similarity3
-from epipole.io.bundler import write_bundler
-from epipole.io.colmap import read_colmap_model, write_colmap_model
+from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.g2o import read_g2o, write_g2o
-from epipole.io.ply import read_points_ply, write_scene_ply
-from epipole.io.trajectories import TrajectoryFormat, read_trajectory, write_trajectory
-from epipole.io.transforms_json import read_transforms, write_transforms
+from epipole.io.meshes.ply import read_points_ply, write_scene_ply
+from epipole.io.models.bundler import write_bundler
+from epipole.io.models.transforms import read_transforms, write_transforms
+from epipole.io.trajectories.files import TrajectoryFormat, read_trajectory, write_trajectory
 from epipole.optim import PoseGraph
 from epipole.scene import Reconstruction, Trajectory
 from io_models import mappable_model, small_model

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.photographs import list_photographs, read_grey
-from epipole.io.video import extract_frames, is_video, sharpness, slot_bounds
+from epipole.io.images.photographs import list_photographs, read_grey
+from epipole.io.images.video import extract_frames, is_video, sharpness, slot_bounds
 
 FPS, SIZE = 20.0, (160, 120)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, WorkspaceError
-from epipole.io import video_files
 from epipole.io.atomic import atomic_write
-from epipole.io.video_files import write_video
+from epipole.io.images import video_files
+from epipole.io.images.video_files import write_video
 
 
 def frames(count: int, seed: int = 0) -> list[np.ndarray]:

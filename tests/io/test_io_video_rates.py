@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from epipole.errors import FileFormatError
-from epipole.io.stereo_video import extract_pairs
-from epipole.io.video import count_frames, extract_frames
+from epipole.io.images.video import count_frames, extract_frames
+from epipole.io.sequences.stereo_video import extract_pairs
 
 NUM_FRAMES, SIZE = 40, (96, 64)
 SEGMENT, INFO, CLUSTER, DURATION, TIME, SIMPLE_BLOCK = (

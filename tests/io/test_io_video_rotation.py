@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError
-from epipole.io.video import frame_orientation
+from epipole.io.images.video import frame_orientation
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set
 from epipole.pipelines.slam.config import CameraOptions

@@ -8,8 +8,8 @@ import pytest
 from benchmarks.lesson_fields import marched, operations_of_query, splatted
 
 from epipole.cameras import Camera
-from epipole.fields.hash_field import HashField, Room, draw_hash, new_weights
-from epipole.fields.rasterizer import render
+from epipole.fields.nerf.hash_field import HashField, Room, draw_hash, new_weights
+from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import GaussianCloud
 

@@ -24,7 +24,7 @@ from epipole.geometry.triangulation import ray_angles_rad, triangulate_linear, t
 from epipole.lesson.scenes import PATH, cases, corridor, house, noise, wall
 from epipole.optim import BundleConfig, BundleProblem, adjust_bundle
 from epipole.robust import PairKind, point_covariances, triangulate_points, verify_pair
-from epipole.robust._model_selection_kernels import _gric
+from epipole.robust.pairs._model_selection_kernels import _gric
 from epipole.solvers import solve_fundamental_eight_point, solve_homography_dlt
 
 CAMERA = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5])

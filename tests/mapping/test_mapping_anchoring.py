@@ -11,8 +11,8 @@ from anchored_rings import ring
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3
-from epipole.mapping import anchor_model, place_covariance, views_of_model
-from epipole.mapping.anchor_views import places_at
+from epipole.scale import anchor_model, place_covariance, views_of_model
+from epipole.scale.anchor_views import places_at
 from epipole.synthetic import SyntheticScene, render
 from epipole.synthetic.markers import chessboard_sheet, tag_sheet
 

@@ -6,7 +6,7 @@ import pytest
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.mapping import fit_scale_to_object
+from epipole.scale import fit_scale_to_object
 from epipole.synthetic import look_at
 
 CAMERA = Camera("PINHOLE", 640, 480, [500.0, 500.0, 319.5, 239.5])

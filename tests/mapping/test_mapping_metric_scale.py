@@ -5,7 +5,7 @@ import pytest
 
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rotation3, Similarity3
-from epipole.mapping import fit_scale_to_positions
+from epipole.scale import fit_scale_to_positions
 
 
 def path(rng, count=60):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, DegenerateGeometryError
-from epipole.mapping import ScaleEstimate, agreed_scale
+from epipole.scale import ScaleEstimate, agreed_scale
 
 
 def estimate(scale, sigma=0.01, name="x", kind="length", shared=0.0):

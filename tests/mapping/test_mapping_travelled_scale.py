@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
-from epipole.mapping import agreed_scale, fit_scale_to_distances
+from epipole.scale import agreed_scale, fit_scale_to_distances
 
 TIMES = np.linspace(0.0, 30.0, 301)
 WAY = np.stack([6 * np.cos(0.2 * TIMES), 4 * np.sin(0.2 * TIMES), 0.1 * np.sin(TIMES)], axis=1)

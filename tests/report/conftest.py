@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report_ring import HOSTILE, content_of, empty_model, ring_model
 
-from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page.content import ReportContent
 from epipole.scene import Points, Reconstruction
 
 

@@ -7,7 +7,7 @@ from PIL import Image
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.pipelines.sfm.page_content import ImageRow, ReportContent
+from epipole.pipelines.sfm.page.content import ImageRow, ReportContent
 from epipole.robust import PairKind
 from epipole.scene import (
     Cameras,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from epipole.pipelines.sfm.page import render_report
-from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.page import render_report
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 

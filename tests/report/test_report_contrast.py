@@ -12,8 +12,8 @@ import pytest
 
 import epipole
 from epipole import api, export_lesson, splat
-from epipole.pipelines.sfm.page import render_report
-from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import RectifiedRig
 

@@ -9,8 +9,8 @@ import pytest
 from report_ring import FOCAL_PX, HEIGHT, WIDTH, empty_model, ring_model
 
 from epipole.geometry import Similarity3
-from epipole.pipelines.sfm.page import render_report
-from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.page import render_report
 from epipole.report.pictures import MAX_FEATURES
 from epipole.report.plan import draw_plan
 from epipole.report.space import SpaceData, space_data

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_report_gaussians import cloud_of
 
-from epipole.fields.rasterizer import render
+from epipole.fields.splat.rasterizer import render
 from epipole.pipelines.fields.cameras import orbit
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.scene import seen_gaussians

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from report_ring import content_of, ring_model
 
-from epipole.pipelines.sfm.page_content import ReportContent
-from epipole.pipelines.sfm.page_notes import notes_of
-from epipole.pipelines.sfm.page_statistics import statistics_of
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.notes import notes_of
+from epipole.pipelines.sfm.page.statistics import statistics_of
 
 
 def text_of(content: ReportContent) -> str:

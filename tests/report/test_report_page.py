@@ -11,8 +11,8 @@ import pytest
 from report_ring import HOSTILE, content_of, empty_model
 
 from epipole._version import __version__
-from epipole.pipelines.sfm.page import render_report
-from epipole.pipelines.sfm.page_content import ReportContent
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.page import render_report
 
 VOID = {"meta", "input", "br", "img", "link"}
 

@@ -8,7 +8,11 @@ import pytest
 from report_ring import empty_model, graph_of, ring_model
 
 from epipole.geometry import ray_angles_rad
-from epipole.pipelines.sfm.page_statistics import num_low_parallax_pairs, statistics_of, widest_angles_rad
+from epipole.pipelines.sfm.page.statistics import (
+    num_low_parallax_pairs,
+    statistics_of,
+    widest_angles_rad,
+)
 from epipole.scene import Points, Reconstruction
 
 

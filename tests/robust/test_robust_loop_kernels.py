@@ -11,7 +11,6 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3
 from epipole.robust import _absolute_pose_kernels as absolute_kernels
 from epipole.robust import _loop_kernels as loop
-from epipole.robust import _pair_kernels as pair_kernels
 from epipole.robust import (
     absolute_pose,
     estimate,
@@ -29,11 +28,12 @@ from epipole.robust import (
     estimate_upright_motion,
     estimate_upright_pose,
     estimate_upright_similarity,
-    pair_batch,
-    two_view,
 )
-from epipole.robust._fundamental_kernels import EPIPOLE, SENSE
-from epipole.robust._wide_pair_kernels import fit_wide_motions
+from epipole.robust.pairs import _pair_kernels as pair_kernels
+from epipole.robust.pairs import batch as pair_batch
+from epipole.robust.pairs import two_view
+from epipole.robust.pairs._fundamental_kernels import EPIPOLE, SENSE
+from epipole.robust.pairs._wide_pair_kernels import fit_wide_motions
 from kernel_references import assert_same, assert_same_as_python, both_ways, record_calls, reference_of
 
 PINHOLE = Camera(CameraModel.PINHOLE, 1000, 800, np.array([900.0, 900.0, 499.5, 399.5]))

@@ -9,7 +9,7 @@ from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3
 from epipole.robust import estimate_fundamental_matrix, estimate_homography, estimate_relative_pose
 from epipole.robust.estimate import Reason
-from epipole.robust.motion_evidence import lie_on_a_line
+from epipole.robust.pairs.motion_evidence import lie_on_a_line
 from epipole.robust.ray_matches import Matches, moved_motion
 
 CAMERA = Camera("PINHOLE", 1280, 960, [800.0, 800.0, 639.5, 479.5])

@@ -5,10 +5,12 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
-from epipole.robust import PairKind, PairMatches, pair_batch, verify, verify_pairs
-from epipole.robust import _model_selection_kernels as selection_kernels
-from epipole.robust import _pair_kernels as kernels
-from epipole.robust._wide_pair_kernels import fit_wide_motions
+from epipole.robust import PairKind, PairMatches, verify_pairs
+from epipole.robust.pairs import _model_selection_kernels as selection_kernels
+from epipole.robust.pairs import _pair_kernels as kernels
+from epipole.robust.pairs import batch as pair_batch
+from epipole.robust.pairs import verify
+from epipole.robust.pairs._wide_pair_kernels import fit_wide_motions
 from epipole.synthetic.problems import two_view_problem
 from kernel_references import assert_same, assert_same_as_python, both_ways, record_calls, reference_of
 

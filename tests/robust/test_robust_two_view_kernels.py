@@ -5,9 +5,10 @@ import pytest
 
 from epipole.config import RansacConfig
 from epipole.geometry import Rotation3
-from epipole.robust import _fundamental_kernels as fundamental
-from epipole.robust import _relative_pose_kernels as relative
-from epipole.robust import estimate_fundamental_matrix, two_view
+from epipole.robust import estimate_fundamental_matrix
+from epipole.robust.pairs import _fundamental_kernels as fundamental
+from epipole.robust.pairs import _relative_pose_kernels as relative
+from epipole.robust.pairs import two_view
 from epipole.synthetic.problems import dominant_plane_problem, two_view_problem
 from kernel_references import assert_same_as_python, record_calls, reference_of
 

@@ -8,8 +8,8 @@ from epipole.cameras import Camera, CameraModel
 from epipole.config import RansacConfig
 from epipole.geometry import Rigid3, Rotation3, essential_from_cam2_from_cam1
 from epipole.robust import PairKind, PairMatches, estimate_relative_pose, verify_pairs
-from epipole.robust._relative_pose_kernels import RelativePoseProblem
-from epipole.robust._wide_motion_kernels import WideMotionProblem
+from epipole.robust.pairs._relative_pose_kernels import RelativePoseProblem
+from epipole.robust.pairs._wide_motion_kernels import WideMotionProblem
 from epipole.robust.rays import is_wide, rays_on_plane
 from epipole.synthetic.problems import two_view_problem
 

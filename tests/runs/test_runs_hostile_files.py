@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from epipole._declared.tables import Expected
 from epipole.errors import FileFormatError, WorkspaceError
-from epipole.io.depth_maps import write_pfm
-from epipole.io.photographs import write_jpeg_with_exif
-from epipole.pipelines.sfm.pairing import read_pairs
+from epipole.io.images.depth_maps import write_pfm
+from epipole.io.images.photographs import write_jpeg_with_exif
+from epipole.pipelines.sfm.matching.pairing import read_pairs
 from epipole.pipelines.stereo.files import read_stereo
 from epipole.pipelines.stereo.pairs import read_summary
 from epipole.runs import claim, store, stored_key

@@ -6,7 +6,7 @@ import numpy as np
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.io.photographs import write_jpeg_with_exif
+from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.synthetic import courtyard, courtyard_views, render
 
 WIDTH, HEIGHT, FOCAL_35MM = 480, 320, 30.0

@@ -14,7 +14,7 @@ from epipole import reconstruct
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, NoModelError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import CalibrationFile, write_calibration
+from epipole.io.calibration.files import CalibrationFile, write_calibration
 from epipole.pipelines.calibration.command import camera_options
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.photographs import read_image_set

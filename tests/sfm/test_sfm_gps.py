@@ -6,8 +6,8 @@ from photographs import CAMERA, FOCAL_35MM, neighbouring_views
 
 from epipole import reconstruct
 from epipole.geometry import Rigid3, Rotation3, Similarity3
-from epipole.io.exif import gps_to_enu
-from epipole.io.photographs import read_header, read_rgb, write_jpeg_with_exif
+from epipole.io.images.exif import gps_to_enu
+from epipole.io.images.photographs import read_header, read_rgb, write_jpeg_with_exif
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 from epipole.pipelines.sfm.gps.alignment import align_to_gps
 from epipole.pipelines.sfm.gps.evidence import gps_evidence

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from epipole.errors import WorkspaceError
-from epipole.pipelines.sfm.feature_stage import load_features
-from epipole.pipelines.sfm.match_stage import load_putative, load_view_graph
-from epipole.pipelines.sfm.pair_blocks import PairBlock, filled
-from epipole.pipelines.sfm.unit_tables import GEOMETRIES, MATCHES
+from epipole.pipelines.sfm.matching.feature_stage import load_features
+from epipole.pipelines.sfm.matching.match_stage import load_putative, load_view_graph
+from epipole.pipelines.sfm.matching.pair_blocks import PairBlock, filled
+from epipole.pipelines.sfm.matching.unit_tables import GEOMETRIES, MATCHES
 from epipole.runs.units import Unit, store
 
 COUNTS = [6, 5, 4]

@@ -11,11 +11,11 @@ from epipole.cameras import Camera
 from epipole.cameras.image_fit import turned_camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.photographs import PhotographHeader
+from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.images.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.database_stage import _refuse_turned
 from epipole.pipelines.sfm.lenses import group_cameras
+from epipole.pipelines.sfm.matching.database_stage import _refuse_turned
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

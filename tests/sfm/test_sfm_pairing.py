@@ -8,7 +8,7 @@ import pytest
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.pipelines.sfm.config import PairingConfig
-from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs, sorted_pairs
+from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs, sorted_pairs
 
 NO_GPS = (np.nan, np.nan, np.nan)
 

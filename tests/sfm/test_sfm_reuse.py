@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from epipole import ReconstructionResult, reconstruct
-from epipole.pipelines.sfm import feature_stage, match_stage, pair_blocks
+from epipole.pipelines.sfm.matching import feature_stage, match_stage, pair_blocks
 
 Counts = Counter
 

@@ -8,8 +8,8 @@ import pytest
 from photographs import CAMERA, HEIGHT, WIDTH
 
 from epipole import reconstruct
-from epipole.io.photographs import read_rgb
-from epipole.pipelines.sfm import pair_blocks
+from epipole.io.images.photographs import read_rgb
+from epipole.pipelines.sfm.matching import pair_blocks
 from epipole.pipelines.sfm.notes import title_of
 
 

@@ -12,7 +12,7 @@ from epipole import CameraOptions
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io import read_positions, read_trajectory
-from epipole.io.trajectories import PositionLog
+from epipole.io.trajectories.files import PositionLog
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.output.scale import anchor_map
 from epipole.pipelines.slam.run import slam as run_slam

@@ -8,7 +8,7 @@ from slam_rides import CAMERA, MONO, RGBD, STEREO, errors, followed, ride, write
 from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.io.camera_params import camera_of_text
+from epipole.io.calibration.camera_params import camera_of_text
 from epipole.pipelines.slam.config import CameraOptions, SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.lens_check import check_lens, lens_warnings

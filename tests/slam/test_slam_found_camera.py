@@ -6,7 +6,7 @@ import pytest
 from slam_rides import CAMERA, MONO, followed, ride
 
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.calibration_files import read_calibration
+from epipole.io.calibration.files import read_calibration
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.output.map_file import camera_of_map, write_slam_map

@@ -13,7 +13,7 @@ from slam_rides import CAMERAS, ride, write_pairs
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3
 from epipole.io import read_trajectory
-from epipole.io.frame_tables import read_frame_table
+from epipole.io.trajectories.frame_tables import read_frame_table
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.output import autosave, resuming

@@ -10,8 +10,8 @@ from slam_rides import CAMERA, ride, write_pairs
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.io import read_trajectory, write_trajectory
-from epipole.io.frame_tables import read_frame_table
-from epipole.io.trajectories import read_pose_matrix
+from epipole.io.trajectories.files import read_pose_matrix
+from epipole.io.trajectories.frame_tables import read_frame_table
 from epipole.metrics import absolute_error
 from epipole.pipelines.evaluation.trajectories import evaluate_trajectory
 from epipole.pipelines.slam.config import CameraOptions

@@ -8,9 +8,9 @@ from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.photographs import read_grey
-from epipole.io.sequences import read_sequence
+from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.images.photographs import read_grey
+from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.slam import run
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.sources.folder import open_sequence

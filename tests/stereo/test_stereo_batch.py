@@ -12,8 +12,8 @@ from epipole.cameras import Camera
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.colmap import write_colmap_model
-from epipole.io.depth_maps import read_pfm
+from epipole.io.colmap.model import write_colmap_model
+from epipole.io.images.depth_maps import read_pfm
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.pairs import list_pairs
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, RectifiedRig, Rigs, Tracks

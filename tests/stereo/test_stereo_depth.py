@@ -11,8 +11,8 @@ from epipole.cameras import Camera, CameraModel
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, FileFormatError, ShapeError, WorkspaceError
 from epipole.geometry import Rigid3
-from epipole.io.depth_maps import read_pfm, read_png16
-from epipole.io.ply import read_points_ply
+from epipole.io.images.depth_maps import read_pfm, read_png16
+from epipole.io.meshes.ply import read_points_ply
 from epipole.pipelines.stereo.config import RigOptions, StereoConfig
 from epipole.pipelines.stereo.depth import depth_of, point_covariances
 from epipole.pipelines.stereo.pair import measure_pair

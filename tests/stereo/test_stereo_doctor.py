@@ -10,8 +10,8 @@ from epipole.config import BoardConfig
 from epipole.errors import ShapeError
 from epipole.features.boards import find_board
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import read_stereo_rig
-from epipole.io.photographs import read_grey, read_rgb
+from epipole.io.calibration.files import read_stereo_rig
+from epipole.io.images.photographs import read_grey, read_rgb
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.config import CalibrationConfig
 from epipole.pipelines.stereo.config import StereoConfig

@@ -11,7 +11,7 @@ from epipole.disparity_search import search as stereo_matching
 from epipole.disparity_search.coarse_to_fine import tiles_of
 from epipole.disparity_search.search import match_stereo
 from epipole.errors import ConfigError, ShapeError
-from epipole.io.depth_maps import read_pfm
+from epipole.io.images.depth_maps import read_pfm
 from epipole.pipelines.stereo import _filling_kernels
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.filling import fill_disparities

@@ -9,7 +9,7 @@ from PIL import Image
 
 from epipole import api
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, ShapeError
-from epipole.io.photographs import read_rgb
+from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.uncalibrated import rectify_uncalibrated
 from epipole.scene import RectifiedRig

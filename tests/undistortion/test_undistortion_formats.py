@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from epipole.io import read_colmap_model, write_colmap_model
-from epipole.io.photographs import read_grey
+from epipole.io.images.photographs import read_grey
 from epipole.pipelines.undistortion.run import undistort
 from io_models import mappable_model
 

@@ -10,7 +10,7 @@ from PIL import Image
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io import write_colmap_model
 from epipole.io.names import path_inside
-from epipole.pipelines.sfm.scene import picture_loader
+from epipole.pipelines.sfm.page.scene import picture_loader
 from epipole.pipelines.stereo.run import stereo_of_model
 from epipole.pipelines.undistortion.run import undistort
 from io_models import mappable_model

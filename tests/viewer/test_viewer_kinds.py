@@ -14,17 +14,17 @@ from viewer_scenes import HOSTILE, OPEN, free_port, three_cameras
 from epipole import api
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
-from epipole.fields.voxel_field import voxels_on
+from epipole.fields.nerf.voxel_field import voxels_on
 from epipole.geometry import Rigid3
 from epipole.io import write_colmap_model
-from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.depth_maps import write_pfm, write_png16
-from epipole.io.gaussian_files import write_gaussians
-from epipole.io.mesh_ply import write_mesh_ply
-from epipole.io.ply import write_points_ply
-from epipole.io.trajectories import write_trajectory
+from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.gaussians.files import write_gaussians
+from epipole.io.images.depth_maps import write_pfm, write_png16
+from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.io.meshes.ply import write_points_ply
+from epipole.io.trajectories.files import write_trajectory
 from epipole.pipelines.fields.kinds import KINDS as KINDS_OF_FIELDS
-from epipole.pipelines.sfm.scene import picture_loader
+from epipole.pipelines.sfm.page.scene import picture_loader
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.slam_map import Keyframe, Observations, SlamMap
 from epipole.pipelines.slam.output.map_file import write_slam_map

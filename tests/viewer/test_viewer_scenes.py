@@ -10,7 +10,7 @@ from viewer_scenes import three_cameras
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io import write_colmap_model, write_scene_ply, write_trajectory
-from epipole.io.depth_maps import write_pfm, write_png16
+from epipole.io.images.depth_maps import write_pfm, write_png16
 from epipole.pipelines.viewing.run import scene_of
 from epipole.report.space import space_data
 from epipole.report.space_scene import SpaceScene

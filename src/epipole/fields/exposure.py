@@ -15,8 +15,8 @@ from epipole._declared import checked
 from epipole._declared.tables import Expected, Table
 from epipole.errors import ConfigError, ShapeError
 from epipole.fields import _photometric_kernels as kernels
-from epipole.fields.rasterizer import Rendering
 from epipole.fields.rows_adam import RowsAdam
+from epipole.fields.splat.rasterizer import Rendering
 
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 TOGETHER = 16_384

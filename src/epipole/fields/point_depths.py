@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole._declared import checked
-from epipole.fields.rasterizer import Rendering
+from epipole.fields.splat.rasterizer import Rendering
 from epipole.fields.training_view import TrainingView
 
 LEAST_COVERAGE = np.float32(0.1)

@@ -11,7 +11,7 @@ from epipole._checks import MOST_RENDERED_PIXELS, check_pixels
 from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
-from epipole.fields._march_kernels import BLOCK
+from epipole.fields.nerf._march_kernels import BLOCK
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.io.files import file_text
-from epipole.io.trajectories import PositionLog, read_positions, read_trajectory
+from epipole.io.trajectories.files import PositionLog, read_positions, read_trajectory
 
 _PLACE, _LENGTH, _DISTANCE = 3, 6, 2
 _LARGEST = 1e12

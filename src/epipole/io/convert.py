@@ -8,10 +8,10 @@ from typing import Literal
 
 from epipole._declared import checked
 from epipole.errors import FileFormatError
-from epipole.io.bundler import write_bundler
-from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import what_it_is
-from epipole.io.transforms_json import read_transforms, write_transforms
+from epipole.io.models.bundler import write_bundler
+from epipole.io.models.transforms import read_transforms, write_transforms
 from epipole.scene import Reconstruction
 
 ModelFormat = Literal["txt", "bin", "ply", "transforms", "bundler", "splat"]

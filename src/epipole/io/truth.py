@@ -10,10 +10,10 @@ import numpy as np
 from epipole._declared import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.io.colmap import read_colmap_model
+from epipole.io.colmap.model import read_colmap_model
 from epipole.io.contents_in_words import what_it_is
 from epipole.io.files import file_text
-from epipole.io.transforms_json import read_transforms
+from epipole.io.models.transforms import read_transforms
 from epipole.scene import Reconstruction
 
 _ROTATION_TOLERANCE = 1e-2

@@ -14,6 +14,7 @@ from epipole.scene.frames import Frames as Frames
 from epipole.scene.frames import Rigs as Rigs
 from epipole.scene.frames import unregistered as unregistered
 from epipole.scene.images import Images as Images
+from epipole.scene.mesh import Mesh as Mesh
 from epipole.scene.point_cloud import PointCloud as PointCloud
 from epipole.scene.point_cloud import depth_map_to_point_cloud as depth_map_to_point_cloud
 from epipole.scene.points import Points as Points

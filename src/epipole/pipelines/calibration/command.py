@@ -50,7 +50,7 @@ def calibrate(
 
 def camera_options(camera: Camera) -> str:
     """The camera as options of `epipole reconstruct`, whose principal point counts from the picture's corner."""
-    from epipole.io.colmap import params_to_colmap
+    from epipole.io.colmap.model import params_to_colmap
 
     params = ",".join(f"{p:.8g}" for p in params_to_colmap(camera.model, camera.params))
     return f"--camera-model {camera.model.name} --camera-params {params}"

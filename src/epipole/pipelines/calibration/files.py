@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole.disparity_search.rectification import rectify
 from epipole.errors import EpipoleError
-from epipole.io.calibration_files import CalibrationFile, write_calibration, write_opencv_yaml, write_ros_yaml
+from epipole.io.calibration.files import CalibrationFile, write_calibration, write_opencv_yaml, write_ros_yaml
 from epipole.pipelines.calibration.calibrate import Calibration
 from epipole.pipelines.calibration.comparison import CrossCheck
 from epipole.pipelines.calibration.verdict import Verdict

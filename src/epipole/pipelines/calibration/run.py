@@ -15,8 +15,8 @@ from epipole.cameras.image_fit import ImagePixels, ImageShape
 from epipole.config import BoardConfig, options_of
 from epipole.errors import DegenerateGeometryError, FileFormatError, MissingDependencyError
 from epipole.features.boards import BoardView, find_board, whole_chessboard
-from epipole.io.photographs import list_photographs, read_grey, read_header
-from epipole.io.stereo_folders import pair_folders, pair_within
+from epipole.io.images.photographs import list_photographs, read_grey, read_header
+from epipole.io.sequences.stereo_folders import pair_folders, pair_within
 from epipole.pipelines.calibration.calibrate import calibrate_views
 from epipole.pipelines.calibration.comparison import cross_check
 from epipole.pipelines.calibration.config import CalibrationConfig

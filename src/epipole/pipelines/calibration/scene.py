@@ -9,7 +9,7 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.calibration_files import CalibrationFile, read_calibration
+from epipole.io.calibration.files import CalibrationFile, read_calibration
 from epipole.report.markup import plural
 from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
 from epipole.scene import Curve

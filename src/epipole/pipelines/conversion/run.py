@@ -10,7 +10,7 @@ from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.io.convert import FOLDER_WRITERS, IMAGE_FOLDER, ModelFormat, read_model
-from epipole.io.gaussian_files import (
+from epipole.io.gaussians.files import (
     META,
     SPLAT,
     SUFFIXES,
@@ -20,10 +20,10 @@ from epipole.io.gaussian_files import (
     read_gaussians,
     write_gaussians,
 )
+from epipole.io.images.photographs import link_or_copy
+from epipole.io.meshes.ply import write_scene_ply
+from epipole.io.models.losses import losses_in
 from epipole.io.names import path_inside
-from epipole.io.photographs import link_or_copy
-from epipole.io.ply import write_scene_ply
-from epipole.io.reconstruction_losses import losses_in
 from epipole.runs import Job, open_run, refuse_existing, replacing_file
 from epipole.scene import Reconstruction
 from epipole.scene.gaussian_cloud import GaussianCloud

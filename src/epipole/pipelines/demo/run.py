@@ -12,8 +12,8 @@ from epipole._declared import checked
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
-from epipole.io.photographs import write_jpeg_with_exif
-from epipole.io.reconstruction_losses import losses_of
+from epipole.io.images.photographs import write_jpeg_with_exif
+from epipole.io.models.losses import losses_of
 from epipole.metrics import CameraErrors, camera_errors
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct
 from epipole.runs import Job, Progress, ProgressCallback, ignore_progress, open_run

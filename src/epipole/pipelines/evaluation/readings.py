@@ -10,8 +10,8 @@ import numpy as np
 
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rotation3
-from epipole.io.trajectories import NAMES_OF_UNITS, TrajectoryReading, read_as, read_trajectory_columns
-from epipole.io.true_paths import truth_of_camera
+from epipole.io.trajectories.files import NAMES_OF_UNITS, TrajectoryReading, read_as, read_trajectory_columns
+from epipole.io.trajectories.true_trajectories import truth_of_camera
 from epipole.metrics import absolute_error, associate
 from epipole.metrics.trajectory_scores import MIN_COMPARED
 from epipole.scene import Trajectory

@@ -11,7 +11,7 @@ from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
 from epipole.geometry import Rigid3
-from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
 

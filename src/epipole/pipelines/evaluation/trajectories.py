@@ -10,8 +10,8 @@ import numpy as np
 from epipole._checks import as_path
 from epipole._declared import checked
 from epipole.errors import FileFormatError
-from epipole.io.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
-from epipole.io.true_paths import has_true_path, true_path_at
+from epipole.io.trajectories.frame_tables import FRAME_TABLE, FrameTable, read_frame_table
+from epipole.io.trajectories.true_trajectories import has_true_path, true_path_at
 from epipole.io.truth import is_truth_of_images
 from epipole.metrics import TrajectoryEvaluation as TrajectoryEvaluation
 from epipole.metrics import score_trajectory

@@ -13,7 +13,7 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.geometry import Rigid3
 from epipole.image import undistorted_camera
 from epipole.io.convert import read_model
-from epipole.io.llff import LLFF, read_llff
+from epipole.io.models.llff import LLFF, read_llff
 from epipole.io.names import flat_names
 from epipole.pipelines.fields.config import RenderJob
 from epipole.scene import Reconstruction

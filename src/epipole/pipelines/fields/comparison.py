@@ -13,12 +13,12 @@ import numpy as np
 
 from epipole._jit import compile_seconds
 from epipole.fields.config import NerfConfig, SplatConfig
-from epipole.fields.rasterizer import render as draw
-from epipole.fields.rasterizer import useful_pairs
+from epipole.fields.splat.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import useful_pairs
 from epipole.fields.training_view import TrainingView
 from epipole.io.files import read_json
-from epipole.io.photographs import read_rgb
-from epipole.io.rgba_pictures import write_png
+from epipole.io.images.photographs import read_rgb
+from epipole.io.images.rgba import write_png
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.held_out import in_time, timed
 from epipole.pipelines.fields.kinds import KINDS, Kind

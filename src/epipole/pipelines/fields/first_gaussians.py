@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from epipole.fields.config import SplatConfig
-from epipole.fields.starting import (
+from epipole.fields.splat.starting import (
     cloud_of_points,
     look_the_same_way,
     points_in_frusta,

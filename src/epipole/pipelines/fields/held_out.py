@@ -12,7 +12,7 @@ import numpy as np
 from epipole._jit import compile_seconds
 from epipole._parallel import num_threads
 from epipole.fields.training_view import TrainingView
-from epipole.io.rgba_pictures import write_png
+from epipole.io.images.rgba import write_png
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import rendered_names
 from epipole.pipelines.fields.scores import scores_of

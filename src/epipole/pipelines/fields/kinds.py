@@ -12,15 +12,15 @@ import numpy as np
 from epipole._declared.tables import Table
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
-from epipole.fields.hash_field import HashField, Room, draw_hash, voxels_of
-from epipole.fields.hash_trainer import HashTrainer
+from epipole.fields.nerf.hash_field import HashField, Room, draw_hash, voxels_of
+from epipole.fields.nerf.hash_files import HashContents, read_hash, write_hash
+from epipole.fields.nerf.hash_trainer import HashTrainer
+from epipole.fields.nerf.voxel_field import Voxels, corners_of, draw_voxels, unit_of, voxels_on
+from epipole.fields.nerf.voxel_files import WIDTH, GridContents, read_grid, write_grid
+from epipole.fields.nerf.voxel_trainer import VoxelTrainer
 from epipole.fields.rays import blocks_of
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import Voxels, corners_of, draw_voxels, unit_of, voxels_on
-from epipole.fields.voxel_trainer import VoxelTrainer
 from epipole.geometry import Rigid3
-from epipole.io.hash_files import HashContents, read_hash, write_hash
-from epipole.io.voxel_files import WIDTH, GridContents, read_grid, write_grid
 
 Field = Any
 """Voxels, or a HashField."""

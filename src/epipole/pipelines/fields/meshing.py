@@ -9,15 +9,16 @@ import numpy as np
 
 from epipole._checks import as_path
 from epipole.config import options_of
+from epipole.dense.tsdf import DistanceVolume
 from epipole.errors import ConfigError, FileFormatError, NoModelError
-from epipole.fields.tsdf import DistanceVolume, Mesh
-from epipole.io.mesh_ply import write_mesh_ply
-from epipole.io.reconstruction_losses import losses_in
+from epipole.io.meshes.mesh_ply import write_mesh_ply
+from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import MeshJob, RenderJob
 from epipole.pipelines.fields.scene import CAMERAS
 from epipole.pipelines.fields.surfaces import seen_from
 from epipole.runs import Progress, ProgressCallback, ignore_progress, refuse_existing, replacing_file
+from epipole.scene import Mesh
 
 
 def mesh(
@@ -29,7 +30,7 @@ def mesh(
 ) -> Mesh:
     """Cut a mesh out of trained Gaussians, a neural field or a grid.
 
-    Depth is drawn from the cameras that the field was trained on, and fused into a volume of signed distances (`fields/tsdf.py`).
+    Depth is drawn from the cameras that the field was trained on, and fused into a volume of signed distances (`dense/tsdf.py`).
 
     Args:
         source: an output folder of `splat` or `nerf`, or a file of Gaussians (with `cameras`).

@@ -11,8 +11,8 @@ import numpy as np
 
 from epipole.fields.training_view import TrainingView
 from epipole.image import color_map
+from epipole.io.images.photographs import read_rgb
 from epipole.io.names import flat_names
-from epipole.io.photographs import read_rgb
 from epipole.pipelines.fields.pictures import FieldPictures
 from epipole.report.charts import draw_curves, draw_timings
 from epipole.report.frame import render

@@ -14,14 +14,14 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError, NoModelEr
 from epipole.fields.training_view import TrainingView, shrunk, shrunk_mask
 from epipole.geometry import Rigid3
 from epipole.image import undistort_image, undistorted_camera
-from epipole.io.colmap import find_model, read_colmap_model
+from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.contents_in_words import results_of
-from epipole.io.llff import LLFF, read_llff
-from epipole.io.model_images import ModelImage, ModelImages
+from epipole.io.images.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file
+from epipole.io.images.rgba import read_rgba
+from epipole.io.models.images import ModelImage, ModelImages
+from epipole.io.models.llff import LLFF, read_llff
+from epipole.io.models.transforms import read_transforms_scene
 from epipole.io.names import path_inside
-from epipole.io.photographs import GreyRange, common_range, mask_of, read_mask, read_mask_file
-from epipole.io.rgba_pictures import read_rgba
-from epipole.io.transforms_json import read_transforms_scene
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.runs import Progress, ProgressCallback, holds_own_model, ignore_progress
 from epipole.scene import Reconstruction

@@ -14,12 +14,12 @@ from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError
 from epipole.fields.normals import normals_of
-from epipole.fields.rasterizer import RenderOptions
-from epipole.fields.rasterizer import render as draw
+from epipole.fields.splat.rasterizer import RenderOptions
+from epipole.fields.splat.rasterizer import render as draw
 from epipole.image import color_map, color_range
-from epipole.io.reconstruction_losses import losses_in
-from epipole.io.rgba_pictures import write_png
-from epipole.io.video_files import VIDEO_SUFFIX, write_video
+from epipole.io.images.rgba import write_png
+from epipole.io.images.video_files import VIDEO_SUFFIX, write_video
+from epipole.io.models.losses import losses_in
 from epipole.pipelines.fields.cameras import Shot, orbit, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in

@@ -9,8 +9,8 @@ from typing import Any
 
 from epipole.errors import ConfigError
 from epipole.fields.config import SplatConfig
-from epipole.fields.splat_trainer import SplatTrainer
-from epipole.io.gaussian_ply import write_gaussian_ply
+from epipole.fields.splat.trainer import SplatTrainer
+from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.first_gaussians import LEAST_POINTS, first_gaussians

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from epipole.errors import FileFormatError
+from epipole.fields.nerf.voxel_field import gaussians_of
 from epipole.fields.training_view import TrainingView
-from epipole.fields.voxel_field import gaussians_of
 from epipole.geometry import Rigid3
 from epipole.io.files import read_json
-from epipole.io.gaussian_files import META, gaussians_file, is_unpacked_sog, read_gaussians
-from epipole.io.gaussian_files import SPLAT as SPLAT
-from epipole.io.transforms_json import model_of_cameras, write_transforms
+from epipole.io.gaussians.files import META, gaussians_file, is_unpacked_sog, read_gaussians
+from epipole.io.gaussians.files import SPLAT as SPLAT
+from epipole.io.models.transforms import model_of_cameras, write_transforms
 from epipole.pipelines.fields.cameras import Shot, shots_of_model
 from epipole.pipelines.fields.config import RenderJob
 from epipole.pipelines.fields.kinds import kind_in

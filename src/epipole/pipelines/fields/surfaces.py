@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from epipole.cameras import Camera
-from epipole.fields.rasterizer import RenderOptions
-from epipole.fields.rasterizer import render as draw
-from epipole.io.gaussian_files import gaussians_file, read_gaussians
+from epipole.fields.splat.rasterizer import RenderOptions
+from epipole.fields.splat.rasterizer import render as draw
+from epipole.io.gaussians.files import gaussians_file, read_gaussians
 from epipole.pipelines.fields.cameras import Shot
 from epipole.pipelines.fields.kinds import Kind, kind_in
 from epipole.pipelines.fields.scene import SUMMARY, told_antialiased

@@ -15,7 +15,7 @@ from epipole.config import options_of
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.fields.config import NerfConfig, SplatConfig
 from epipole.fields.training_view import TrainingView
-from epipole.io.reconstruction_losses import losses_in, losses_of
+from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.held_out import probed

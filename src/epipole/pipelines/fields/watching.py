@@ -12,7 +12,7 @@ import numpy as np
 
 from epipole._jit import compile_seconds
 from epipole.cameras import Camera
-from epipole.fields.splat_trainer import SplatTrainer
+from epipole.fields.splat.trainer import SplatTrainer
 from epipole.fields.training_view import TrainingView
 from epipole.geometry import Rigid3
 from epipole.pipelines.fields.config import FieldOptions

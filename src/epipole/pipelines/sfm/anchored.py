@@ -8,17 +8,9 @@ import numpy as np
 
 from epipole.errors import DegenerateGeometryError, EpipoleError
 from epipole.geometry import Similarity3
-from epipole.io.exif import gps_to_enu
-from epipole.io.photographs import read_grey
-from epipole.mapping import (
-    Anchoring,
-    MetricScale,
-    ScaleEstimate,
-    adjust_reconstruction,
-    after_adjustment,
-    anchor_model,
-    views_of_model,
-)
+from epipole.io.images.exif import gps_to_enu
+from epipole.io.images.photographs import read_grey
+from epipole.mapping import adjust_reconstruction
 from epipole.optim import BundleConfig, BundlePriors, Loss
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.gps.alignment import gps_distances
@@ -26,6 +18,14 @@ from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.pipeline import Solution
 from epipole.runs import Progress, ProgressCallback
+from epipole.scale import (
+    Anchoring,
+    MetricScale,
+    ScaleEstimate,
+    after_adjustment,
+    anchor_model,
+    views_of_model,
+)
 from epipole.scene import Reconstruction
 
 UP_TO_SCALE = "up to scale: pictures alone cannot tell lengths"

@@ -204,6 +204,6 @@ class ReconstructConfig:
         """
         if self.camera_params is None:
             return None
-        from epipole.io.camera_params import params_of_text  # not for the command line's help
+        from epipole.io.calibration.camera_params import params_of_text  # not for the command line's help
 
         return params_of_text(self.camera_params)

@@ -18,8 +18,8 @@ from epipole.cameras.image_fit import (
     with_likely_principal_point,
 )
 from epipole.errors import ConfigError
-from epipole.io.camera_params import camera_of_calibration, camera_of_images, refuse_impossible
-from epipole.io.photographs import PhotographHeader
+from epipole.io.calibration.camera_params import camera_of_calibration, camera_of_images, refuse_impossible
+from epipole.io.images.photographs import PhotographHeader
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.scene import Cameras
 

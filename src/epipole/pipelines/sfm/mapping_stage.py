@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epipole.io.exif import gps_to_enu
-from epipole.mapping import MetricScale, ModelBuilder, PositionPriors, connect_matches
+from epipole.io.images.exif import gps_to_enu
+from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.alignment import (
     MIN_POSITIONS,
@@ -25,6 +25,7 @@ from epipole.pipelines.sfm.photographs import ImageSet
 from epipole.pipelines.sfm.up_direction import up_directions
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
+from epipole.scale import MetricScale
 from epipole.scene import Cameras, Reconstruction, ViewGraph
 
 GPS_OUTLIER_SIGMAS = 5.0

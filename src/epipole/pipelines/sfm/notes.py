@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole.image.pixels_without_ray import no_ray_warning
-from epipole.io.video import is_video
+from epipole.io.images.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mapping_stage import gps_notes

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError, NoModelError
-from epipole.io.photographs import (
+from epipole.io.images.image_names import depth_among, fits
+from epipole.io.images.photographs import (
     PhotographHeader,
     PhotographList,
     list_photographs,
@@ -19,7 +20,6 @@ from epipole.io.photographs import (
     mask_of,
     read_header,
 )
-from epipole.io.picture_names import depth_among, fits
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.lenses import group_cameras
 from epipole.runs import Progress, ProgressCallback, content_digests

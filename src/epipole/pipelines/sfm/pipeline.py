@@ -16,20 +16,25 @@ import numpy as np
 from epipole import _jit
 from epipole.errors import ConfigError, NoModelError
 from epipole.io.contents_in_words import with_what_it_is
-from epipole.io.video import extract_frames, frame_orientation, is_video
+from epipole.io.images.video import extract_frames, frame_orientation, is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy, focal_accuracies
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.database_stage import DatabaseSource, open_source
-from epipole.pipelines.sfm.database_stage import feature_units as given_feature_units
-from epipole.pipelines.sfm.database_stage import match_units as given_match_units
-from epipole.pipelines.sfm.feature_stage import feature_units
 from epipole.pipelines.sfm.focal import estimate_focals
 from epipole.pipelines.sfm.mapping_stage import Mapped, map_images
-from epipole.pipelines.sfm.match_stage import PairWork, load_view_graph, match_units, verification_units
-from epipole.pipelines.sfm.pairing import choose_pairs, read_pairs
+from epipole.pipelines.sfm.matching.database_stage import DatabaseSource, open_source
+from epipole.pipelines.sfm.matching.database_stage import feature_units as given_feature_units
+from epipole.pipelines.sfm.matching.database_stage import match_units as given_match_units
+from epipole.pipelines.sfm.matching.feature_stage import feature_units
+from epipole.pipelines.sfm.matching.match_stage import (
+    PairWork,
+    load_view_graph,
+    match_units,
+    verification_units,
+)
+from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs
+from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.photographs import ImageSet, read_image_set
 from epipole.pipelines.sfm.shared_focals import contradicted_cameras, with_own_cameras
-from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.pipelines.sfm.warm_up import warm_up
 from epipole.runs import Run, Unit, load
 from epipole.scene import Cameras, ViewGraph

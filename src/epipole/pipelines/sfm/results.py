@@ -8,16 +8,16 @@ import numpy as np
 
 from epipole.errors import FileFormatError, NoModelError
 from epipole.io.atomic import atomic_write
-from epipole.io.colmap import write_colmap_model
-from epipole.io.colmap_database import DatabaseContents, write_database
+from epipole.io.colmap.database import DatabaseContents, write_database
+from epipole.io.colmap.model import write_colmap_model
 from epipole.io.files import read_json
+from epipole.io.images.photographs import copy_or_rotate
 from epipole.io.json_files import json_text
-from epipole.io.photographs import copy_or_rotate
-from epipole.io.ply import write_scene_ply
+from epipole.io.meshes.ply import write_scene_ply
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
-from epipole.pipelines.sfm.match_stage import load_putative
+from epipole.pipelines.sfm.matching.match_stage import load_putative
+from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.pipeline import DATABASE, UNITS, Solution
-from epipole.pipelines.sfm.unit_tables import FEATURES
 from epipole.runs import Run, load
 from epipole.scene import Frames, Images, Rigs, unregistered
 

@@ -11,17 +11,17 @@ from epipole._checks import as_path
 from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
-from epipole.mapping import check_anchor_files
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import absences_of, focal_source, notes_on_choice_and_lenses, warnings_of
-from epipole.pipelines.sfm.page import render_report
-from epipole.pipelines.sfm.page_content import page_content
+from epipole.pipelines.sfm.page.content import page_content
+from epipole.pipelines.sfm.page.page import render_report
 from epipole.pipelines.sfm.pipeline import Solution, solve
 from epipole.pipelines.sfm.results import write_results
 from epipole.runs import ExecutorChoice, Job, ProgressCallback, ignore_progress, open_run
 from epipole.runs.earlier import note_on_poorer
+from epipole.scale import check_anchor_files
 from epipole.scene import Reconstruction
 
 

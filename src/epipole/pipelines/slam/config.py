@@ -147,7 +147,7 @@ class CameraOptions:
             fit_notes,
             with_likely_principal_point,
         )
-        from epipole.io.camera_params import camera_of_calibration, camera_of_images
+        from epipole.io.calibration.camera_params import camera_of_calibration, camera_of_images
 
         if self.calibration is not None:
             if self.camera_params or self.camera_model:
@@ -176,7 +176,7 @@ class CameraOptions:
             raise ConfigError("camera_params are of one camera: give a calibration of both")
         if self.calibration is None:
             return None
-        from epipole.io.calibration_files import read_stereo_rig
+        from epipole.io.calibration.files import read_stereo_rig
 
         return read_stereo_rig(self.calibration, size=size).scaled_to(size, size)
 

@@ -16,11 +16,10 @@ from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape
 from epipole.config import ANCHOR_FILES, AnchorOptions, options_of
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
-from epipole.io.bags import is_bag
-from epipole.io.photographs import read_header
-from epipole.io.sequences import read_sequence
-from epipole.io.video import is_video
-from epipole.mapping import Anchoring, check_anchor_files, mounted_imu
+from epipole.io.bags.recording import is_bag
+from epipole.io.images.photographs import read_header
+from epipole.io.images.video import is_video
+from epipole.io.sequences.sequence import read_sequence
 from epipole.pipelines.slam.config import CameraOptions, JobOptions, SlamConfig
 from epipole.pipelines.slam.map.local_mapping import LAST_STEPS
 from epipole.pipelines.slam.output import autosave
@@ -52,6 +51,7 @@ from epipole.pipelines.slam.sources.streams import (
 from epipole.runs import Job, Progress, ProgressCallback, Run, heeded_interrupts, ignore_progress, open_run
 from epipole.runs.earlier import refuse_poorer
 from epipole.runs.folder import check_place
+from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 
 ARGUMENTS = ("config", "job", "camera", "progress")
 

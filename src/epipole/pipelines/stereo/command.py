@@ -115,7 +115,7 @@ def _examine(left: Path, right: Path, options: RigOptions, as_json: bool) -> boo
 
 def _measure(left: Path, right: Path, out: Path, config: StereoConfig, options: RigOptions) -> bool:
     """One pair, or many; whether all were measured."""
-    from epipole.io.video import is_video
+    from epipole.io.images.video import is_video
     from epipole.screen import progress_on_screen, working
 
     if not (left.is_dir() or right.is_dir() or is_video(left) or is_video(right)):

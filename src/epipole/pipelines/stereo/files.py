@@ -12,11 +12,11 @@ from epipole.disparity_search.rectification import Rectification
 from epipole.errors import FileFormatError
 from epipole.image.encoding import encoded_image
 from epipole.io.atomic import atomic_write
-from epipole.io.depth_maps import read_pfm, write_pfm, write_png16
 from epipole.io.files import read_json
+from epipole.io.images.depth_maps import read_pfm, write_pfm, write_png16
+from epipole.io.images.photographs import read_rgb
 from epipole.io.json_files import json_text
-from epipole.io.photographs import read_rgb
-from epipole.io.ply import write_points_ply
+from epipole.io.meshes.ply import write_points_ply
 from epipole.pipelines.stereo.pair import StereoResult
 from epipole.pipelines.stereo.uncalibrated import UncalibratedRectification
 from epipole.scene import RectifiedRig, depth_map_to_point_cloud

@@ -11,7 +11,7 @@ import numpy as np
 from epipole.cameras.image_fit import ImagePixels, ImageShape, is_same_view
 from epipole.disparity_search.rectification import rectify
 from epipole.errors import EpipoleError
-from epipole.io.photographs import read_header, read_rgb
+from epipole.io.images.photographs import read_header, read_rgb
 from epipole.pipelines.stereo.rows import match_features
 from epipole.scene import RectifiedRig, StereoRig
 

@@ -10,10 +10,10 @@ from typing import Any
 
 from epipole.errors import EpipoleError, FileFormatError
 from epipole.io.files import read_json
+from epipole.io.images.video import is_video
 from epipole.io.names import flat_names
-from epipole.io.stereo_folders import pair_folders
-from epipole.io.stereo_video import extract_pairs
-from epipole.io.video import is_video
+from epipole.io.sequences.stereo_folders import pair_folders
+from epipole.io.sequences.stereo_video import extract_pairs
 from epipole.pipelines.stereo.pair import StereoResult
 from epipole.runs import Progress, ProgressCallback, ignore_progress, is_finished
 

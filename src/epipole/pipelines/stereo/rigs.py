@@ -9,9 +9,9 @@ import numpy as np
 
 from epipole.cameras import CameraModel
 from epipole.errors import ConfigError
-from epipole.io.calibration_files import read_stereo_rig
-from epipole.io.photographs import list_photographs, read_header
-from epipole.io.video import frame_size, is_video
+from epipole.io.calibration.files import read_stereo_rig
+from epipole.io.images.photographs import list_photographs, read_header
+from epipole.io.images.video import frame_size, is_video
 from epipole.pipelines.stereo.config import RigOptions
 from epipole.scene import RectifiedRig, StereoRig
 

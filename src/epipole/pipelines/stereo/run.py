@@ -14,9 +14,9 @@ from epipole._declared import checked
 from epipole.config import options_of
 from epipole.disparity_search.rectification import is_right_of_left
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
-from epipole.io.colmap import find_model, read_colmap_model
-from epipole.io.model_images import ModelImages
-from epipole.io.photographs import list_photographs
+from epipole.io.colmap.model import find_model, read_colmap_model
+from epipole.io.images.photographs import list_photographs
+from epipole.io.models.images import ModelImages
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
 from epipole.pipelines.stereo.files import write_stereo

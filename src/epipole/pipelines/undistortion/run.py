@@ -13,12 +13,12 @@ from epipole._declared import checked
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import undistort_image, undistorted_camera
-from epipole.io.colmap import find_model, read_colmap_model, write_colmap_model
+from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import with_what_it_is
-from epipole.io.model_images import ModelImage, ModelImages
-from epipole.io.photograph_writing import write_photograph
-from epipole.io.photographs import common_range
-from epipole.io.reconstruction_losses import losses_in
+from epipole.io.images.photographs import common_range
+from epipole.io.images.writing import write_photograph
+from epipole.io.models.images import ModelImage, ModelImages
+from epipole.io.models.losses import losses_in
 from epipole.runs import Job, ProgressCallback, holds_own_model, ignore_progress, open_run
 from epipole.scene import Cameras, Reconstruction
 

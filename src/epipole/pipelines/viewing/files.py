@@ -9,9 +9,9 @@ import numpy as np
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
 from epipole.image import color_map
-from epipole.io.depth_maps import PNG_SCALE, read_pfm, read_png16
-from epipole.io.mesh_ply import read_mesh_ply
-from epipole.io.ply import CAMERA_RGB, frustum_segments, num_cameras_of_scene
+from epipole.io.images.depth_maps import PNG_SCALE, read_pfm, read_png16
+from epipole.io.meshes.mesh_ply import read_mesh_ply
+from epipole.io.meshes.ply import CAMERA_RGB, frustum_segments, num_cameras_of_scene
 from epipole.pipelines.stereo.scene import points_of_depths, view_of_depths
 from epipole.report.markup import plural
 from epipole.report.space_scene import CameraLayer, FirstView, MeshLayer, PointLayer, SpaceScene

@@ -12,7 +12,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.io.contents_in_words import with_what_it_is
 from epipole.pipelines.calibration import scene as calibration
 from epipole.pipelines.fields import scene as fields
-from epipole.pipelines.sfm import scene as sfm
+from epipole.pipelines.sfm.page import scene as sfm
 from epipole.pipelines.slam.output import scene as slam
 from epipole.pipelines.stereo import scene as stereo
 from epipole.pipelines.viewing import files

@@ -18,9 +18,9 @@ from epipole.inertial import (
     imu_factors,
 )
 from epipole.inertial.preintegration import LARGEST_GAP_S
-from epipole.mapping import ScaleEstimate
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_variance
 from epipole.pipelines.slam.map.slam_map import Keyframe
+from epipole.scale import ScaleEstimate
 
 LONGEST_S, SHORTEST_S = 2.0, 0.02
 """Between keyframes: over more the biases carry the unit too far, over less there is hardly a measurement."""

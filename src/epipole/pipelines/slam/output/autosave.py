@@ -11,7 +11,7 @@ from time import perf_counter
 from epipole.errors import WorkspaceError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.atomic import atomic_write, reporting
-from epipole.io.trajectories import exact_text
+from epipole.io.trajectories.files import exact_text
 from epipole.pipelines.slam.frames import TrackedFrame
 from epipole.pipelines.slam.output.answer_log import ANSWERS, line_of
 from epipole.pipelines.slam.output.map_file import write_slam_map

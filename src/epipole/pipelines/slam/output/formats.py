@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from epipole.io.trajectories import TrajectoryFormat, write_trajectory
+from epipole.io.trajectories.files import TrajectoryFormat, write_trajectory
 from epipole.scene import Trajectory
 
 _SUFFIXES = {"kitti": "_kitti.txt", "euroc": "_euroc.csv"}

@@ -12,12 +12,11 @@ import numpy as np
 from epipole.errors import NoModelError
 from epipole.geometry import Rigid3
 from epipole.image.pixels_without_ray import no_ray_warning, pixels_without_ray
-from epipole.io.colmap import write_colmap_model
-from epipole.io.frame_tables import FRAME_TABLE
-from epipole.io.ply import write_scene_ply
-from epipole.io.trajectories import write_trajectory
-from epipole.io.true_paths import Truth
-from epipole.mapping import Anchoring
+from epipole.io.colmap.model import write_colmap_model
+from epipole.io.meshes.ply import write_scene_ply
+from epipole.io.trajectories.files import write_trajectory
+from epipole.io.trajectories.frame_tables import FRAME_TABLE
+from epipole.io.trajectories.true_trajectories import Truth
 from epipole.pipelines.slam.config import JobOptions
 from epipole.pipelines.slam.frames import TrackedFrame, TrackingState
 from epipole.pipelines.slam.loops.recognition import MIN_SAMPLE
@@ -39,6 +38,7 @@ from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera
 from epipole.runs import Run
 from epipole.runs.earlier import note_on_poorer, refuse_poorer
+from epipole.scale import Anchoring
 from epipole.scene import Reconstruction, Trajectory
 
 TRAJECTORY, CAUSAL, WITH_COVARIANCE = "trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt"

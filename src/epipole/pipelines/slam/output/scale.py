@@ -10,7 +10,12 @@ import numpy as np
 from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.mapping import (
+from epipole.pipelines.slam.map.imu import scale_by_factors
+from epipole.pipelines.slam.map.local_mapping import LocalMapper
+from epipole.pipelines.slam.output.export import reconstruction_of
+from epipole.pipelines.slam.output.map_file import KnownMap
+from epipole.pipelines.slam.slam import Slam
+from epipole.scale import (
     Anchoring,
     AnchorViews,
     ScaleEstimate,
@@ -18,11 +23,6 @@ from epipole.mapping import (
     anchor_model,
     views_of_model,
 )
-from epipole.pipelines.slam.map.imu import scale_by_factors
-from epipole.pipelines.slam.map.local_mapping import LocalMapper
-from epipole.pipelines.slam.output.export import reconstruction_of
-from epipole.pipelines.slam.output.map_file import KnownMap
-from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 
 

@@ -13,10 +13,10 @@ from epipole.errors import EpipoleError, FileFormatError
 from epipole.image import color_map
 from epipole.io.convert import read_model
 from epipole.io.files import read_json
-from epipole.io.frame_tables import FRAME_TABLE, read_frame_table
-from epipole.io.photographs import read_rgb
-from epipole.io.sequences import read_sequence
-from epipole.io.trajectories import read_trajectory, trajectory_format
+from epipole.io.images.photographs import read_rgb
+from epipole.io.sequences.sequence import read_sequence
+from epipole.io.trajectories.files import read_trajectory, trajectory_format
+from epipole.io.trajectories.frame_tables import FRAME_TABLE, read_frame_table
 from epipole.pipelines.slam.output.drawing import (
     CAUSAL,
     CAUSAL_RGB,

@@ -11,8 +11,8 @@ import numpy as np
 
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Similarity3
-from epipole.io.true_paths import Truth
-from epipole.io.true_paths import true_path_at as true_path_at
+from epipole.io.trajectories.true_trajectories import Truth
+from epipole.io.trajectories.true_trajectories import true_path_at as true_path_at
 from epipole.metrics import absolute_error, associate, score_trajectory
 from epipole.metrics.numbered_truth import at_numbers_of_pictures
 from epipole.pipelines.slam.output.record import FrameRecord

@@ -18,9 +18,9 @@ from epipole.disparity_search.rectification import Rectification, rectify
 from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
-from epipole.io.depth_maps import read_png16
-from epipole.io.photographs import GreyRange, common_range, mask_of, read_grey, read_header, read_mask
-from epipole.io.sequences import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
+from epipole.io.images.depth_maps import read_png16
+from epipole.io.images.photographs import GreyRange, common_range, mask_of, read_grey, read_header, read_mask
+from epipole.io.sequences.sequence import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera
 from epipole.pipelines.slam.sources.depth_range import DepthRange
 from epipole.scene import StereoRig

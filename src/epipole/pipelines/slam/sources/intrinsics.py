@@ -19,13 +19,13 @@ from epipole.errors import ConfigError, EpipoleError, NoModelError
 from epipole.features.flow import follow_points
 from epipole.geometry import Rigid3
 from epipole.image.encoding import encoded_image
-from epipole.io.bags import is_bag
-from epipole.io.calibration_files import CalibrationFile, write_calibration
-from epipole.io.camera_params import text_of_camera
-from epipole.io.photographs import read_grey, read_header
-from epipole.io.reconstruction_losses import losses_of
-from epipole.io.sequences import read_sequence
-from epipole.io.video import count_frames, is_video, opened_video
+from epipole.io.bags.recording import is_bag
+from epipole.io.calibration.camera_params import text_of_camera
+from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.images.photographs import read_grey, read_header
+from epipole.io.images.video import count_frames, is_video, opened_video
+from epipole.io.models.losses import losses_of
+from epipole.io.sequences.sequence import read_sequence
 from epipole.mapping import bundle_problem_of
 from epipole.optim import BundleConfig, Loss, adjust_bundle, bundle_covariance, with_fixed_gauge
 from epipole.pipelines.sfm.run import ReconstructionResult, reconstruct

@@ -15,8 +15,8 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.cameras.image_fit import ImageShape
 from epipole.errors import ConfigError, FileFormatError
-from epipole.io.bags import BagFrame, BagSequence, bag_frames, read_bag
-from epipole.io.video import announced_frames, frame_orientation, opened_video
+from epipole.io.bags.recording import BagFrame, BagSequence, bag_frames, read_bag
+from epipole.io.images.video import announced_frames, frame_orientation, opened_video
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.sources.folder import (

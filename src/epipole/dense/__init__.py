@@ -1,0 +1,1 @@
+"""Dense geometry of many views."""

@@ -1,0 +1,1 @@
+"""Radiance fields: voxel grids and hash grids."""

@@ -1,0 +1,238 @@
+"""Samples of rays, their hashed features, and how they compose (Mueller, Evans, Schied and Keller, Instant-NGP, 2022; Max 1995).
+
+A sample in [0, 1]^3 has features from several levels: at a level of s cells the eight corners of its cell, each a row of the level's
+table, trilinearly. A level with as many rows as corners is read directly; else corner (i, j, k) is row
+(i xor 2654435761 j xor 805459861 k) mod rows, and what shares a row is told apart by the other levels and the network.
+
+With steps of length delta, sigma = exp(raw + SHIFT) and alpha = 1 - exp(-sigma delta), a ray's colour is
+    C = sum_i T_i alpha_i c_i + T_end background,  T_i = prod_{j<i} (1 - alpha_j);  with v_i = c_i . dL/dC
+    dL/draw_i = sigma_i delta (T_{i+1} v_i - sum_{j>i} T_j alpha_j v_j - T_end background . dL/dC).
+"""
+
+import math
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.fields.nerf._march_kernels import BLOCK, enter, past_block, ray_of_pixel
+from epipole.fields.splat._projection_kernels import harmonics
+
+STEP = np.float32(0.5)
+"""Between samples, in cells."""
+SHIFT, LARGEST_RAW = np.float32(-5.0), np.float32(15.0)
+"""Added to what the network says of a density, and the most that is believed."""
+OVER = np.float32(1e-3)
+"""Transmittance below which what comes behind is not seen."""
+PRIMES = (np.uint32(2654435761), np.uint32(805459861))
+BEFORE, ALPHA, THICKNESS = 0, 1, 2
+"""Of a sample: transmittance before it, alpha, and sigma delta."""
+
+
+@kernel
+def sample_rays(rays, pixel_of, view_of, room, start, stop, most, at, places, counts, basis, work):
+    """The next samples, at most `most`, of the rays start..stop, in cells that are occupied.
+
+    pixel_of (n,) are pixels within their views view_of (n,); at (n,) is where a ray goes on, in cells from its camera: its first offset
+    less 1 (below 0) where it has not begun; it becomes infinite where the ray has left the grid. places (capacity, 4) get the samples, in [0, 1],
+    and their distance in cells; counts (stop - start,) their numbers; basis (stop - start, 16) the harmonics of the rays' directions. A ray for
+    which no room is left gets none.
+    Returns the number of samples.
+    """
+    origin, direction = work[0], work[1]
+    side = np.float32(1.0) / np.float32(max(room.occupied.shape))
+    found = 0
+    for n in range(start, stop):
+        view = view_of[n]
+        width = rays.width[view]
+        row, column = pixel_of[n] // width, pixel_of[n] % width
+        ray_of_pixel(rays, view, column, row, room.low, room.size, origin, direction)
+        harmonics(direction[0], direction[1], direction[2], 16, basis[n - start])
+        near, far = enter(room.occupied, origin, direction)
+        t = at[n]
+        if t < np.float32(0.0):
+            t = near + (t + np.float32(1.0)) * STEP
+        count, is_full = 0, False
+        while t < far and count < most:
+            x, y, z = origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2]
+            ix, iy, iz = int(x), int(y), int(z)
+            if not room.blocks[ix // BLOCK, iy // BLOCK, iz // BLOCK]:
+                ahead = past_block(origin, direction, ix, iy, iz, t) - t
+                t += STEP * max(np.float32(1.0), np.float32(math.ceil(ahead / STEP)))
+                continue
+            t += STEP
+            if not room.occupied[ix, iy, iz]:
+                continue
+            if found + count == len(places):
+                is_full = True
+                break
+            place = places[found + count]
+            place[0], place[1], place[2], place[3] = x * side, y * side, z * side, t - STEP
+            count += 1
+        at[n] = t if t < far else np.float32(np.inf)
+        counts[n - start] = 0 if is_full else count
+        found += counts[n - start]
+    return found
+
+
+@kernel(fuse=True)
+def _row_of(i, j, k, cells, mask, is_hashed):
+    if is_hashed:
+        own = np.uint32(i) ^ np.uint32(np.uint32(j) * PRIMES[0]) ^ np.uint32(np.uint32(k) * PRIMES[1])
+        return np.int64(own & mask)
+    return (np.int64(k) * (cells + 1) + j) * (cells + 1) + i
+
+
+@kernel(fuse=True)
+def _cell_of(place, scale):
+    """The cell of a place, and how far into it."""
+    x, y, z = place[0] * scale, place[1] * scale, place[2] * scale
+    ix, iy, iz = int(x), int(y), int(z)
+    return ix, iy, iz, x - np.float32(ix), y - np.float32(iy), z - np.float32(iz)
+
+
+@kernel(fuse=True)
+def encode(places, cells, tables, features):
+    """Features (n, levels * 4) of places (n, 4), level by level: a table stays in the cache. Tables are (levels, rows, 4), rows a power of two."""
+    levels, rows = tables.shape[0], tables.shape[1]
+    mask, one = np.uint32(rows - 1), np.float32(1.0)
+    for level in range(levels):
+        side, table = cells[level], tables[level]
+        scale, is_hashed = np.float32(side), (side + 1) ** 3 > rows
+        for n in range(len(places)):
+            ix, iy, iz, fx, fy, fz = _cell_of(places[n], scale)
+            a = b = c = d = np.float32(0.0)
+            for k in range(2):
+                wz = fz if k else one - fz
+                for j in range(2):
+                    wyz = wz * (fy if j else one - fy)
+                    for i in range(2):
+                        row = _row_of(ix + i, iy + j, iz + k, side, mask, is_hashed)
+                        weight = wyz * (fx if i else one - fx)
+                        a += weight * table[row, 0]
+                        b += weight * table[row, 1]
+                        c += weight * table[row, 2]
+                        d += weight * table[row, 3]
+            out = features[n]
+            out[4 * level], out[4 * level + 1], out[4 * level + 2], out[4 * level + 3] = a, b, c, d
+
+
+@kernel(fuse=True)
+def spread(places, cells, level, by_features, gradient):
+    """Add the derivatives by_features (n, levels * 4) of a level's features to its table's (rows, 4)."""
+    rows, side = len(gradient), cells[level]
+    mask, one = np.uint32(rows - 1), np.float32(1.0)
+    scale, is_hashed = np.float32(side), (side + 1) ** 3 > rows
+    for n in range(len(places)):
+        ix, iy, iz, fx, fy, fz = _cell_of(places[n], scale)
+        by = by_features[n]
+        a, b, c, d = by[4 * level], by[4 * level + 1], by[4 * level + 2], by[4 * level + 3]
+        for k in range(2):
+            wz = fz if k else one - fz
+            for j in range(2):
+                wyz = wz * (fy if j else one - fy)
+                for i in range(2):
+                    row = _row_of(ix + i, iy + j, iz + k, side, mask, is_hashed)
+                    weight = wyz * (fx if i else one - fx)
+                    gradient[row, 0] += weight * a
+                    gradient[row, 1] += weight * b
+                    gradient[row, 2] += weight * c
+                    gradient[row, 3] += weight * d
+
+
+@kernel
+def weigh(said, counts, delta, left, light, kept, kept_counts):
+    """Light along rays, until nothing is seen of what comes behind.
+
+    said (n, 16) are what the network says of samples, the first of the density; counts (rays,) how many are of each ray; left (rays,) is what
+    comes through before them, and then behind. light (n, 3) gets BEFORE, ALPHA, THICKNESS, kept the samples that are seen and
+    kept_counts (rays,) their numbers. Returns how many are kept.
+    """
+    at, found = 0, 0
+    for n in range(len(counts)):
+        through = left[n]
+        begin = found
+        for i in range(at, at + counts[n]):
+            if through < OVER:
+                break
+            thickness = np.float32(math.exp(min(said[i, 0] + SHIFT, LARGEST_RAW))) * delta
+            alpha = np.float32(1.0) - np.float32(math.exp(-thickness))
+            light[found, BEFORE], light[found, ALPHA], light[found, THICKNESS] = through, alpha, thickness
+            kept[found] = i
+            found += 1
+            through *= np.float32(1.0) - alpha
+        at += counts[n]
+        left[n] = through
+        kept_counts[n] = found - begin
+    return found
+
+
+@kernel
+def join(said, kept, kept_counts, basis, out):
+    """What the network says of the samples that are kept (m, 16), and the harmonics of their rays' directions (rays, 16): out (m, 32)."""
+    at = 0
+    for n in range(len(kept_counts)):
+        for i in range(at, at + kept_counts[n]):
+            for k in range(16):
+                out[i, k] = said[kept[i], k]
+                out[i, 16 + k] = basis[n, k]
+        at += kept_counts[n]
+
+
+@kernel
+def compose(colours, light, places, kept, kept_counts, picture):
+    """Add the samples' colours (m, 3), each before a logistic function, which they pass here, and distances to the rays' picture (rays, 4)."""
+    at, one = 0, np.float32(1.0)
+    for n in range(len(kept_counts)):
+        for i in range(at, at + kept_counts[n]):
+            weight = light[i, BEFORE] * light[i, ALPHA]
+            for k in range(3):
+                colours[i, k] = one / (one + np.float32(math.exp(-colours[i, k])))
+                picture[n, k] += weight * colours[i, k]
+            picture[n, 3] += weight * places[kept[i], 3]
+        at += kept_counts[n]
+
+
+@kernel
+def compose_back(colours, light, kept_counts, behind, by_picture, by_colours, by_raw):
+    """Derivatives by what the network says of colours (m, 3) and densities (m,) from those by the picture (rays, 3).
+
+    colours (m, 3) have passed the logistic function; behind (rays,) is dL/dC . background times what is seen of it.
+    """
+    at, one = 0, np.float32(1.0)
+    for n in range(len(kept_counts)):
+        rest = behind[n]
+        for i in range(at + kept_counts[n] - 1, at - 1, -1):
+            before, alpha = light[i, BEFORE], light[i, ALPHA]
+            value = np.float32(0.0)
+            for k in range(3):
+                value += by_picture[n, k] * colours[i, k]
+                slope = colours[i, k] * (one - colours[i, k])
+                by_colours[i, k] = before * alpha * by_picture[n, k] * slope
+            by_raw[i] = light[i, THICKNESS] * (before * (one - alpha) * value - rest)
+            rest += before * alpha * value
+        at += kept_counts[n]
+
+
+@kernel
+def hold_back(by, value):
+    """Clear derivatives (n, k) where the value that passed is not above 0."""
+    one, other = by.reshape(-1), value.reshape(-1)
+    for i in range(len(one)):
+        if not other[i] > np.float32(0.0):
+            one[i] = np.float32(0.0)
+
+
+@kernel
+def move(values, gradient, mean, square, rate, momentum, squares):
+    """Adam's step of flat numbers that got a derivative, which is cleared (Kingma and Ba, ICLR 2015).
+
+    What is moved for the first time moves by its rate: with betas of 0.9 and 0.99 that needs no correction.
+    """
+    one = np.float32(1.0)
+    for i in range(len(values)):
+        g = gradient[i]
+        if g != np.float32(0.0):
+            mean[i] = momentum * mean[i] + (one - momentum) * g
+            square[i] = squares * square[i] + (one - squares) * g * g
+            values[i] -= rate * mean[i] / (np.float32(math.sqrt(square[i])) + np.float32(1e-15))
+            gradient[i] = np.float32(0.0)

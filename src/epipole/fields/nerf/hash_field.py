@@ -1,0 +1,256 @@
+"""A neural radiance field: features from hashed tables, read by a small network that is queried along rays.
+
+Mildenhall et al., NeRF (2020): a network tells density and colour at a place and a direction, which are integrated along rays.
+Mueller et al., Instant-NGP (2022): trained tables of features at several sizes make the network small.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from epipole import _parallel
+from epipole._checks import check_count
+from epipole._declared import checked
+from epipole._declared.tables import Expected, require_arrays
+from epipole.cameras import Camera
+from epipole.errors import ConfigError
+from epipole.fields.nerf import _hash_kernels as kernels
+from epipole.fields.nerf._voxel_kernels import SHIFT as VOXEL_SHIFT
+from epipole.fields.nerf.voxel_field import Voxels, check_room, corners_of, voxels_on
+from epipole.fields.rays import Rays, rays_of_camera
+from epipole.fields.splat._projection_kernels import harmonics
+from epipole.fields.splat._simd_kernels import ROW
+from epipole.geometry import Rigid3
+
+FEATURES, SAID, BASIS = 4, 16, 16
+"""Of a level; of what the first network says, density and 15 more; and harmonics of a direction."""
+MOST_CELLS = 1 << 27
+"""Of an explicit grid that is made."""
+TOGETHER, WAVE = 1024, 16
+"""Rays of a picture in one piece of work, and samples of each before what is hidden is left out."""
+DELTA = np.float32(kernels.STEP)
+"""Length of a step, in which densities are told: cells."""
+LEAST_SIGMA = 1e-8
+
+
+class Room(NamedTuple):
+    """Cells in which something may be; a place p of the world is at (p - low) / size."""
+
+    occupied: np.ndarray
+    """(x, y, z) uint8."""
+    blocks: np.ndarray
+    """Whether a block of 8 x 8 x 8 cells holds an occupied one."""
+    low: np.ndarray
+    size: float
+
+
+class HashField(NamedTuple):
+    """Tables, network, and where to look."""
+
+    room: Room
+    cells: np.ndarray
+    """(levels,) cells along the longest side of the room, at each level."""
+    tables: np.ndarray
+    """(levels, rows, 4) float32."""
+    weights: tuple[np.ndarray, ...]
+    """Of the layers, (inputs, outputs) each: two say density and 15 features, three more the colour; between them what is below 0 is cut off."""
+
+
+class Samples(NamedTuple):
+    """Of rays that go on: where they were sampled, and what the first network said."""
+
+    places: np.ndarray
+    counts: np.ndarray
+    basis: np.ndarray
+    features: np.ndarray
+    hidden: np.ndarray
+    said: np.ndarray
+
+
+class Seen(NamedTuple):
+    """Of samples that are not hidden: their light, and the layers of the colour."""
+
+    kept: np.ndarray
+    counts: np.ndarray
+    light: np.ndarray
+    layers: tuple[np.ndarray, ...]
+
+
+_HASH = {
+    "occupied": Expected("uint8", "x y z", most=1),
+    "blocks": Expected("uint8", "_ _ _", most=1),
+    "low": Expected("float64", "3"),
+    "size": Expected("float64"),
+    "cells": Expected("int64", "l", least=1),
+    "tables": Expected("float32", f"l r {FEATURES}"),
+    "weight_0": Expected("float32", "i a"),
+    "weight_1": Expected("float32", f"a {SAID}"),
+    "weight_2": Expected("float32", f"{SAID + BASIS} b"),
+    "weight_3": Expected("float32", "b c"),
+    "weight_4": Expected("float32", "c 3"),
+}
+"""What a field holds: rooms, tables, layers."""
+
+
+def check_hash_field(field: HashField) -> None:
+    """Check a neural field.
+
+    Raises:
+        ShapeError: its arrays are of another kind, or do not fit each other.
+    """
+    weights = {f"weight_{n}": one for n, one in enumerate(field.weights)}
+    held = {**field.room._asdict(), "cells": field.cells, "tables": field.tables, **weights}
+    require_arrays(held, _HASH, i=FEATURES * len(np.atleast_1d(field.cells)))
+    check_room(field.room.occupied.shape, field.room.blocks.shape, field.room.size)
+
+
+def new_weights(rng: np.random.Generator, levels: int, width: int) -> tuple[np.ndarray, ...]:
+    """Layers that keep the size of what passes (He et al., 2015)."""
+    sizes = (levels * FEATURES, width, SAID), (SAID + BASIS, width, width, 3)
+    pairs = [pair for part in sizes for pair in pairwise(part)]
+    bounds = [np.sqrt(6.0 / into) for into, _ in pairs]
+    return tuple(rng.uniform(-bound, bound, pair).astype(np.float32) for bound, pair in zip(bounds, pairs))
+
+
+def asked(field: HashField, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Features (n, levels * 4), the hidden layer, and density and features (n, 16) at places (n, 3) in [0, 1]."""
+    features = np.empty((len(places), len(field.cells) * FEATURES), np.float32)
+    kernels.encode(places, field.cells, field.tables, features)
+    hidden = features @ field.weights[0]
+    np.maximum(hidden, 0.0, out=hidden)
+    return features, hidden, hidden @ field.weights[1]
+
+
+def coloured(field: HashField, joined: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Layers (n, .) of the colour from (n, 32): what the first network said, and the direction."""
+    first = joined @ field.weights[2]
+    np.maximum(first, 0.0, out=first)
+    second = first @ field.weights[3]
+    np.maximum(second, 0.0, out=second)
+    return joined, first, second, second @ field.weights[4]
+
+
+def sampled(
+    field: HashField,
+    rays: Rays,
+    pixel_of: np.ndarray,
+    view_of: np.ndarray,
+    at: np.ndarray,
+    most: int,
+    capacity: int,
+) -> Samples:
+    """The next samples of rays, at most `most` of each and `capacity` of all; at (n,) is moved on."""
+    places, counts = np.empty((capacity, 4), np.float32), np.empty(len(pixel_of), np.int64)
+    basis = np.empty((len(pixel_of), BASIS), np.float32)
+    work = np.zeros((2, 3), np.float32)
+    found = kernels.sample_rays(
+        rays, pixel_of, view_of, field.room, 0, len(pixel_of), most, at, places, counts, basis, work
+    )
+    places = places[:found]
+    return Samples(places, counts, basis, *asked(field, places))
+
+
+def seen(field: HashField, samples: Samples, left: np.ndarray) -> Seen:
+    """Light and colours of samples, until what is behind is hidden; left (n,) is what comes through rays, and is moved on."""
+    n = len(samples.said)
+    light, kept, counts = np.empty((n, 3), np.float32), np.empty(n, np.int64), np.empty_like(samples.counts)
+    found = kernels.weigh(samples.said, samples.counts, DELTA, left, light, kept, counts)
+    kept, light = kept[:found], light[:found]
+    joined = np.empty((found, SAID + BASIS), np.float32)
+    kernels.join(samples.said, kept, counts, samples.basis, joined)
+    return Seen(kept, counts, light, coloured(field, joined))
+
+
+@checked
+def draw_hash(
+    field: HashField, camera: Camera, cam_from_world: Rigid3, background: Float32[np.ndarray, " 3"]
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """(h, w, 3) the picture, (h, w) the depth along rays times coverage in the world's unit, and the samples at which the network was asked.
+
+    Raises:
+        ShapeError: the arrays of the field do not fit each other, or the pose is not a single motion.
+        ConfigError: the camera has more pixels than are rendered.
+    """
+    check_hash_field(field)
+    rays, total = rays_of_camera(camera, cam_from_world), camera.width * camera.height
+    picture = np.zeros((total, 4), np.float32)
+
+    def draw(start: int, stop: int, _: int) -> int:
+        return _draw_rays(field, rays, np.arange(start, stop), picture[start:stop], background)
+
+    with _parallel.single_threaded_blas():
+        samples = _parallel.map_chunks(draw, total, -(-total // TOGETHER))
+    depth = picture[:, 3].reshape(camera.height, camera.width) * np.float32(field.room.size)
+    return picture[:, :3].reshape(camera.height, camera.width, 3), depth, sum(samples)
+
+
+def _draw_rays(
+    field: HashField, rays: Rays, pixels: np.ndarray, picture: np.ndarray, background: np.ndarray
+) -> int:
+    """In waves: what is hidden by the samples of one is not asked for in the next."""
+    alive, total = np.arange(len(pixels)), 0
+    at, left = np.full(len(pixels), -0.5, np.float32), np.ones(len(pixels), np.float32)
+    views = np.zeros(len(pixels), np.int64)
+    while len(alive):
+        own_at, own_left = at[alive], left[alive]
+        samples = sampled(field, rays, pixels[alive], views[alive], own_at, WAVE, WAVE * len(alive))
+        part = seen(field, samples, own_left)
+        drawn = np.zeros((len(alive), 4), np.float32)
+        kernels.compose(part.layers[-1], part.light, samples.places, part.kept, part.counts, drawn)
+        picture[alive] += drawn
+        at[alive], left[alive] = own_at, own_left
+        total += len(samples.said)
+        alive = alive[(own_left >= kernels.OVER) & np.isfinite(own_at)]
+    picture[:, :3] += left[:, None] * background
+    return total
+
+
+@checked
+def voxels_of(field: HashField, finer: int = 2) -> Voxels:
+    """The field as an explicit grid of `finer` cells for each of its own: densities, and colours along six axes as harmonics of degree 1.
+
+    Raises:
+        ShapeError: the arrays of the field do not fit each other.
+        ConfigError: `finer` is not positive, or makes too many cells.
+    """
+    check_hash_field(field)
+    if finer < 1:
+        raise ConfigError(f"finer must be positive, got {finer}")
+    check_count(field.room.occupied.size * finer**3, "the cells of the grid", MOST_CELLS)
+    room = field.room
+    cells = room.occupied.astype(bool)
+    for axis in range(3):
+        cells = cells.repeat(finer, axis)
+    corners = np.argwhere(corners_of(cells)).astype(np.float32)
+    places = np.zeros((len(corners), 4), np.float32)
+    places[:, :3] = np.minimum(corners / np.float32(max(cells.shape)), np.float32(1.0 - 1e-6))
+    values = np.zeros((len(corners), ROW), np.float32)
+
+    def ask(start: int, stop: int, _: int) -> None:
+        said = asked(field, places[start:stop])[2]
+        sigma = np.exp(np.minimum(said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW))
+        values[start:stop, 0] = np.maximum(sigma, LEAST_SIGMA) + np.log(
+            -np.expm1(-np.maximum(sigma, LEAST_SIGMA))
+        )
+        values[start:stop, 1:13] = _degree_1(field, said)
+
+    with _parallel.single_threaded_blas():
+        _parallel.map_chunks(ask, len(corners), -(-len(corners) // TOGETHER))
+    values[:, 0] -= VOXEL_SHIFT
+    return voxels_on(cells, room.low, room.size / finer, room.size, values)
+
+
+def _degree_1(field: HashField, said: np.ndarray) -> np.ndarray:
+    """(n, 12) harmonics of degree 0 and 1 that colours along six axes give; the ones' mean square is that of all directions."""
+    total = np.zeros((len(said), 4, 3), np.float32)
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        basis = np.zeros(BASIS, np.float32)
+        harmonics(*axis.tolist(), BASIS, basis)
+        direction = np.broadcast_to(basis, (len(said), BASIS))
+        colour = 1.0 / (1.0 + np.exp(-coloured(field, np.concatenate([said, direction], axis=1))[-1]))
+        total += basis[None, :4, None] * (colour - np.float32(0.5))[:, None]
+    return (total * np.float32(4.0 * np.pi / 6.0)).reshape(len(said), 12)

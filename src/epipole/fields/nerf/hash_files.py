@@ -1,0 +1,116 @@
+"""A trained neural field as a file: NumPy's .npz, with tables and network in half precision."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int64
+
+from epipole._declared import Declared, check_fields, checked
+from epipole._declared.tables import Expected, Table
+from epipole.errors import FileFormatError, ShapeError
+from epipole.fields.nerf.voxel_files import CELLS, LARGEST, MOST_SIDE, unpacked_cells
+from epipole.io.array_files import read_packed_arrays
+from epipole.io.atomic import atomic_write
+
+MOST_LEVELS, MOST_WIDTH, LAYERS = 32, 1024, 5
+HASH: Table = {
+    **CELLS,
+    "place": Expected("float64", "4"),
+    "levels": Expected("int64", "l", least=1, most=MOST_SIDE),
+    "tables": Expected("float16", "l _ 4"),
+    **{f"layer{n}": Expected("float16", "_ _") for n in range(LAYERS)},
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HashContents(Declared):
+    """What a file holds."""
+
+    occupied: Bool[np.ndarray, "x y z"]
+    """(x, y, z) bool."""
+    low: Float64[np.ndarray, " 3"]
+    """(3,) the corner of these cells in the world."""
+    size: float
+    """Of such a cell."""
+    cells: Int64[np.ndarray, " l"]
+    """(levels,) cells along the longest side, at each level."""
+    tables: Float32[np.ndarray, "l r 4"]
+    """(levels, rows, 4) float32."""
+    weights: tuple[Float32[np.ndarray, "_ _"], ...]
+    """Of the five layers, (inputs, outputs) each."""
+
+    def __post_init__(self) -> None:
+        """Check the arrays.
+
+        Raises:
+            ShapeError: there are not five layers, or an array is of another kind or shape.
+        """
+        check_fields(self)
+        if len(self.weights) != LAYERS:
+            raise ShapeError(f"weights must be of {LAYERS} layers, got {len(self.weights)}")
+
+
+@checked
+def write_hash(path: str | Path, field: HashContents) -> None:
+    """Write a neural field.
+
+    Raises:
+        WorkspaceError: the file cannot be written.
+    """
+    first, second, third, fourth, fifth = (_halved(layer) for layer in field.weights)
+    data = io.BytesIO()
+    np.savez_compressed(
+        data,
+        shape=np.array(field.occupied.shape, np.int32),
+        cells=np.packbits(field.occupied),
+        place=np.array([*field.low.tolist(), field.size]),
+        levels=np.asarray(field.cells, np.int32),
+        tables=_halved(field.tables),
+        layer0=first,
+        layer1=second,
+        layer2=third,
+        layer3=fourth,
+        layer4=fifth,
+    )
+    with atomic_write(Path(path)) as part:
+        part.write_bytes(data.getvalue())
+
+
+def _halved(values: np.ndarray) -> np.ndarray:
+    return np.clip(values, -LARGEST, LARGEST).astype(np.float16)
+
+
+@checked
+def read_hash(path: str | Path) -> HashContents:
+    """Read a neural field.
+
+    Raises:
+        FileFormatError: it is no such file, is damaged, or promises what it does not hold.
+    """
+    path = Path(path)
+    arrays = read_packed_arrays(path, HASH)
+    place, levels, tables = (arrays[name] for name in ("place", "levels", "tables"))
+    weights = [arrays[f"layer{n}"] for n in range(LAYERS)]
+    rows = tables.shape[1]
+    if place[3] <= 0:
+        raise FileFormatError(path, "the size of a cell is not positive")
+    if not 1 <= len(levels) <= MOST_LEVELS:
+        raise FileFormatError(path, f"has {len(levels)} levels, not 1 to {MOST_LEVELS}")
+    if rows < 1 or rows & (rows - 1):
+        raise FileFormatError(path, f"has tables of {rows} rows, which is no power of two")
+    _check_layers(path, weights, 4 * len(levels))
+    layers = tuple(one.astype(np.float32) for one in weights)
+    occupied = unpacked_cells(path, arrays)
+    return HashContents(occupied, place[:3], float(place[3]), levels, tables.astype(np.float32), layers)
+
+
+def _check_layers(path: Path, weights: list[np.ndarray], features: int) -> None:
+    """Two layers to density and 15 features, three more from these and 16 harmonics to a colour."""
+    width = weights[0].shape[1]
+    wanted = [(features, width), (width, 16), (32, width), (width, width), (width, 3)]
+    if not 1 <= width <= MOST_WIDTH or [one.shape for one in weights] != wanted:
+        raise FileFormatError(path, "the layers of the network do not fit each other")

@@ -1,0 +1,289 @@
+"""A neural radiance field learnt from pictures, its network's and tables' derivatives by hand, and where nothing is it is no longer asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from epipole import _parallel
+from epipole._checks import check_seed, check_share
+from epipole._declared import checked
+from epipole._declared.tables import Expected, Table, check_arrays
+from epipole.errors import ShapeError
+from epipole.fields.nerf import _hash_kernels as kernels
+from epipole.fields.nerf.hash_field import (
+    DELTA,
+    FEATURES,
+    SAID,
+    HashField,
+    Room,
+    Samples,
+    Seen,
+    asked,
+    draw_hash,
+    new_weights,
+    sampled,
+    seen,
+)
+from epipole.fields.random_state import STATE, set_state, state_of
+from epipole.fields.rays import blocks_of, drawn_pixels, rays_of
+from epipole.fields.splat._simd_kernels import MOMENTUM, SQUARES
+from epipole.fields.splat.starting import first_cells
+from epipole.fields.training_view import TrainingView
+
+LEVELS, ROWS, COARSEST, FINEST, WIDTH = 8, 1 << 15, 16, 512, 64
+"""Tables, rows of each, cells along a side of the first and the last, and numbers between the layers of the network."""
+PIECES, SAMPLES = 8, 4096
+"""Of a step: pieces of work, and samples that each is meant to have."""
+FIRST_RAYS, MOST_RAYS, LONGEST = 512, 16384, 256
+"""Of the first step, of any step, and samples of a ray: how many rays there are follows from the samples that the last ones had."""
+TABLE_RATE, LAYER_RATE, LAST_RATES = 0.1, 0.004, 0.1
+"""Steps of numbers in tables and in layers at first, and what is left of them at the end."""
+SIDE = 128
+"""Cells along the longest side of where is looked."""
+LOOK_EVERY, LOOK_SHARE, WARM_UP = 16, 16, 256
+"""Steps between two looks for cells that are empty, one cell of so many at each, and steps before any is left out."""
+FADE, LEAST_ALPHA = 0.95, 0.01
+"""What is left of a cell's earlier opacity at the next look, and the opacity of a step below which it is empty."""
+
+
+class Followed(NamedTuple):
+    """Derivatives that some rays give."""
+
+    places: np.ndarray
+    by_features: np.ndarray
+    by_weights: tuple[np.ndarray, ...]
+    error: float
+    """Sum of squares."""
+    samples: int
+    """At which the network was asked."""
+
+
+class HashTrainer:
+    """Trains a neural field on views; the same views and steps give the same field for any number of threads.
+
+    Attributes:
+        field: as it is.
+        num_steps: taken.
+        num_samples: of the last step, at which the network was asked.
+    """
+
+    @checked
+    def __init__(
+        self, views: Sequence[TrainingView], background: Float32[np.ndarray, " 3"], seed: int = 0
+    ) -> None:
+        """Begin with everything that the cameras look into.
+
+        Raises:
+            ConfigError: there is no view, masks leave no pixel of any, or the seed is negative.
+            ShapeError: the background is not finite.
+            DegenerateGeometryError: the cameras look at nothing in common.
+        """
+        check_seed(seed)
+        if not np.isfinite(background).all():
+            raise ShapeError("background must be finite")
+        self.rays = rays_of(views)
+        self.background = background
+        self.num_steps = self.num_samples = 0
+        self._rng = np.random.default_rng([22, seed])
+        low, size, full = first_cells(views, SIDE)
+        self._may_be = np.argwhere(full).astype(np.float32)
+        self._alpha = np.zeros(len(self._may_be), np.float32)
+        room = Room(full.astype(np.uint8), blocks_of(full), low.astype(np.float64), size)
+        growth = (FINEST / COARSEST) ** (1.0 / (LEVELS - 1))
+        cells = np.floor(COARSEST * growth ** np.arange(LEVELS) + 1e-6).astype(np.int64)
+        tables = self._rng.uniform(-1e-4, 1e-4, (LEVELS, ROWS, FEATURES)).astype(np.float32)
+        self.field = HashField(room, cells, tables, new_weights(self._rng, LEVELS, WIDTH))
+        moved = (tables, *self.field.weights)
+        self._gradient, self._mean, self._square = ([np.zeros_like(one) for one in moved] for _ in range(3))
+        self._num_rays = FIRST_RAYS
+
+    @checked
+    def step(self, progress: float) -> float:
+        """A batch of rays of all pictures; returns the mean squared error.
+
+        Args:
+            progress: share of the training that is done, from 0 to 1.
+
+        Raises:
+            ConfigError: the share is not from 0 to 1.
+        """
+        check_share(progress, "progress")
+        count = self._num_rays
+        chosen = drawn_pixels(self.rays, count, self._rng)
+        first = self._rng.random(count, np.float32) - np.float32(1.0)
+        with _parallel.single_threaded_blas():
+            parts = _parallel.map_chunks(
+                lambda a, b, _: self._followed(chosen[a:b], first[a:b], count), count, PIECES
+            )
+            self._move(parts, LAST_RATES**progress)
+            self.num_steps += 1
+            if self.num_steps % LOOK_EVERY == 0:
+                self._look()
+        self.num_samples = sum(part.samples for part in parts)
+        wanted = count * PIECES * SAMPLES / max(self.num_samples, 1)
+        self._num_rays = int(np.clip(wanted, 0.5 * count, min(2 * count, MOST_RAYS)))
+        return sum(part.error for part in parts) / (3 * count)
+
+    @property
+    def table(self) -> Table:
+        """What a `state` holds."""
+        moved = [" ".join(map(str, one.shape)) for one in (self.field.tables, *self.field.weights)]
+        parts = {
+            f"{kind}_{n}": Expected("float32", axes, least=0 if kind == "square" else None)
+            for kind in ("value", "mean", "square")
+            for n, axes in enumerate(moved)
+        }
+        occupied = " ".join(map(str, self.field.room.occupied.shape))
+        return {
+            **parts,
+            "alpha": Expected("float32", f"{len(self._may_be)}", least=0, most=1),
+            "occupied": Expected("uint8", occupied, most=1),
+            "counts": Expected("int64", "2", least=0),
+            "rng": STATE,
+        }
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that the next steps depend on, besides the views."""
+        moved = {
+            "value": (self.field.tables, *self.field.weights),
+            "mean": self._mean,
+            "square": self._square,
+        }
+        return {
+            **{f"{kind}_{n}": part for kind, parts in moved.items() for n, part in enumerate(parts)},
+            "alpha": self._alpha,
+            "occupied": self.field.room.occupied,
+            "counts": np.array([self.num_steps, self._num_rays], np.int64),
+            "rng": state_of(self._rng),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a `state` of a trainer with the same views: the same bits as without a break.
+
+        Raises:
+            ShapeError: it takes more rays than a step may have, or none.
+        """
+        state = check_arrays(state, self.table)
+        num_steps, num_rays = state["counts"].tolist()
+        if not 1 <= num_rays <= MOST_RAYS:
+            raise ShapeError(f"counts must have 1 to {MOST_RAYS} rays, got {num_rays}")
+        values, self._mean, self._square = (
+            [state[f"{kind}_{n}"] for n in range(len(self._mean))] for kind in ("value", "mean", "square")
+        )
+        occupied = state["occupied"]
+        room = self.field.room._replace(occupied=occupied, blocks=blocks_of(occupied > 0))
+        self.field = self.field._replace(room=room, tables=values[0], weights=tuple(values[1:]))
+        self._alpha = state["alpha"]
+        self.num_steps, self._num_rays = num_steps, num_rays
+        set_state(self._rng, state["rng"])
+
+    def _followed(self, chosen: np.ndarray, first: np.ndarray, count: int) -> Followed:
+        """Pixels (n,) of all pictures, of `count` in this step, whose rays begin with the offsets first (n,), less 1."""
+        field, rays = self.field, self.rays
+        view = np.searchsorted(rays.offset, chosen, side="right") - 1
+        samples = sampled(field, rays, chosen - rays.offset[view], view, first, LONGEST, 4 * SAMPLES)
+        left = np.ones(len(chosen), np.float32)
+        part = seen(field, samples, left)
+        picture = np.zeros((len(chosen), 4), np.float32)
+        kernels.compose(part.layers[-1], part.light, samples.places, part.kept, part.counts, picture)
+        off = picture[:, :3] + left[:, None] * self.background - self._wanted(chosen)
+        by_picture = np.float32(2.0 / (3 * count)) * off
+        behind = left * (by_picture @ self.background)
+        by_colours, by_raw = np.empty_like(part.layers[-1]), np.empty(len(part.kept), np.float32)
+        kernels.compose_back(part.layers[-1], part.light, part.counts, behind, by_picture, by_colours, by_raw)
+        by_features, by_weights = self._back(samples, part, by_colours, by_raw)
+        error = float((off.astype(np.float64) ** 2).sum())
+        return Followed(samples.places[part.kept], by_features, by_weights, error, len(samples.said))
+
+    def _back(
+        self, samples: Samples, part: Seen, by_colours: np.ndarray, by_raw: np.ndarray
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Through the layers, last to first (Rumelhart, Hinton and Williams, 1986)."""
+        w = self.field.weights
+        joined, first, second, _ = part.layers
+        hidden, features = samples.hidden[part.kept], samples.features[part.kept]
+        by_second = by_colours @ w[4].T
+        kernels.hold_back(by_second, second)
+        by_first = by_second @ w[3].T
+        kernels.hold_back(by_first, first)
+        by_said = by_first @ w[2][:SAID].T
+        by_said[:, 0] += by_raw
+        by_hidden = by_said @ w[1].T
+        kernels.hold_back(by_hidden, hidden)
+        by_weights = (
+            features.T @ by_hidden,
+            hidden.T @ by_said,
+            joined.T @ by_first,
+            first.T @ by_second,
+            second.T @ by_colours,
+        )
+        return by_hidden @ w[0].T, by_weights
+
+    def _move(self, parts: list[Followed], rate: float) -> None:
+        """Derivatives are added in the order of the rays, each level's by one thread; then a step of Adam."""
+        field = self.field
+        for n, gradient in enumerate(self._gradient[1:]):
+            for part in parts:
+                gradient += part.by_weights[n]
+
+        def move_level(level: int, _stop: int, _chunk: int) -> None:
+            for part in parts:
+                kernels.spread(part.places, field.cells, level, part.by_features, self._gradient[0][level])
+            self._adam(0, field.tables[level], rate * TABLE_RATE, level)
+
+        _parallel.map_chunks(move_level, LEVELS, LEVELS)
+        for n, one in enumerate(field.weights):
+            self._adam(n + 1, one, rate * LAYER_RATE, slice(None))
+
+    def _adam(self, n: int, values: np.ndarray, rate: float, at: int | slice) -> None:
+        parts = (values, self._gradient[n][at], self._mean[n][at], self._square[n][at])
+        kernels.move(*(part.reshape(-1) for part in parts), np.float32(rate), MOMENTUM, SQUARES)
+
+    def _look(self) -> None:
+        """Ask for the density in some cells, and leave out those in which it has long been low."""
+        turn = self.num_steps // LOOK_EVERY % LOOK_SHARE
+        chosen = np.arange(turn, len(self._may_be), LOOK_SHARE)
+        room = self.field.room
+        places = np.zeros((len(chosen), 4), np.float32)
+        places[:, :3] = self._may_be[chosen] + self._rng.random((len(chosen), 3), np.float32)
+        places[:, :3] *= np.float32((1.0 - 1e-6) / max(room.occupied.shape))
+
+        def look(a: int, b: int, _: int) -> np.ndarray:
+            said = asked(self.field, places[a:b])[2]
+            raw = np.minimum(said[:, 0] + kernels.SHIFT, kernels.LARGEST_RAW)
+            return 1.0 - np.exp(-np.exp(raw) * DELTA)
+
+        alpha = np.concatenate(_parallel.map_chunks(look, len(chosen), -(-len(chosen) // SAMPLES)))
+        self._alpha[chosen] = np.maximum(FADE * self._alpha[chosen], alpha)
+        if self.num_steps < WARM_UP or turn:
+            return
+        least = min(LEAST_ALPHA, float(self._alpha.mean()))
+        occupied = np.zeros(room.occupied.shape, bool)
+        occupied[tuple(self._may_be[self._alpha >= least].astype(np.int64).T)] = True
+        self.field = self.field._replace(
+            room=room._replace(occupied=occupied.astype(np.uint8), blocks=blocks_of(occupied))
+        )
+
+    def _wanted(self, chosen: np.ndarray) -> np.ndarray:
+        """(n, 3) colours of pixels before the background."""
+        rgba = self.rays.pixels[chosen].astype(np.float32) / np.float32(255.0)
+        alpha = rgba[:, 3:]
+        return rgba[:, :3] * alpha + (np.float32(1.0) - alpha) * self.background
+
+    def __len__(self) -> int:
+        """Numbers that are learnt."""
+        return self.field.tables.size + sum(one.size for one in self.field.weights)
+
+    @checked
+    def draw(self, view: TrainingView) -> np.ndarray:
+        """(h, w, 3) the picture of a view."""
+        return self.draw_counted(view)[0]
+
+    def draw_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) the picture of a view, and how often the field was asked for it."""
+        picture, _, count = draw_hash(self.field, view.camera, view.cam_from_world, self.background)
+        return picture, count

@@ -1,0 +1,234 @@
+"""Tiles of a picture: their ellipses are blended front to back, and derivatives go the same way once more.
+
+With alpha_i, colour c_i and transmittance T_i = prod_{j<i} (1 - alpha_j) a pixel is sum_i alpha_i T_i c_i. Its derivatives, with v_i = c_i . dL/dC,
+    dL/dalpha_i = T_i v_i - (sum_{j>i} alpha_j T_j v_j) / (1 - alpha_i),
+need no second order: what comes behind is the whole less what has come, one number a pixel. Each pair of an ellipse and a tile writes
+its own row of sums, so that nothing is added by two threads.
+"""
+
+import math
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.fields.splat._projection_kernels import (
+    BLUE,
+    DEPTH,
+    ELLIPSE,
+    GREEN,
+    HALF_HEIGHT,
+    NARROWING,
+    PEAK,
+    REACH,
+    RED,
+    RIGHTMOST,
+    SLOPE,
+    XX,
+    XY,
+    YY,
+    X,
+    Y,
+)
+from epipole.fields.splat._simd_kernels import (
+    ACROSS,
+    LANES,
+    LARGEST_ALPHA,
+    LEAST_ALPHA,
+    PLANE,
+    SIDE,
+    SUMS,
+    blend_block,
+    fetch,
+    lowest_bit,
+    sum_of_lanes,
+    touched_blocks,
+    unblend_block,
+)
+from epipole.fields.splat._tile_kernels import SOON, TILE
+
+OVER = np.float32(1e-4)
+"""Transmittance below which what comes behind is not seen."""
+LOOK_EVERY = 16
+"""Ellipses after which a tile looks whether it is over."""
+
+
+@kernel(fuse=True)
+def _is_over(state):
+    seen = 0
+    for k in range(PLANE):
+        seen += state[k] > OVER
+    return seen == 0
+
+
+@kernel(fuse=True)
+def _fetch_row(flat, row, width):
+    """Begin to read a row of an array, which may lie across two cache lines."""
+    fetch(flat, np.int64(row) * width)
+    fetch(flat, np.int64(row) * width + width - 1)
+
+
+@kernel(fuse=True)
+def _blocks_of(e, x, y, last_row):
+    """Bits of the blocks that an ellipse at (x, y) touches in a tile."""
+    return touched_blocks(x, y, e[SLOPE], e[REACH], e[NARROWING], e[RIGHTMOST], e[HALF_HEIGHT], last_row)
+
+
+@kernel
+def blend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state):
+    """Blend the pairs first..last of a tile with corner (left, top); state (5, 256), flat, holds transmittance, colour and depth.
+
+    Returns the pair at which it was over, and the pixels that were evaluated.
+    """
+    count, last_row, flat = 0, np.float32(rows - 1), ellipses.reshape(-1)
+    for at in range(first, last):
+        if (at - first) % LOOK_EVERY == LOOK_EVERY - 1 and _is_over(state):
+            return at, count
+        _fetch_row(flat, pairs_of_tile[min(at + SOON, last - 1), 0], ELLIPSE)
+        e = ellipses[pairs_of_tile[at, 0]]
+        x, y = e[X] - left, e[Y] - top
+        shape = e[XX], e[XY], e[YY], e[PEAK]
+        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        blocks = _blocks_of(e, x, y, last_row)
+        while blocks:
+            block = lowest_bit(blocks)
+            blocks &= blocks - 1
+            blend_block(state, block * LANES, x, y, *shape, *colour)
+            count += LANES
+    return last, count
+
+
+@kernel(fuse=True)
+def place_in_tile(row, column):
+    """Of a pixel in a tile's state: block by block."""
+    block = row // SIDE * ACROSS + column // SIDE
+    return block * LANES + row % SIDE * SIDE + column % SIDE
+
+
+@kernel
+def blend_tiles(tiles, begin, end, colour, depth, coverage, evaluated, state):
+    """Blend the tiles begin..end into pictures (h, w, 3), (h, w) and (h, w); state (5 * 256,) is scratch."""
+    height, width = coverage.shape
+    for tile in range(begin, end):
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        rows, columns = min(TILE, height - top), min(TILE, width - left)
+        for k in range(5 * PLANE):
+            state[k] = np.float32(0.0)
+        for row in range(rows):
+            for column in range(columns):
+                state[place_in_tile(row, column)] = np.float32(1.0)
+        tiles.stop[tile], evaluated[tile] = blend_tile(
+            tiles.ellipses,
+            tiles.pairs_of_tile,
+            tiles.start[tile],
+            tiles.start[tile + 1],
+            np.float32(left),
+            np.float32(top),
+            rows,
+            state,
+        )
+        for row in range(rows):
+            for column in range(columns):
+                at, i, j = place_in_tile(row, column), top + row, left + column
+                coverage[i, j] = np.float32(1.0) - state[at]
+                for channel in range(3):
+                    colour[i, j, channel] = state[(1 + channel) * PLANE + at]
+                depth[i, j] = state[4 * PLANE + at]
+
+
+@kernel
+def unblend_tile(ellipses, pairs_of_tile, first, last, left, top, rows, state, sums, by_pair):
+    """Derivatives of the pairs first..last of a tile, by the rows of their numbers in `by_pair` (pairs, SUMS).
+
+    `state` (7, 256), flat: see `unblend_block`; sums (SUMS * 16,) is scratch.
+    """
+    last_row, flat, flat_out = np.float32(rows - 1), ellipses.reshape(-1), by_pair.reshape(-1)
+    for at in range(first, last):
+        soon = min(at + SOON, last - 1)
+        _fetch_row(flat, pairs_of_tile[soon, 0], ELLIPSE)
+        _fetch_row(flat_out, pairs_of_tile[soon, 1], SUMS)
+        e = ellipses[pairs_of_tile[at, 0]]
+        x, y = e[X] - left, e[Y] - top
+        shape = e[XX], e[XY], e[YY], e[PEAK]
+        colour = e[RED], e[GREEN], e[BLUE], e[DEPTH]
+        for k in range(SUMS * LANES):
+            sums[k] = np.float32(0.0)
+        blocks = _blocks_of(e, x, y, last_row)
+        while blocks:
+            block = lowest_bit(blocks)
+            blocks &= blocks - 1
+            unblend_block(state, block * LANES, sums, x, y, *shape, *colour)
+        out = by_pair[pairs_of_tile[at, 1]]
+        for k in range(SUMS):
+            out[k] = sum_of_lanes(sums, k * LANES)
+
+
+@kernel
+def unblend_tiles(tiles, begin, end, wanted, by_pair, state, sums):
+    """Derivatives of the tiles begin..end; `wanted` holds the picture and dL/d of it, state (7 * 256,) and sums are scratch."""
+    height, width = wanted.coverage.shape
+    for tile in range(begin, end):
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        rows = min(TILE, height - top)
+        for k in range(7 * PLANE):
+            state[k] = np.float32(0.0)
+        for row in range(rows):
+            for column in range(min(TILE, width - left)):
+                at, i, j = place_in_tile(row, column), top + row, left + column
+                state[at] = np.float32(1.0)
+                rest = (
+                    wanted.depth[i, j] * wanted.by_depth[i, j]
+                    + wanted.coverage[i, j] * wanted.by_coverage[i, j]
+                )
+                for channel in range(3):
+                    rest += wanted.colour[i, j, channel] * wanted.by_colour[i, j, channel]
+                    state[(2 + channel) * PLANE + at] = wanted.by_colour[i, j, channel]
+                state[PLANE + at] = rest
+                state[5 * PLANE + at], state[6 * PLANE + at] = wanted.by_depth[i, j], wanted.by_coverage[i, j]
+        first, last = tiles.start[tile], tiles.stop[tile]
+        unblend_tile(
+            tiles.ellipses,
+            tiles.pairs_of_tile,
+            first,
+            last,
+            np.float32(left),
+            np.float32(top),
+            rows,
+            state,
+            sums,
+            by_pair,
+        )
+        for at in range(last, tiles.start[tile + 1]):
+            for k in range(SUMS):
+                by_pair[tiles.pairs_of_tile[at, 1], k] = np.float32(0.0)
+
+
+@kernel
+def put_over(colour, coverage, background, start, stop, out):
+    """Rows start..stop of a picture (h, w, 3) before a background of one colour."""
+    for row in range(start, stop):
+        for column in range(coverage.shape[1]):
+            behind = np.float32(1.0) - coverage[row, column]
+            for k in range(3):
+                out[row, column, k] = colour[row, column, k] + behind * background[k]
+
+
+@kernel
+def count_useful(tiles, begin, end, width, height):
+    """Pairs of a pixel and an ellipse in the tiles begin..end that change the pixel: not transparent there, and not hidden."""
+    count = 0
+    for tile in range(begin, end):
+        top, left = TILE * (tile // tiles.num_across), TILE * (tile % tiles.num_across)
+        for row in range(top, min(top + TILE, height)):
+            for column in range(left, min(left + TILE, width)):
+                through = np.float32(1.0)
+                for at in range(tiles.start[tile], tiles.start[tile + 1]):
+                    e = tiles.ellipses[tiles.pairs_of_tile[at, 0]]
+                    dx, dy = np.float32(column) - e[X], np.float32(row) - e[Y]
+                    eighth = e[XX] * dx * dx + e[XY] * dx * dy + e[YY] * dy * dy + e[PEAK]
+                    alpha = np.float32(math.exp(np.float32(8.0) * eighth))
+                    if alpha >= LEAST_ALPHA:
+                        count += 1
+                        through *= np.float32(1.0) - min(alpha, LARGEST_ALPHA)
+                        if through <= OVER:
+                            break
+    return count

@@ -1,0 +1,89 @@
+"""Adam for Gaussians, each moved where its derivatives are gathered (Kingma and Ba, ICLR 2015): those that a picture has seen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole import _parallel
+from epipole.fields.splat import _gradient_kernels as kernels
+from epipole.fields.splat._simd_kernels import MOMENTUM, SQUARES
+from epipole.fields.splat.rasterizer import Cloud, Tiles, View, ellipse_of_gaussian, gather_work, pieces_of
+
+
+class Rates(NamedTuple):
+    """Steps, of the last two apart for harmonics of degree 0 and above."""
+
+    means: float
+    log_scales: float
+    quats_wxyz: float
+    logits: float
+    sh: float
+    higher_sh: float
+
+
+class AdamStep(NamedTuple):
+    """What a kernel needs to move Gaussians."""
+
+    mean: Cloud
+    square: Cloud
+    rates: np.ndarray
+    unbias: np.ndarray
+    pull: np.ndarray
+
+
+class GaussianAdam:
+    """Means and squares of derivatives.
+
+    Attributes:
+        mean: of each number of a cloud.
+        square: the same.
+    """
+
+    def __init__(self, cloud: Cloud) -> None:
+        self.mean = Cloud(*(np.zeros_like(part) for part in cloud))
+        self.square = Cloud(*(np.zeros_like(part) for part in cloud))
+
+    def move(
+        self, cloud: Cloud, view: View, tiles: Tiles, by_pair: np.ndarray, rates: Rates, count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Move what was seen; returns (ellipses,) |dL/d of where each is seen|, and (6,) the derivative by the place.
+
+        Args:
+            cloud: what was drawn; is changed.
+            view: how.
+            tiles: of the picture.
+            by_pair: of `sums_of_pairs`.
+            rates: the size of a step.
+            count: this step's number, from 1.
+        """
+        unbias = 1.0 / (1.0 - np.array([MOMENTUM, SQUARES], np.float64) ** count)
+        n, num_sh = len(cloud.means), cloud.sh.shape[1]
+        ellipse = ellipse_of_gaussian(tiles, n)
+        adam = AdamStep(
+            self.mean,
+            self.square,
+            np.array(rates, np.float32),
+            unbias.astype(np.float32),
+            np.empty(len(tiles.gaussian), np.float32),
+        )
+
+        def move(start: int, stop: int, _: int) -> np.ndarray:
+            by_pose = np.zeros(6)
+            kernels.gather_and_move(
+                view,
+                cloud,
+                ellipse,
+                tiles.pair,
+                by_pair,
+                start,
+                stop,
+                adam,
+                by_pose,
+                gather_work(num_sh),
+            )
+            return by_pose
+
+        by_poses = _parallel.map_chunks(move, n, pieces_of(n))
+        return adam.pull, np.sum([np.zeros(6), *by_poses], axis=0)

@@ -1,0 +1,1 @@
+"""ROS and MCAP recordings."""

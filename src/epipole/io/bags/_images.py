@@ -1,0 +1,243 @@
+"""Pictures, depth and cameras in ROS' messages (sensor_msgs: Image, CompressedImage, CameraInfo)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from epipole.cameras import Camera, CameraModel
+from epipole.errors import ConfigError, FileFormatError
+from epipole.io.calibration.coefficients import camera_of_coefficients, require_plain
+from epipole.io.calibration.model_names import lens_words, refuse_binning, require_coefficients
+from epipole.io.images.deep_pixels import GreyScale, scale_of
+from epipole.io.images.depth_maps import png16_in
+from epipole.io.images.pixels import decode_bytes, deep_grey
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/Imu"
+_MM = 1000.0
+_MOST_PX = 1 << 28
+_DEPTH_HEADER = struct.Struct("<iff")
+"""Of compressed_depth_image_transport: the kind, and two numbers of its quantization."""
+
+# Channels, and OpenCV's conversion to grey. It names Bayer patterns by their second row, ROS by the first.
+_TO_GREY: dict[str, tuple[int, int | None]] = {
+    **dict.fromkeys(("mono8", "8UC1"), (1, None)),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, cv2.COLOR_BGR2GRAY)),
+    "rgb8": (3, cv2.COLOR_RGB2GRAY),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, cv2.COLOR_BGRA2GRAY)),
+    "rgba8": (4, cv2.COLOR_RGBA2GRAY),
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2GRAY),
+    **dict.fromkeys(("yuv422", "uyvy"), (2, cv2.COLOR_YUV2GRAY_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), (2, cv2.COLOR_YUV2GRAY_YUY2)),
+}
+_DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+
+
+def encoding_of(message: Any) -> str:
+    """How a picture is written: `bgr8`, `16UC1`, or the format of a compressed one; empty for a message that is no picture."""
+    return str(getattr(message, "encoding", getattr(message, "format", "")))
+
+
+def _require_picture(path: Path, topic: str, message: Any) -> None:
+    """Refuse messages of another type, which a damaged list of connections puts into a topic."""
+    if not (hasattr(message, "data") and (hasattr(message, "encoding") or hasattr(message, "format"))):
+        raise FileFormatError(path, f"{topic}: a message is no picture")
+
+
+def is_depth(topic: str, encoding: str) -> bool:
+    """Whether pictures of this encoding hold depth; 16 bits alone may be grey."""
+    if "compresseddepth" in encoding.lower() or "32FC1" in encoding:
+        return True
+    return encoding.split(";")[0].strip() in _DEPTHS and ("16UC1" in encoding or "depth" in topic.lower())
+
+
+def values_per_metre(encoding: str) -> float:
+    """What REP 118 has for depth of this encoding: 16 bits are millimetres, floats are metres."""
+    return 1.0 if "32FC1" in encoding else _MM
+
+
+def grey_of(path: Path, topic: str, message: Any, scale: GreyScale | None = None) -> UInt8[np.ndarray, "h w"]:
+    """The picture of a message in grey of 8 bits.
+
+    Args:
+        path: of the recording, for errors.
+        topic: for errors.
+        message: an Image or a CompressedImage.
+        scale: how 16 bits become 8, for all messages of the topic alike; None: by this one alone.
+
+    Raises:
+        FileFormatError: its numbers do not fit each other, or the encoding is not known.
+    """
+    _require_picture(path, topic, message)
+    if not hasattr(message, "encoding"):
+        return _decompressed(path, topic, message, scale)
+    encoding = str(message.encoding)
+    is_deep, plain = _as_8_bits(encoding)
+    if plain not in _TO_GREY:
+        raise FileFormatError(path, f"{topic}: pictures of the encoding {encoding[:60]!r} are not read")
+    channels, conversion = _TO_GREY[plain]
+    pixels = _values(path, topic, message, channels, "u2" if is_deep else "u1")
+    if is_deep:
+        pixels = (scale_of([pixels]) if scale is None else scale).apply(pixels)
+    return _converted(path, topic, pixels, conversion)
+
+
+def grey_scale(path: Path, topic: str, messages: Sequence[Any]) -> GreyScale | None:
+    """How the pictures of a topic become 8 bits, from some of them; None where they have 8 bits.
+
+    Raises:
+        FileFormatError: as of `grey_of`.
+    """
+    deep = []
+    for message in messages:
+        _require_picture(path, topic, message)
+        if not hasattr(message, "encoding"):
+            values = deep_grey(path, bytes(message.data))
+        else:
+            is_deep, plain = _as_8_bits(str(message.encoding))
+            if not is_deep or plain not in _TO_GREY:
+                return None
+            values = _values(path, topic, message, _TO_GREY[plain][0], "u2")
+        if values is None:
+            return None
+        deep.append(values)
+    return scale_of(deep) if deep else None
+
+
+def _as_8_bits(encoding: str) -> tuple[bool, str]:
+    """Whether an encoding has 16 bits a channel, and the like one of 8."""
+    if encoding.endswith("16"):
+        return True, f"{encoding[:-2]}8"
+    return encoding.startswith("16UC"), encoding.replace("16UC", "8UC")
+
+
+def _decompressed(path: Path, topic: str, message: Any, scale: GreyScale | None) -> UInt8[np.ndarray, "h w"]:
+    """`FORMAT; jpeg compressed FORMAT` (image_transport): what was compressed may be the raw mosaic of a sensor."""
+    grey = decode_bytes(path, bytes(message.data), True, None, None if scale is None else scale.range)
+    words = str(message.format).replace(";", " ").split()
+    _, plain = _as_8_bits(words[3 if len(words) > 3 else 0] if words else "")
+    if not plain.startswith("bayer_"):
+        return grey
+    if plain not in _TO_GREY:
+        raise FileFormatError(path, f"{topic}: pictures of the encoding {plain[:60]!r} are not read")
+    return _converted(path, topic, grey[:, :, None], _TO_GREY[plain][1])
+
+
+def _converted(
+    path: Path, topic: str, pixels: UInt8[np.ndarray, "h w c"], conversion: int | None
+) -> UInt8[np.ndarray, "h w"]:
+    if conversion is None:
+        return np.ascontiguousarray(pixels[:, :, 0])
+    try:
+        flat = np.ascontiguousarray(pixels if pixels.shape[2] > 1 else pixels[:, :, 0])
+        return np.asarray(cv2.cvtColor(flat, conversion), np.uint8)
+    except cv2.error as error:  # Bayer and YUV need sides of two pixels and more
+        raise FileFormatError(path, f"{topic}: the picture cannot be made grey ({error.err})") from error
+
+
+def depth_of(path: Path, topic: str, message: Any) -> Float32[np.ndarray, "h w"]:
+    """Metres along the axis (REP 118: 16 bits are millimetres, floats are metres); 0 where not known.
+
+    Raises:
+        FileFormatError: its numbers do not fit each other, or it holds no depth.
+    """
+    _require_picture(path, topic, message)
+    encoding = encoding_of(message)
+    if not hasattr(message, "encoding"):
+        metres = _compressed_depth(path, topic, bytes(message.data), encoding)
+    elif encoding in _DEPTHS:
+        kind = _DEPTHS[encoding]
+        metres = _values(path, topic, message, 1, kind)[:, :, 0].astype(np.float32)
+        if kind == "u2":
+            metres = np.where(metres == 65535, 0.0, metres / np.float32(_MM))
+    else:
+        raise FileFormatError(path, f"{topic}: pictures of the encoding {encoding[:60]!r} hold no depth")
+    is_known = np.isfinite(metres) & (metres > 0)
+    return np.where(is_known, metres, 0.0).astype(np.float32)
+
+
+def camera_of(path: Path, message: Any, *, is_rectified: bool) -> Camera | None:
+    """The camera that a CameraInfo tells; None where it was not calibrated (fx is zero).
+
+    Args:
+        path: of the recording, for errors.
+        message: the CameraInfo.
+        is_rectified: of the rectified pictures, whose camera matrix is the left part of P.
+
+    Raises:
+        FileFormatError: the numbers make no camera, or the distortion is not known.
+    """
+    size = int(message.width), int(message.height)
+    words = str(message.distortion_model)
+    K, coefficients = field(message, "k").reshape(3, 3), field(message, "d")
+    if is_rectified:
+        K, coefficients = field(message, "p").reshape(3, 4)[:, :3], np.zeros(4)
+        words = "plumb_bob"
+    if not K[0, 0]:
+        return None
+    lens = lens_words(path, {"distortion_model": words})
+    roi = getattr(message, "roi", None)
+    refuse_binning(
+        path,
+        {name: getattr(message, name, 0) for name in ("binning_x", "binning_y")}
+        | {"roi": {name: getattr(roi, name, 0) for name in ("x_offset", "y_offset")}},
+    )
+    if not np.isfinite(np.concatenate([K.ravel(), coefficients])).all():
+        raise FileFormatError(path, "a number of a CameraInfo is not finite")
+    require_plain(path, K)
+    require_coefficients(path, lens, coefficients)
+    if not lens.is_fisheye and not coefficients.any():
+        return _pinhole(path, size, K)
+    return camera_of_coefficients(path, size, K, coefficients, is_fisheye=lens.is_fisheye)
+
+
+def _pinhole(path: Path, size: tuple[int, int], K: np.ndarray) -> Camera:
+    try:
+        return Camera(CameraModel.PINHOLE, *size, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]))
+    except ConfigError as error:
+        raise FileFormatError(path, str(error)) from error
+
+
+def field(message: Any, name: str) -> np.ndarray:
+    """Numbers of a CameraInfo, whose fields are upper case in ROS 1."""
+    return np.asarray(
+        getattr(message, name) if hasattr(message, name) else getattr(message, name.upper()), np.float64
+    )
+
+
+def _values(path: Path, topic: str, message: Any, channels: int, kind: str) -> np.ndarray:
+    """Numbers (h, w, channels) of a message that is not compressed."""
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    kind = (">" if message.is_bigendian else "<") + kind
+    row = width * channels * np.dtype(kind).itemsize
+    data = np.asarray(message.data, np.uint8)
+    if min(height, width) < 1 or height * width > _MOST_PX or step < row or len(data) < step * height:
+        raise FileFormatError(
+            path, f"{topic}: {len(data)} bytes in rows of {step} are no picture of {width} x {height} pixels"
+        )
+    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
+    return rows.view(kind).reshape(height, width, channels).astype(kind[1:], copy=False)
+
+
+def _compressed_depth(path: Path, topic: str, data: bytes, encoding: str) -> np.ndarray:
+    """PNG behind a header of twelve bytes; floats are stored as a / (number - b)."""
+    if "compresseddepth" not in encoding.lower():
+        return np.asarray(png16_in(path, data, _MM))
+    if len(data) < _DEPTH_HEADER.size:
+        raise FileFormatError(path, f"{topic}: a depth picture of {len(data)} bytes is cut off")
+    _, a, b = _DEPTH_HEADER.unpack_from(data)
+    data = data[_DEPTH_HEADER.size :]
+    if "32FC1" not in encoding:
+        return np.asarray(png16_in(path, data, _MM))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.asarray(a / (png16_in(path, data, 1.0) - b), np.float32)

@@ -1,0 +1,148 @@
+"""Which topics of a recording are followed: one camera, a pair of them, or pictures and depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from epipole.errors import ConfigError
+from epipole.io.sequences.stereo_folders import side_of
+
+BagSensor = Literal["mono", "stereo", "rgbd"]
+_COMPRESSED = ("/compressed", "/compressedDepth")
+_OF_ONE_CAMERA = (
+    "image_rect",
+    "image_rect_raw",
+    "image_rect_color",
+    "image_mono",
+    "image_raw",
+    "image_color",
+    "image",
+)
+"""Pictures of one camera under one name space, the best first: rectified ones have no distortion any more."""
+_LONGEST_LIST = 4000
+"""Letters of topics in an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """A topic of a recording."""
+
+    name: str
+    kind: Literal["picture", "depth", "camera", "imu", "other"]
+    message: str
+    """As `sensor_msgs/msg/Image`."""
+    num_messages: int
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.num_messages} of {self.message.split('/')[-1]}, {self.kind})"
+
+
+def base_name(topic: str) -> str:
+    """The name without that of a compression."""
+    for suffix in _COMPRESSED:
+        topic = topic.removesuffix(suffix)
+    return topic
+
+
+def is_rectified(topic: str) -> bool:
+    """Whether a topic's name says that its pictures are rectified."""
+    return "rect" in base_name(topic).rpartition("/")[2]
+
+
+def choose_topics(
+    path: Path, topics: Sequence[BagTopic], sensor: str, asked: Sequence[str]
+) -> tuple[BagSensor, tuple[str, ...]]:
+    """What is followed, and the topics of it: pictures; left, right; or pictures, depth.
+
+    Args:
+        path: of the recording, for errors.
+        topics: all topics with messages.
+        sensor: auto, mono, stereo or rgbd.
+        asked: names that the user chose, one or two; none to find them.
+
+    Raises:
+        ConfigError: there is none, or several could be meant; the message lists what there is.
+    """
+    if asked:
+        return _as_asked(path, topics, sensor, asked)
+    pictures = _best([t.name for t in topics if t.kind == "picture"])
+    depths = _best([t.name for t in topics if t.kind == "depth"])
+    registered = [name for name in depths if "aligned" in name or "registered" in name]
+    depths = registered or depths
+    pairs = _pairs(pictures)
+    colors = [name for name in pictures if "infra" not in name] or pictures
+    if sensor == "rgbd" or (sensor == "auto" and depths and colors):
+        return "rgbd", _only(path, topics, "rgbd", [(color, depth) for color in colors for depth in depths])
+    if sensor == "stereo" or (sensor == "auto" and pairs):
+        return "stereo", _only(path, topics, "stereo", pairs)
+    if len(pictures) > 1 and len(pairs) == 1:
+        pictures = [name for name in pictures if name != pairs[0][1]]
+    return "mono", _only(path, topics, "mono", [(name,) for name in pictures])
+
+
+def _as_asked(
+    path: Path, topics: Sequence[BagTopic], sensor: str, asked: Sequence[str]
+) -> tuple[BagSensor, tuple[str, ...]]:
+    kinds = {t.name: t.kind for t in topics}
+    names = tuple(name if name in kinds else f"/{name}" for name in asked)
+    wrong = [
+        name for k, name in enumerate(names) if kinds.get(name) not in ("picture", *["depth"] * (k == 1))
+    ]
+    if wrong or len(names) > 2 or len(set(names)) < len(names):
+        what = f"{', '.join(wrong)} holds no pictures" if wrong else "topics are one name, or two"
+        raise ConfigError(
+            f"{path}: {what}; give PICTURES, LEFT,RIGHT or PICTURES,DEPTH of {listed_topics(topics)}"
+        )
+    found: BagSensor = "mono"
+    if len(names) == 2:
+        found = "rgbd" if kinds[names[1]] == "depth" else "stereo"
+    if sensor not in ("auto", found):
+        raise ConfigError(f"{path}: the topics {', '.join(names)} are {found}, not {sensor}")
+    return found, names
+
+
+def _only(
+    path: Path, topics: Sequence[BagTopic], what: str, choices: Sequence[tuple[str, ...]]
+) -> tuple[str, ...]:
+    if len(choices) == 1:
+        return choices[0]
+    if not choices:
+        raise ConfigError(f"{path}: no topics for {what} are found; choose topics of {listed_topics(topics)}")
+    several = _shortened(" or ".join(",".join(choice) for choice in choices))
+    raise ConfigError(
+        f"{path}: several topics could be meant, {several}: choose topics of {listed_topics(topics)}"
+    )
+
+
+def listed_topics(topics: Sequence[BagTopic]) -> str:
+    """Of a recording, those with images first."""
+    ordered = sorted(topics, key=lambda t: (t.kind not in ("picture", "depth"), t.name))
+    return _shortened("; ".join(map(str, ordered)))
+
+
+def _shortened(text: str) -> str:
+    """A recording decides how many topics it has and how long their names are."""
+    return text if len(text) <= _LONGEST_LIST else f"{text[:_LONGEST_LIST]} ..."
+
+
+def _best(names: Sequence[str]) -> list[str]:
+    """Of the same pictures under several names the best: not compressed, rectified."""
+    found: dict[str, tuple[tuple[int, bool], str]] = {}
+    for name in names:
+        space, _, last = base_name(name).rpartition("/")
+        is_usual = last in _OF_ONE_CAMERA
+        rank = (_OF_ONE_CAMERA.index(last) if is_usual else 0, name != base_name(name))
+        key = space if is_usual else base_name(name)
+        found[key] = min(found.get(key, (rank, name)), (rank, name))
+    return sorted(name for _, name in found.values())
+
+
+def _pairs(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Left and right topics, whose names differ in the word of the side."""
+    sides = {
+        side: {key: name for name in names if (key := side_of(name, side))} for side in ("left", "right")
+    }
+    return [(left, sides["right"][key]) for key, left in sides["left"].items() if key in sides["right"]]

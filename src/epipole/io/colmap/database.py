@@ -1,0 +1,76 @@
+"""COLMAP's database.db: cameras, rigs, frames, images, features, matches and verified pairs.
+
+Written as COLMAP 4 does, so that its mappers can start from it; databases of older versions are read too. The
+half pixel (see `io.colmap`) is added to keypoints, principal points, fundamental matrices and homographies.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+from epipole._declared import checked
+from epipole.errors import FileFormatError, WorkspaceError
+from epipole.io.atomic import atomic_write
+from epipole.io.colmap._database_reading import read_contents
+from epipole.io.colmap._database_tables import SCHEMA, SCHEMA_VERSION, DatabaseReader
+from epipole.io.colmap._database_tables import DatabaseContents as DatabaseContents
+from epipole.io.colmap._database_writing import check_contents, insert_contents
+from epipole.io.files import require_file
+
+_SIDE_FILES = ("-wal", "-shm", "-journal")
+
+
+@checked
+def write_database(path: str | Path, contents: DatabaseContents) -> None:
+    """Write a database in one step, in place of any that is there. An id in it is the row + 1.
+
+    Keypoints are written as two columns (x, y). A camera that several sensors share is written once for each.
+
+    Raises:
+        ConfigError: an image's name is empty, used twice or cannot be written.
+        ShapeError: matches, descriptors or GPS do not fit the images, or a pair is there twice.
+        WorkspaceError: the file cannot be written.
+    """
+    check_contents(contents)
+    path = Path(path).resolve()
+    with atomic_write(path) as part:
+        try:
+            with closing(sqlite3.connect(part, isolation_level=None)) as connection:
+                connection.execute("PRAGMA journal_mode = OFF")
+                connection.execute("PRAGMA synchronous = OFF")
+                connection.execute("BEGIN")
+                for statement in SCHEMA:
+                    connection.execute(statement)
+                connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+                insert_contents(connection, contents)
+                connection.execute("COMMIT")
+        except sqlite3.Error as error:
+            raise WorkspaceError(f"cannot write {path}: {error}") from error
+        # Journals left by a crash beside an older database would be replayed into the new one.
+        for suffix in _SIDE_FILES:
+            path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+@checked
+def read_database(path: str | Path) -> DatabaseContents:
+    """Read a database; rows are in the order of its ids. Nothing is written beside it.
+
+    Raises:
+        FileFormatError: it is not a COLMAP database, a cell is cut short, or an id is missing.
+    """
+    path = Path(path)
+    num_bytes = require_file(path)
+    beside = [side for s in _SIDE_FILES if (side := path.with_name(path.name + s)).exists()]
+    in_use, num_bytes = bool(beside), num_bytes + sum(require_file(side) for side in beside)
+    uri = f"{path.resolve().as_uri()}?mode=ro{'' if in_use else '&immutable=1'}"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as connection:
+            return read_contents(DatabaseReader(path, connection, num_bytes))
+    except FileFormatError:
+        raise
+    except sqlite3.Error as error:
+        raise FileFormatError(path, f"not a readable database: {error}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise FileFormatError(path, f"a cell holds what it should not: {error}") from error

@@ -1,0 +1,1 @@
+"""Files of Gaussian clouds: PLY, compressed PLY, SPZ, SOG, splat."""

@@ -1,0 +1,192 @@
+"""The files of a SOG: a zip or a folder with meta.json and pictures, which may promise more than they hold."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngImageFile
+from PIL.WebPImagePlugin import WebPImageFile
+
+from epipole.errors import FileFormatError
+from epipole.io.atomic import atomic_write
+from epipole.io.files import file_bytes, problem_of_name
+from epipole.io.gaussians._finite import MOST_GAUSSIANS
+from epipole.io.images.pixels import PILLOW_ERRORS
+from epipole.io.json_files import json_values
+from epipole.io.names import path_inside
+
+META = "meta.json"
+_PARTS = {"means": 2, "scales": 1, "quats": 1, "sh0": 1, "shN": 2}
+"""What meta.json describes, and the number of its pictures."""
+_MOST_META, _MOST_MEMBER = 1 << 22, 1 << 29
+"""Bytes of meta.json, and of a picture in a folder."""
+_SMALL, _MOST_PX, _MOST_PER_BYTE = 1 << 20, 8, 2
+"""So many pixels or Gaussians every file may have; beyond, pixels to a Gaussian and Gaussians to a byte: real ones take ten bytes."""
+_DAMAGE = (
+    ValueError,
+    KeyError,
+    OSError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+    RuntimeError,
+    MemoryError,
+    struct.error,
+)
+"""What zipfile raises of damaged files."""
+
+
+def is_sog(path: Path) -> bool:
+    """Whether a file is a zip that has a meta.json."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return META in archive.namelist()
+    except _DAMAGE:
+        return False
+
+
+def is_unpacked_sog(path: Path) -> bool:
+    """Whether a file is the meta.json of an unpacked SOG: many programs write files of that name."""
+    if path.name.lower() != META or not path.is_file():
+        return False
+    try:
+        _meta(path, file_bytes(path, _MOST_META))
+    except FileFormatError:
+        return False
+    return True
+
+
+def in_folder(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What a meta.json tells, and the pictures beside it."""
+    meta = _meta(path, file_bytes(path, _MOST_META))
+    return meta, {
+        name: file_bytes(path_inside(path.parent, name), _MOST_MEMBER) for name in _names(path, meta)
+    }
+
+
+def in_archive(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What the meta.json of a zip tells, and the pictures that it names; nothing is unpacked to the disk."""
+    data = file_bytes(path)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+
+            def member(name: str, most: int) -> bytes:
+                with archive.open(name) as stream:
+                    found = stream.read(most + 1)
+                if len(found) > most:
+                    raise FileFormatError(path, f"{name!a} unpacks to more than {most} bytes")
+                return found
+
+            meta = _meta(path, member(META, _MOST_META))
+            # Pictures are packed already: what a zip makes much smaller is none.
+            return meta, {name: member(name, 4 * len(data) + _SMALL) for name in _names(path, meta)}
+    except FileFormatError:
+        raise
+    except _DAMAGE as error:
+        raise FileFormatError(path, f"is a damaged SOG file, or none ({error})") from error
+
+
+def _meta(path: Path, data: bytes) -> dict[str, Any]:
+    """What meta.json tells, its parts being there.
+
+    Raises:
+        FileFormatError: it is no JSON, of another version, or lacks a part.
+    """
+    try:
+        meta = json_values(path, data.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise FileFormatError(path, f"{META} is not UTF-8 text") from error
+    if not isinstance(meta, dict):
+        raise FileFormatError(path, f"{META} is no list of names and values")
+    if meta.get("version", 1) not in (1, 2):
+        raise FileFormatError(path, f"is of version {meta['version']!a} of SOG; 1 and 2 are read")
+    for part, number in _PARTS.items():
+        told = meta.get(part)
+        if part == "shN" and not told:
+            continue
+        files = told.get("files") if isinstance(told, dict) else None
+        if not isinstance(files, list) or len(files) < number:
+            raise FileFormatError(path, f"{META} does not tell the pictures of {part}")
+    return meta
+
+
+def _names(path: Path, meta: Mapping[str, Any]) -> list[str]:
+    """Of all pictures, once each.
+
+    Raises:
+        FileFormatError: one cannot be a file's name.
+    """
+    parts = [(part, number) for part, number in _PARTS.items() if meta.get(part)]
+    names = [name for part, number in parts for name in meta[part]["files"][:number]]
+    problem = next(filter(None, map(problem_of_name, names)), None)
+    if problem:
+        raise FileFormatError(path, f"{META}: {problem}")
+    return list(dict.fromkeys(names))
+
+
+def count_of(path: Path, meta: Mapping[str, Any], num_bytes: int) -> int:
+    """Of Gaussians; version 1 tells it as the shape of the means.
+
+    Raises:
+        FileFormatError: there is none, or one that so many bytes cannot hold.
+    """
+    told = meta.get("count")
+    if told is None:
+        shape = meta["means"].get("shape")
+        told = shape[0] if isinstance(shape, list) and shape else None
+    if not isinstance(told, int) or isinstance(told, bool) or told < 1:
+        raise FileFormatError(path, f"{META} does not tell how many Gaussians there are")
+    if told > min(MOST_GAUSSIANS, max(_SMALL, _MOST_PER_BYTE * num_bytes)):
+        raise FileFormatError(path, f"promises {told} Gaussians in {num_bytes} bytes")
+    return told
+
+
+def decoded(path: Path, name: str, data: bytes, count: int) -> np.ndarray:
+    """(h, w, 4) uint8, a picture's pixels as they stand.
+
+    Raises:
+        FileFormatError: it is damaged, none, or much larger than `count` pixels.
+    """
+    is_webp = data[:4] == b"RIFF" and data[8:12] == b"WEBP"
+    if not is_webp and data[:8] != b"\x89PNG\r\n\x1a\n":
+        raise FileFormatError(path, f"{name!a} is no WebP or PNG picture")
+    reader: Callable[[io.BytesIO], Image.Image] = WebPImageFile if is_webp else PngImageFile
+    try:
+        with reader(io.BytesIO(data)) as image:
+            if image.width * image.height > max(_SMALL, _MOST_PX * count):
+                sizes = f"{image.width} x {image.height}"
+                raise FileFormatError(path, f"{name!a} is too large: {sizes} pixels for {count}")
+            if image.mode not in ("RGB", "RGBA"):
+                raise FileFormatError(path, f"{name!a} has no three colours of 8 bits ({image.mode})")
+            return np.asarray(image.convert("RGBA"))
+    except FileFormatError:
+        raise
+    except PILLOW_ERRORS as error:
+        raise FileFormatError(path, f"{name!a} is damaged ({error})") from error
+
+
+def write_archive(path: Path, meta: Mapping[str, Any], pictures: Mapping[str, np.ndarray]) -> None:
+    """A zip that packs nothing once more, for WebP is packed; the same pictures give the same bytes."""
+    with atomic_write(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
+        for name, picture in pictures.items():
+            data = io.BytesIO()
+            # exact: colours stay where alpha is 0. More effort than this takes seconds and saves nothing.
+            Image.fromarray(picture).save(data, "WEBP", lossless=True, exact=True, method=4, quality=75)
+            archive.writestr(_member(name), data.getvalue())
+        archive.writestr(_member(META), json.dumps(meta, allow_nan=False))
+
+
+def _member(name: str) -> zipfile.ZipInfo:
+    """Without a date, and readable where it is unpacked."""
+    member = zipfile.ZipInfo(name)
+    member.external_attr = 0o644 << 16
+    return member

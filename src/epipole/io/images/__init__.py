@@ -1,0 +1,1 @@
+"""Images, depth images and videos, and what their headers say."""

@@ -1,0 +1,1 @@
+"""PLY files of points and meshes."""

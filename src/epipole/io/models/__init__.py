@@ -1,0 +1,1 @@
+"""Models other than COLMAP's: nerfstudio, Bundler, BAL, LLFF."""

@@ -1,0 +1,187 @@
+"""The image files of a model, in the pixels and at the scale that its cameras describe.
+
+COLMAP, and most programs beside it, read the stored pixels of a file and ignore its EXIF orientation; the models made here are of
+upright images. Which of both a model describes is decided by the sizes of its images, else by the colours of its points at their
+keypoints, else by who made it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from epipole.cameras import Camera
+from epipole.cameras.image_fit import (
+    ImagePixels,
+    ImageShape,
+    fitted_camera,
+    inverse_orientation,
+    is_same_view,
+    turned_pixels,
+)
+from epipole.errors import ConfigError, EpipoleError, FileFormatError
+from epipole.io.images.photographs import GreyRange, read_header, read_rgb
+from epipole.io.names import path_inside
+from epipole.scene import Reconstruction
+
+MAX_COMPARED, COMPARED_PX = 6, 800
+"""Images whose colours are compared with those of the points, and their longest side."""
+MIN_COLORS = 50
+MIN_CORRELATION, MIN_DIFFERENCE = 0.4, 0.2
+"""Between the brightness of points and of pixels: of the better way to read the images, and more than the other way's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelImage:
+    """An image file and the camera of its pixels."""
+
+    path: Path
+    camera: Camera
+    """The model's, at the scale of the file."""
+    orientation: int
+    """The EXIF orientation to apply: the file's own, or 1 where the model describes stored pixels."""
+
+    def read(
+        self, max_size_px: int | None = None, *, limits: GreyRange | None = None
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """The pixels that the camera describes, as RGB.
+
+        Args:
+            max_size_px: as in `read_rgb`.
+            limits: of deep greyscale, as in `read_rgb`.
+
+        Raises:
+            FileFormatError: the file is damaged.
+        """
+        return read_rgb(self.path, max_size_px, limits=limits, orientation=self.orientation)
+
+
+class ModelImages:
+    """The images of a model in a folder, by the names that the model has for them.
+
+    Args:
+        model: the model.
+        folder: of the images.
+        is_own: a run of epipole made the model: it describes upright images.
+    """
+
+    def __init__(self, model: Reconstruction, folder: Path, *, is_own: bool) -> None:
+        self._model, self._folder, self._is_own = model, folder, is_own
+        self._row = {name: row for row, name in enumerate(model.images.name)}
+
+    def find(self, name: str) -> ModelImage:
+        """The file of an image, and the camera of its pixels.
+
+        Raises:
+            FileFormatError: there is none, it is damaged, or it does not show what its camera's images show at one scale.
+        """
+        path = path_inside(self._folder, name)
+        camera, shape = self._camera_of(self._row[name]), _shape_of(path)
+        fits = _fits(camera, shape)
+        pixels = self._described if len(fits) != 1 else fits[0]
+        try:
+            fitted = fitted_camera(camera, *shape.size(pixels))
+        except ConfigError as error:
+            raise FileFormatError(
+                path,
+                f"is {shape.width} x {shape.height}, its camera {camera.width} x {camera.height}: images of other sizes must be"
+                " scaled by one factor",
+            ) from error
+        return ModelImage(path, fitted, shape.orientation if pixels is ImagePixels.UPRIGHT else 1)
+
+    def loader(self, max_size_px: int) -> Callable[[str], np.ndarray | None]:
+        """A function that reads an image by its name; it gives None for one that cannot be read."""
+
+        def load_image(name: str) -> np.ndarray | None:
+            try:
+                return self.find(name).read(max_size_px) if name in self._row else None
+            except EpipoleError:
+                return None
+
+        return load_image
+
+    def _camera_of(self, row: int) -> Camera:
+        return self._model.cameras[int(self._model.camera_of_image[row])]
+
+    @cached_property
+    def _described(self) -> ImagePixels:
+        """What the cameras describe of images that fit both ways."""
+        turned = {name: shape for name, shape in self._shapes().items() if shape.orientation != 1}
+        fits = [_fits(self._camera_of(self._row[name]), shape) for name, shape in turned.items()]
+        by_size = {way[0] for way in fits if len(way) == 1}
+        if len(by_size) == 1:
+            return by_size.pop()
+        by_color = self._described_by_colors(
+            {name: turned[name] for (name, way) in zip(turned, fits) if len(way) == 2}
+        )
+        return by_color or (ImagePixels.UPRIGHT if self._is_own else ImagePixels.STORED)
+
+    def _shapes(self) -> dict[str, ImageShape]:
+        out = {}
+        for row in np.flatnonzero(self._model.is_registered()):
+            name = self._model.images.name[row]
+            try:
+                out[name] = _shape_of(path_inside(self._folder, name))
+            except EpipoleError:
+                continue  # it is named where it is asked for
+        return out
+
+    def _described_by_colors(self, shapes: dict[str, ImageShape]) -> ImagePixels | None:
+        """By the colours of points at their keypoints, in images that fit both ways; None where these do not decide."""
+        tracks = self._model.tracks
+        count = np.bincount(tracks.image, minlength=len(self._model.images))
+        names = sorted(shapes, key=lambda name: (-count[self._row[name]], name))[:MAX_COMPARED]
+        parts = [colors for name in names if (colors := self._colors(name, shapes[name])) is not None]
+        if not parts:
+            return None
+        points, stored, upright = np.concatenate(parts, axis=1)
+        if len(points) < MIN_COLORS or min(points.std(), stored.std(), upright.std()) == 0.0:
+            return None
+        of_stored, of_upright = (float(np.corrcoef(points, own)[0, 1]) for own in (stored, upright))
+        if max(of_stored, of_upright) < MIN_CORRELATION or abs(of_stored - of_upright) < MIN_DIFFERENCE:
+            return None
+        return ImagePixels.STORED if of_stored > of_upright else ImagePixels.UPRIGHT
+
+    def _colors(self, name: str, shape: ImageShape) -> np.ndarray | None:
+        """(3, n) brightness of points, and of the stored pixels that their keypoints are if they are stored or upright."""
+        model, row = self._model, self._row[name]
+        own = model.tracks.image == row
+        camera = self._camera_of(row)
+        size = camera.width, camera.height
+        keypoints = model.images.keypoints_of(row)[model.tracks.keypoint[own]]
+        try:
+            rgb = read_rgb(path_inside(self._folder, name), COMPARED_PX, orientation=1)
+        except EpipoleError:
+            return None
+        seen = [
+            _colors_at(rgb, keypoints, size),
+            _colors_at(rgb, turned_pixels(keypoints, size, inverse_orientation(shape.orientation)), size),
+        ]
+        points = model.points.rgb[model.tracks.point_of_observation()[own]]
+        inside = np.isfinite(seen).all(axis=(0, 2))
+        return np.stack([points[inside].mean(axis=1), *(colors[inside].mean(axis=1) for colors in seen)])
+
+
+def _colors_at(rgb: np.ndarray, keypoints: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(n, 3) colours at keypoints of an image that was this large; NaN outside."""
+    now = np.array([rgb.shape[1], rgb.shape[0]])
+    at = np.rint((keypoints + 0.5) * now / size - 0.5)
+    inside = (at >= 0).all(axis=1) & (at < now).all(axis=1)
+    column, row = np.where(inside[:, None], at, 0).astype(np.int64).T
+    return np.where(inside[:, None], rgb[row, column].astype(np.float64), np.nan)
+
+
+def _fits(camera: Camera, shape: ImageShape) -> list[ImagePixels]:
+    """The pixels of a file that a camera may describe."""
+    size = camera.width, camera.height
+    return [pixels for pixels in ImagePixels if is_same_view(size, shape.size(pixels))]
+
+
+def _shape_of(path: Path) -> ImageShape:
+    header = read_header(path)
+    return ImageShape(header.width, header.height, header.orientation)

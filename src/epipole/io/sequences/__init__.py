@@ -1,0 +1,1 @@
+"""Sequences of images with times, depth and IMU measurements."""

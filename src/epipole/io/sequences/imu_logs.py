@@ -1,0 +1,135 @@
+"""Logs of inertial measurement units: EuRoC's folder or CSV, any table of seven numbers, a recording of ROS; and how they are mounted."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from epipole._declared import checked
+from epipole.errors import FileFormatError
+from epipole.geometry import Rigid3
+from epipole.inertial import ImuLog, ImuNoise
+from epipole.io.bags.recording import is_bag, read_bag_imu
+from epipole.io.calibration.camera_chains import camera_from_imu
+from epipole.io.calibration.files import parsed_file, read_body_from_camera
+from epipole.io.files import file_text
+from epipole.io.sequences.imu_units import check_imu_units, seconds_of_imu
+
+_COLUMNS = 7
+_MOST_BLOCKS, _OVERLAP_S = 4, 1.0
+"""Times that begin anew so rarely, and overlap by more than this, are of several recordings."""
+_DENSITIES = {
+    "gyro_density": "gyroscope_noise_density",
+    "accel_density": "accelerometer_noise_density",
+    "gyro_walk": "gyroscope_random_walk",
+    "accel_walk": "accelerometer_random_walk",
+}
+
+
+@checked
+def read_imu(path: str | Path) -> tuple[ImuLog, ImuNoise]:
+    """Read what an IMU measured: angular velocities (rad/s) and specific forces (m/s^2).
+
+    Rows out of order are sorted, and of a doubled time the first is taken: `notes` of the log says so.
+
+    Args:
+        path: EuRoC's `imu0` folder or its `data.csv` (the `sensor.yaml` beside it tells the noise), a text of
+            `SECONDS wx wy wz ax ay az` lines (or nanoseconds), or a recording of ROS with one IMU.
+
+    Raises:
+        FileFormatError: no such file, a line that is none, times of several recordings, or measurements in another unit (g,
+            degrees a second, milliseconds) or without gravity.
+        MissingDependencyError: the package rosbags is needed and not installed.
+    """
+    path = Path(path)
+    if is_bag(path):
+        return read_bag_imu(path), ImuNoise()
+    table = path / "data.csv" if path.is_dir() else path
+    values = _table(table)
+    values[:, 0], said = seconds_of_imu(table, values[:, 0])
+    values, more = _sorted(table, values)
+    check_imu_units(table, values[:, 0], values[:, 1:4], values[:, 4:7])
+    about = table.with_name("sensor.yaml")
+    noise = _noise(about) if about.is_file() else ImuNoise()
+    log = ImuLog(values[:, 0].copy(), values[:, 1:4].copy(), values[:, 4:7].copy(), (*said, *more))
+    return log, noise
+
+
+def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Rows in order of time, each time once, and what had to be done for it, in words.
+
+    Raises:
+        FileFormatError: the rows are those of several recordings.
+    """
+    times = values[:, 0]
+    falls = np.flatnonzero(np.diff(times) < 0) + 1
+    blocks = np.split(times, falls)
+    if 0 < len(falls) <= _MOST_BLOCKS and len(times) > 2 * len(blocks):
+        spans = sorted((float(block[0]), float(block[-1])) for block in blocks)
+        if any(later[0] < earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans)):
+            raise FileFormatError(
+                path,
+                f"the time of sample {int(falls[0]) + 1} is before that of the one above, and the times from there on overlap with those "
+                "before: it holds several recordings, or its clock was set back; give one of them",
+            )
+    order = np.argsort(times, kind="stable")
+    is_first = np.diff(times[order], prepend=-np.inf) > 0
+    said = []
+    if len(falls):
+        said.append(
+            f"{path.name}: {len(falls)} samples are earlier than those before them, and all are sorted by time"
+        )
+    if not is_first.all():
+        said.append(
+            f"{path.name}: {int((~is_first).sum())} samples repeat a time; of each the first is taken"
+        )
+    return values[order[is_first]], tuple(said)
+
+
+@checked
+def read_camera_from_imu(path: str | Path) -> Rigid3:
+    """How the unit is mounted: `T_cam_imu` or `T_imu_cam` (Kalibr, OpenVINS; of the first camera), or T_BS (EuRoC's sensor.yaml).
+
+    The unit may be any point of the body: odometry that tells of the middle of the wheels is mounted in the same way.
+
+    Raises:
+        FileFormatError: the file holds none of them.
+    """
+    path = Path(path)
+    content = parsed_file(path)
+    own = content.get("cam0", content)
+    found = camera_from_imu(path, own) if isinstance(own, dict) else None
+    return read_body_from_camera(path).inverse() if found is None else found
+
+
+def _table(path: Path) -> np.ndarray:
+    rows = []
+    for number, line in enumerate(file_text(path).splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            rows.append([float(word) for word in words[:_COLUMNS]])
+        except ValueError as error:
+            raise FileFormatError(path, f"line {number}: {error}") from error
+        if len(words) < _COLUMNS or not np.isfinite(rows[-1]).all():
+            raise FileFormatError(path, f"line {number}: a time and six finite numbers are expected")
+    if not rows:
+        raise FileFormatError(path, "holds no measurement of an IMU")
+    return np.array(rows)
+
+
+def _noise(path: Path) -> ImuNoise:
+    """EuRoC's densities; the defaults where one is missing."""
+    content = parsed_file(path)
+    known = {}
+    for name, key in _DENSITIES.items():
+        try:
+            value = float(content[key])
+        except (KeyError, TypeError, ValueError):
+            continue
+        if 0 < value < np.inf:
+            known[name] = value
+    return ImuNoise(**known)

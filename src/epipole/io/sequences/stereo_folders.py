@@ -1,0 +1,92 @@
+"""Which pictures of a left and a right camera belong together."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from epipole._declared import checked
+from epipole.errors import FileFormatError
+from epipole.io.images.photographs import list_photographs
+
+_LEFT = re.compile(r"(?<![a-z])left(?![a-z])|(?<![a-z0-9])(?:cam0|infra1)(?![0-9])")
+_RIGHT = re.compile(r"(?<![a-z])right(?![a-z])|(?<![a-z0-9])(?:cam1|infra2)(?![0-9])")
+_OTHER = {"left": "right", "cam0": "cam1", "infra1": "infra2"}
+_OTHER |= {there: here for here, there in _OTHER.items()}
+_AGREES = 2  # names that are the same in both folders: one may be chance
+
+Pair = tuple[Path, Path]
+
+
+@checked
+def pair_folders(left: Path, right: Path, ignore: Sequence[Path] = ()) -> list[tuple[str, Pair]]:
+    """(name, (left picture, right picture)): by names; by names but for the side's word; else by order.
+
+    A picture without a partner keeps the path at which that was looked for: who reads it learns that there is none.
+
+    Raises:
+        FileFormatError: a folder has no picture, both are one folder, or it is not clear which belong
+            together.
+    """
+    listed = [list_photographs(folder, ignore=list(ignore)) for folder in (left, right)]
+    if left.resolve() == right.resolve():
+        raise FileFormatError(left, "the left and the right folder are the same")
+    names = [own.require_some().names for own in listed]
+    exact = set(names[0]) & set(names[1])
+    if len(exact) >= min(_AGREES, *(-(-len(own) // 2) for own in names)):
+        return [(name, (left / name, right / name)) for name in sorted({*names[0], *names[1]})]
+    by_word = [_by_word(own, side) for own, side in zip(names, (_LEFT, _RIGHT))]
+    all_have_one = all(len(keys) == len(own) for keys, own in zip(by_word, names))
+    if all_have_one and by_word[0].keys() & by_word[1].keys():
+        return _joined(by_word[0], by_word[1], left, right)
+    if len(names[0]) != len(names[1]):
+        raise FileFormatError(
+            right,
+            f"its {len(names[1])} names differ from the {len(names[0])} of {left}: which belong together?",
+        )
+    return [(a, (left / a, right / b)) for a, b in zip(*names)]
+
+
+@checked
+def pair_within(folder: Path) -> list[Pair]:
+    """Pairs of one folder whose names differ in the side's word: left01.jpg with right01.jpg; none where no two do.
+
+    A picture that has the word but no partner keeps the path at which that was looked for.
+    """
+    names = list_photographs(folder).names
+    sides = [_by_word(names, side) for side in (_LEFT, _RIGHT)]
+    if not sides[0].keys() & sides[1].keys():
+        return []
+    return [pair for _, pair in _joined(sides[0], sides[1], folder, folder)]
+
+
+@checked
+def side_of(name: str, side: Literal["left", "right"]) -> str | None:
+    """A name without the word of this side (left, cam0, infra1 ...), by which it is known on both; None without the word."""
+    word = _LEFT if side == "left" else _RIGHT
+    return word.sub("*", name.lower()) if word.search(name.lower()) else None
+
+
+def _by_word(names: Sequence[str], side: re.Pattern[str]) -> dict[str, str]:
+    """Names that have the side's word, by what they are without it."""
+    return {side.sub("*", name.lower()): name for name in names if side.search(name.lower())}
+
+
+def _joined(lefts: dict[str, str], rights: dict[str, str], left: Path, right: Path) -> list[tuple[str, Pair]]:
+    out = []
+    for key in sorted({*lefts, *rights}):
+        one, two = lefts.get(key), rights.get(key)
+        first, second = one or _for_other_side(two or ""), two or _for_other_side(one or "")
+        out.append((first, (left / first, right / second)))
+    return out
+
+
+def _for_other_side(name: str) -> str:
+    """The same name with the other side's word."""
+    found = _LEFT.search(name.lower()) or _RIGHT.search(name.lower())
+    if found is None:
+        return name
+    word = _OTHER[found.group()]
+    return name[: found.start()] + word + name[found.end() :]

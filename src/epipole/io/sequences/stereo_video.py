@@ -1,0 +1,82 @@
+"""Pairs of frames from stereo video: two files, or one that holds both pictures side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from epipole._declared import checked
+from epipole.errors import ConfigError, FileFormatError
+from epipole.image.encoding import encoded_image
+from epipole.io.atomic import atomic_write
+from epipole.io.files import require_file
+from epipole.io.images.video import count_frames, opened_video
+
+
+@checked
+def extract_pairs(
+    left: Path,
+    right: Path,
+    folder: Path,
+    max_frames: int,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[tuple[Path, Path]]:
+    """Write evenly spaced pairs of frames as left/frame_000123.png and right/frame_000123.png.
+
+    Args:
+        left: a video; both pictures side by side where `right` is the same file.
+        right: the other video, whose frames were taken at the same instants.
+        folder: where to write; frames that are there already are not read again.
+        max_frames: largest number of pairs.
+        progress: called with the frames that were read, and their number.
+
+    Raises:
+        FileFormatError: a video cannot be read.
+        ConfigError: max_frames is not positive.
+        WorkspaceError: the folder cannot be used.
+    """
+    if max_frames < 1:
+        raise ConfigError(f"max_frames must be at least 1, got {max_frames}")
+    for video in (left, right):
+        require_file(video)
+    is_side_by_side = left.resolve() == right.resolve()
+    videos = [left] if is_side_by_side else [left, right]
+    count = min(count_frames(video)[0] for video in videos)
+    captures = [opened_video(video) for video in videos]
+    wanted = set(
+        np.unique(np.linspace(0, max(count - 1, 0), min(max_frames, max(count, 1))).astype(int)).tolist()
+    )
+    pairs: list[tuple[Path, Path]] = []
+    index = 0
+    while index <= max(wanted):
+        progress(index, max(wanted) + 1)
+        if not all(c.grab() for c in captures):
+            break
+        if index in wanted:
+            frames = [c.retrieve() for c in captures]
+            if not all(ok for ok, _ in frames):
+                break
+            pictures = [frame for _, frame in frames]
+            if is_side_by_side:
+                half = pictures[0].shape[1] // 2
+                pictures = [pictures[0][:, :half], pictures[0][:, half : 2 * half]]
+            paths = tuple(folder / side / f"frame_{index:06d}.png" for side in ("left", "right"))
+            for path, picture in zip(paths, pictures):
+                _write(path, picture)
+            pairs.append((paths[0], paths[1]))
+        index += 1
+    progress(max(wanted) + 1, max(wanted) + 1)
+    if not pairs:
+        raise FileFormatError(left, "it has no frame that can be read")
+    return pairs
+
+
+def _write(path: Path, picture: np.ndarray) -> None:
+    """Write a frame, unless it is there: by its date a later run knows that a pair is measured."""
+    data = encoded_image(".png", picture)
+    if path.is_file() and path.read_bytes() == data:
+        return
+    with atomic_write(path) as aside:
+        aside.write_bytes(data)

@@ -1,0 +1,1 @@
+"""Trajectories: TUM, KITTI, EuRoC."""

@@ -1,0 +1,118 @@
+"""The second stage: features of every picture, one file each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from epipole.config import FeatureConfig
+from epipole.errors import FileFormatError, MissingDependencyError
+from epipole.features import Features, detect_features
+from epipole.image.encoding import encoded_image
+from epipole.io.images.photographs import read_header, read_mask, read_rgb
+from epipole.pipelines.sfm.matching.unit_tables import FEATURES
+from epipole.pipelines.sfm.photographs import ImageSet
+from epipole.runs import Unit, digest, load
+
+FORMAT = 4
+"""Raise when the meaning of the files changes."""
+THUMBNAIL_PX = 320
+
+
+@dataclass(frozen=True, slots=True)
+class FeaturePayload:
+    """What the unit of one picture needs."""
+
+    path: Path
+    name: str
+    masks: Path | None
+    config: FeatureConfig
+
+
+def feature_units(images: ImageSet, folder: Path, config: FeatureConfig, masks: Path | None) -> list[Unit]:
+    """One unit per picture."""
+    units = []
+    for name, picture, mask in zip(images.names, images.fingerprints, images.mask_fingerprints):
+        key = digest("features", FORMAT, picture, mask, asdict(config))
+        payload = FeaturePayload(images.folder / name, name, masks, config)
+        units.append(Unit(folder / f"{key}.npz", key, detect_in_file, payload))
+    return units
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture as it is worked on, and its full size."""
+
+    rgb: np.ndarray
+    width: int
+    height: int
+
+
+def read_picture(path: Path, max_size_px: int) -> Picture | str:
+    """Read a picture, reduced to `max_size_px`; for a damaged one the reason instead."""
+    try:
+        header = read_header(path)
+        return Picture(read_rgb(path, max_size_px), header.width, header.height)
+    except (FileFormatError, MissingDependencyError) as error:
+        return str(error).removeprefix(f"{path}: ")
+
+
+def detect_in_file(payload: FeaturePayload) -> dict[str, np.ndarray]:
+    """Features of one picture, their colours and a thumbnail; for a damaged picture the reason instead."""
+    picture = read_picture(payload.path, payload.config.max_size_px)
+    if isinstance(picture, str):
+        return {"failure": np.array(picture)}
+    rgb, mask = picture.rgb, None
+    try:
+        if payload.masks is not None:
+            mask = read_mask(payload.masks, payload.name, size=(picture.width, picture.height))
+    except (FileFormatError, MissingDependencyError) as error:
+        return {"failure": np.array(str(error))}
+    cv2.setNumThreads(1)  # pictures are the unit of parallel work
+    small = detect_features(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), payload.config)
+    stretch = np.array([picture.width / rgb.shape[1], picture.height / rgb.shape[0]])
+    pixels = ((small.pixels + 0.5) * stretch - 0.5).astype(np.float32)
+    keep = np.ones(len(pixels), bool)
+    if mask is not None:
+        at = np.clip(np.rint(pixels).astype(int), 0, [picture.width - 1, picture.height - 1])
+        keep = mask[at[:, 1], at[:, 0]]
+    scale_px = (small.scale_px * stretch.mean()).astype(np.float32)
+    return as_unit_arrays(
+        picture, pixels[keep], scale_px[keep], small.angle_rad[keep], small.descriptors[keep]
+    )
+
+
+def as_unit_arrays(
+    picture: Picture, pixels: np.ndarray, scale_px: np.ndarray, angle_rad: np.ndarray, descriptors: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Features, their colours and a thumbnail of the picture, as a unit stores them."""
+    rgb = picture.rgb
+    shrink = np.array([rgb.shape[1] / picture.width, rgb.shape[0] / picture.height])
+    at = np.clip(np.rint((pixels + 0.5) * shrink - 0.5).astype(int), 0, [rgb.shape[1] - 1, rgb.shape[0] - 1])
+    factor = min(1.0, THUMBNAIL_PX / max(rgb.shape[:2]))
+    size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    jpeg = np.frombuffer(encoded_image(".jpg", small[..., ::-1], jpeg_quality=80), np.uint8)
+    return {
+        "pixels": pixels,
+        "scale_px": scale_px,
+        "angle_rad": angle_rad,
+        "descriptors": descriptors,
+        "colors": rgb[at[:, 1], at[:, 0]],
+        "thumbnail": jpeg,
+        "failure": np.array(""),
+    }
+
+
+def load_features(path: Path) -> Features:
+    """The features of a unit's file; those of the last pictures asked for are kept in memory."""
+    return _remembered(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _remembered(path: Path, _mtime_ns: int) -> Features:
+    return Features(**load(path, FEATURES, "pixels", "scale_px", "angle_rad", "descriptors"))

@@ -1,0 +1,99 @@
+"""The third stage: which pairs of pictures are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int32
+
+from epipole.errors import ConfigError, FileFormatError
+from epipole.features import describe_image, most_similar, train_vocabulary
+from epipole.io.files import file_text
+from epipole.io.images.exif import gps_to_enu
+from epipole.pipelines.sfm.config import PairingConfig
+
+
+def choose_pairs(
+    descriptors: Sequence[np.ndarray],
+    lat_lon_alt: Float64[np.ndarray, "n 3"],
+    config: PairingConfig,
+    *,
+    is_video: bool,
+) -> Int32[np.ndarray, "p 2"]:
+    """Pairs (i, j), i < j, sorted.
+
+    Raises:
+        ConfigError: spatial pairs are asked for but the pictures carry no GPS.
+    """
+    n = len(descriptors)
+    has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
+    method = config.method
+    if method == "auto":
+        if is_video:
+            method = "sequential"
+        elif n <= config.exhaustive_limit:
+            method = "exhaustive"
+        else:
+            method = "spatial" if has_gps.mean() > 0.9 else "retrieval"
+    if method == "exhaustive":
+        return np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32)
+    if method == "spatial":
+        if has_gps.sum() < 2:
+            raise ConfigError("spatial pairs need GPS in the pictures' EXIF")
+        return sorted_pairs(
+            [*_spatial(lat_lon_alt, has_gps, config.neighbours), *_look_alikes(descriptors, 5)]
+        )
+    pairs = []
+    if method == "sequential":
+        reach = min(config.overlap, n - 1)
+        pairs += [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
+    neighbours = min(config.neighbours, 10) if method == "sequential" else config.neighbours
+    return sorted_pairs([*pairs, *_look_alikes(descriptors, neighbours)])
+
+
+def _look_alikes(descriptors: Sequence[np.ndarray], count: int) -> list[tuple[int, int]]:
+    words = train_vocabulary(descriptors)
+    nearest = most_similar(np.stack([describe_image(d, words) for d in descriptors]), count)
+    return [(i, int(j)) for i in range(len(nearest)) for j in nearest[i]]
+
+
+def _spatial(lat_lon_alt: np.ndarray, has_gps: np.ndarray, count: int) -> list[tuple[int, int]]:
+    rows = np.flatnonzero(has_gps)
+    east_north = gps_to_enu(lat_lon_alt[rows])[:, :2]
+    from scipy.spatial import cKDTree  # a sixth of a second to import, for sets with GPS only
+
+    _, near = cKDTree(east_north).query(east_north, k=min(count + 1, len(rows)))
+    return [(int(rows[a]), int(rows[b])) for a in range(len(rows)) for b in np.atleast_1d(near[a]) if a != b]
+
+
+def sorted_pairs(pairs: Sequence[tuple[int, int]]) -> Int32[np.ndarray, "p 2"]:
+    """Each pair once, smaller index first, in order."""
+    unique = sorted({(min(i, j), max(i, j)) for i, j in pairs if i != j})
+    return np.array(unique, np.int32).reshape(-1, 2)
+
+
+def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
+    """Pairs from a text file: two names a line; blank lines and lines that start with # are skipped.
+
+    Raises:
+        FileFormatError: no such file, a line without two names, or an unknown picture.
+    """
+    row = {name: i for i, name in enumerate(names)}
+    try:
+        lines = file_text(path).splitlines()
+    except FileFormatError as error:
+        raise FileFormatError(path, f"cannot be read as a list of pairs: {error}") from error
+    pairs = []
+    for number, line in enumerate(lines, 1):
+        words = line.split()
+        if not words or words[0].startswith("#"):
+            continue
+        if len(words) != 2:
+            raise FileFormatError(path, f"line {number}: expected two picture names, got {len(words)}")
+        missing = [w for w in words if w not in row]
+        if missing:
+            raise FileFormatError(path, f"line {number}: no picture {missing[0]!r} (or it cannot be used)")
+        pairs.append((row[words[0]], row[words[1]]))
+    return sorted_pairs(pairs)

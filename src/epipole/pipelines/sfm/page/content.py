@@ -1,0 +1,145 @@
+"""What the report of a reconstruction is made of: data only, gathered from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from epipole._jit import compile_seconds
+from epipole.pipelines.sfm.anchored import UP_TO_SCALE
+from epipole.pipelines.sfm.matching.unit_tables import FEATURES
+from epipole.pipelines.sfm.notes import focal_source, focal_verdict, pictures_of_camera, title_of
+from epipole.pipelines.sfm.pipeline import Solution
+from epipole.runs import Run, load
+from epipole.scene import Reconstruction, ViewGraph
+
+MAX_INLIERS_SHOWN = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageRow:
+    """One picture's line in the report."""
+
+    name: str
+    is_registered: bool
+    component: int
+    """0: the model shown; 1, 2, ...: another model; -1: none."""
+    num_keypoints: int
+    num_observations: int
+    mean_error_px: float
+    """Mean reprojection error of its observations; NaN where there are none."""
+    reason: str = ""
+    """Why the picture has no place, in words; empty when it has one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportContent:
+    """Everything that the report shows."""
+
+    title: str
+    reconstruction: Reconstruction
+    """The largest model."""
+    view_graph: ViewGraph
+    """Verified pairs; its image numbers are rows of `reconstruction.images`."""
+    image_rows: tuple[ImageRow, ...]
+    other_components: tuple[int, ...] = ()
+    """Registered images of each further model."""
+    camera_lines: tuple[str, ...] = ()
+    timings: Mapping[str, float] = field(default_factory=dict)
+    """Seconds of each stage, in order."""
+    compile_seconds: float = 0.0
+    """Part of the timings that compiling kernels took; 0 when they came from the cache."""
+    warnings: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    thumbnails: Mapping[str, bytes] = field(default_factory=dict)
+    """Image name to a small JPEG."""
+    inliers: Mapping[str, Float[np.ndarray, "k 2"]] = field(default_factory=dict)
+    """Image name to positions of features that see a point, as fractions of width and height."""
+    scale_note: str = UP_TO_SCALE
+    is_metric: bool = False
+    """World coordinates are metres."""
+    truth_errors: Mapping[str, str] = field(default_factory=dict)
+    """Comparisons with ground truth: what was compared, and the result with its unit."""
+
+    @property
+    def unit(self) -> str:
+        """The unit of world coordinates."""
+        return "m" if self.is_metric else "model units, up to scale"
+
+
+def page_content(
+    solution: Solution, reasons: Mapping[str, str], run: Run, settings: dict[str, Any]
+) -> ReportContent:
+    """Gather what the report shows."""
+    models, images = solution.mapped.models, solution.images
+    model = models[0]
+    component = np.full(len(images), -1)
+    for number in reversed(range(len(models))):
+        component[models[number].is_registered()] = number
+    rows, thumbnails, inliers = [], {}, {}
+    per_model = [(_observations_per_image(m)) for m in models]
+    for i, name in enumerate(images.names):
+        shown = max(int(component[i]), 0)
+        counts, errors = per_model[shown]
+        placed = bool(component[i] >= 0)
+        rows.append(
+            ImageRow(
+                name,
+                placed,
+                int(component[i]),
+                len(solution.keypoints[i]),
+                int(counts[i]) if placed else 0,
+                float(errors[i]) if placed else float("nan"),
+                "" if placed else reasons.get(name, ""),
+            )
+        )
+        thumbnails[name] = load(solution.features[i].path, FEATURES, "thumbnail")["thumbnail"].tobytes()
+        camera = model.cameras[int(model.camera_of_image[i])]
+        own = models[shown].tracks.keypoint[models[shown].tracks.image == i]
+        pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
+        inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
+    rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
+    gps, scale = solution.mapped.gps[0], solution.mapped.scale
+    scale_note = UP_TO_SCALE if scale is None else scale.in_words()
+    if gps is not None:
+        scale_note += f"; median distance of the cameras from their GPS positions {gps.median_m:.2f} m"
+    return ReportContent(
+        title=title_of(run.job.inputs[0]),
+        reconstruction=model,
+        view_graph=solution.view_graph,
+        image_rows=tuple(rows),
+        other_components=tuple(int(m.is_registered().sum()) for m in models[1:]),
+        camera_lines=tuple(_camera_line(solution, c) for c in range(len(images.focal_sources))),
+        timings=dict(run.timings_s),
+        compile_seconds=compile_seconds(),
+        warnings=tuple(run.warnings),
+        settings=settings,
+        thumbnails=thumbnails,
+        inliers=inliers,
+        scale_note=scale_note,
+        is_metric=scale is not None,
+    )
+
+
+def _camera_line(solution: Solution, camera: int) -> str:
+    """Whose a camera is, what became of it, and where its focal length came from."""
+    first_px, accuracy = solution.images.cameras[camera].focal_px, solution.focals.get(camera)
+    verdict = "" if accuracy is None else f"; {focal_verdict(accuracy)}"
+    return (
+        f"{pictures_of_camera(solution, camera)}: {solution.mapped.models[0].cameras[camera]!r}; "
+        f"focal length first {first_px:.0f} px, {focal_source(solution, camera)}{verdict}"
+    )
+
+
+def _observations_per_image(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    n = len(model.images)
+    counts = np.bincount(model.tracks.image, minlength=n)
+    errors = model.reprojection_errors_px()
+    is_seen = np.isfinite(errors)
+    image = model.tracks.image[is_seen]
+    sums, num_seen = np.bincount(image, errors[is_seen], n), np.bincount(image, minlength=n)
+    return counts, np.where(num_seen > 0, sums / np.maximum(num_seen, 1), np.nan)

@@ -1,0 +1,91 @@
+"""What a reader should know before trusting the model, in plain words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from epipole.pipelines.sfm.page.content import ReportContent
+from epipole.pipelines.sfm.page.statistics import LOW_PARALLAX_RAD, Statistics, num_low_parallax_pairs
+from epipole.report.markup import count, plural
+
+
+def notes_of(content: ReportContent, statistics: Statistics) -> tuple[tuple[str, bool], ...]:
+    """Sentences, each with a flag that it is a warning; warnings first."""
+    notes = [(text, True) for text in content.warnings]
+    notes += [(text, True) for text in (_absent(content), _components(content)) if text]
+    if not statistics.num_registered:
+        return (
+            *notes,
+            ("There is no model: no picture could be placed.", True),
+        )
+    notes.append((_scale(content.scale_note), False))
+    notes += [(text, False) for text in (_parallax(content, statistics), _two_view(statistics)) if text]
+    notes.append(
+        (
+            "The reprojection error tells how well the model explains the pictures it was made from. "
+            "It is not the model's accuracy; only a comparison with something measured gives that.",
+            False,
+        )
+    )
+    return tuple(notes)
+
+
+def _scale(note: str) -> str:
+    sentence = note if "scale" in note.lower() else f"scale: {note}"
+    return f"{sentence[:1].upper()}{sentence[1:]}."
+
+
+def _absent(content: ReportContent) -> str:
+    absent = sum(not row.is_registered for row in content.image_rows)
+    if not absent:
+        return ""
+    verb = "has" if absent == 1 else "have"
+    total = plural(len(content.image_rows), "picture")
+    return (
+        f"{count(absent)} of {total} {verb} no place in the model. "
+        "The table of pictures gives each one's reason."
+    )
+
+
+def _components(content: ReportContent) -> str:
+    others = content.other_components
+    if not others:
+        return ""
+    sizes = f"{', '.join(count(n) for n in others[:-1])} and {count(others[-1])}"
+    if len(others) == 1:
+        return (
+            f"The pictures fell into two models that are not tied to each other: this one and another of "
+            f"{plural(others[0], 'picture')}. More pictures between the two would join them."
+        )
+    return (
+        f"The pictures fell into {len(others) + 1} models that are not tied to each other. "
+        f"This page shows the largest; the others hold {sizes} pictures. "
+        "More pictures between them would join them."
+    )
+
+
+def _parallax(content: ReportContent, statistics: Statistics) -> str:
+    limit = f"{np.rad2deg(LOW_PARALLAX_RAD):.0f}°"
+    pairs, low = len(content.view_graph), num_low_parallax_pairs(content.view_graph)
+    angles = statistics.finite_angle_rad
+    narrow = int((angles < LOW_PARALLAX_RAD).sum())
+    sentences = []
+    if low:
+        sentences.append(
+            f"{count(low)} of {plural(pairs, 'verified pair')} {'sees its' if low == 1 else 'see their'} "
+            f"common points under a median angle below {limit}: "
+            "such pairs fix directions well and depth poorly."
+        )
+    if narrow:
+        share = 100 * narrow / len(angles)
+        sentences.append(f"{share:.0f} % of the points have no two rays that meet at {limit} or more.")
+    return " ".join(sentences)
+
+
+def _two_view(statistics: Statistics) -> str:
+    if not statistics.num_points:
+        return ""
+    share = 100 * float((statistics.track_length == 2).mean())
+    if share < 1:
+        return ""
+    return f"{share:.0f} % of the points are seen in two pictures only, so no third picture confirms them."

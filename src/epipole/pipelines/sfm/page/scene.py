@@ -1,0 +1,83 @@
+"""What the viewer shows of a reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epipole.errors import FileFormatError
+from epipole.io.convert import read_model
+from epipole.io.files import read_json
+from epipole.io.images.photographs import read_rgb
+from epipole.io.models.images import ModelImages
+from epipole.io.names import path_inside
+from epipole.report.space_model import scene_of_model
+from epipole.report.space_scene import METRES, NO_UNIT, SpaceScene
+from epipole.runs import holds_own_model
+from epipole.scene import Reconstruction
+
+PICTURE_PX = 640
+
+
+def scene(path: Path) -> SpaceScene:
+    """The points of a model, its cameras and its pictures.
+
+    Raises:
+        FileFormatError: there is no model.
+    """
+    summary, model = _summary(path), read_model(path)
+    num_given = summary.get("num_images")
+    found = scene_of_model(
+        model,
+        title=_title(path),
+        unit=METRES if summary.get("is_metric") is True else NO_UNIT,
+        load_picture=picture_loader(path / "images", model, is_own=holds_own_model(path)),
+        num_given=num_given if isinstance(num_given, int) and num_given >= len(model.images) else None,
+    )
+    others = [other for other in sorted((path / "sparse").glob("[0-9]*")) if other.is_dir()][1:]
+    if not others:
+        return found
+    return replace(
+        found, words=f"{found.words}; the first of {len(others) + 1} models: {others[0]} is another"
+    )
+
+
+def _title(path: Path) -> str:
+    """A folder's name; of OUT/sparse/0 all three."""
+    whole = path.resolve()
+    return "/".join(whole.parts[-3:]) if whole.parent.name == "sparse" else whole.name
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    """A workspace's; empty where there is none."""
+    try:
+        summary = read_json(path / "summary.json")
+    except FileFormatError:
+        return {}
+    return summary if isinstance(summary, dict) else {}
+
+
+def picture_loader(
+    folder: Path, model: Reconstruction | None = None, *, is_own: bool = False
+) -> Callable[[str], np.ndarray | None]:
+    """Reads an image by its name; gives None for one that cannot be read.
+
+    Args:
+        folder: of the images.
+        model: whose cameras describe them; None: they are read upright.
+        is_own: the model was made here.
+    """
+    if model is not None:
+        return ModelImages(model, folder, is_own=is_own).loader(PICTURE_PX)
+
+    def load_picture(name: str) -> np.ndarray | None:
+        try:
+            return read_rgb(path_inside(folder, name), PICTURE_PX)
+        except FileFormatError:
+            return None
+
+    return load_picture

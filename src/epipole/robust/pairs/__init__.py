@@ -1,0 +1,1 @@
+"""Two views: fundamental, essential and homography matrices, model selection, verification of pairs."""

@@ -1,0 +1,247 @@
+"""Robust fits of one model to the matches of many pairs.
+
+Matches of pair p are the columns offsets[p] to offsets[p + 1] of `pixels` (rows u1, v1, u2, v2).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from epipole._jit import kernel
+from epipole.cameras._camera_kernels import unproject_one
+from epipole.robust._loop_kernels import next_random, ransac
+from epipole.robust.pairs._fundamental_kernels import FundamentalProblem
+from epipole.robust.pairs._homography_kernels import HomographyProblem
+from epipole.robust.pairs._relative_pose_kernels import RelativePoseProblem
+
+LEAST_DEPTH = 1e-3  # rays flatter than this do not cross the plane z = 1
+
+
+class Pairs(NamedTuple):
+    """The matches of a list of pairs, and their cameras."""
+
+    pixels: np.ndarray
+    """(4, matches)."""
+    offsets: np.ndarray
+    """(pairs + 1,)."""
+    camera1: np.ndarray
+    """(pairs,), rows of models and params."""
+    camera2: np.ndarray
+    models: np.ndarray
+    params: np.ndarray
+    """(cameras, 12)."""
+    focal_px: np.ndarray
+    """(cameras,), mean focal lengths."""
+    wide: np.ndarray
+    """(cameras,), whether the plane z = 1 is no picture of theirs."""
+    seed: np.ndarray
+    """(pairs,), uint64."""
+
+
+class Search(NamedTuple):
+    """How long to search, and for what."""
+
+    max_error_px: float
+    confidence: float
+    min_iterations: int
+    max_iterations: int
+    min_inliers: int
+    min_share: float
+
+
+class Fits(NamedTuple):
+    """What one model makes of all pairs."""
+
+    raw: np.ndarray
+    """(pairs, MODEL_SIZE), as the problem keeps it, in the coordinates below."""
+    residuals_px: np.ndarray
+    """(matches,), infinite for what was left out."""
+    frame: np.ndarray
+    """(pairs, 5): coordinates are (pixel - centre) / spread; u1, v1, u2, v2 of the centres, the spread.
+
+    Of relative poses, whose coordinates are rays, the spread alone: the focal length."""
+    iterations: np.ndarray
+    """(pairs,)"""
+    best_score: np.ndarray
+    """(pairs,), MSAC's in these coordinates; infinite for a pair that gave no model."""
+    information: np.ndarray
+    """(pairs, MOST_FREEDOM, MOST_FREEDOM), J^T J of the inliers."""
+
+
+@kernel
+def longest(pairs):
+    """Most matches of a pair."""
+    most = 0
+    for p in range(len(pairs.seed)):
+        most = max(most, pairs.offsets[p + 1] - pairs.offsets[p])
+    return most
+
+
+@kernel
+def choose(pairs, p, use, chosen):
+    """The matches of pair p to be used, in random order; returns their number."""
+    count = 0
+    for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
+        if use[k]:
+            chosen[count] = k
+            count += 1
+    return count
+
+
+@kernel(allocates=True)
+def shuffle(chosen, count, seed):
+    """Bring the first numbers into random order."""
+    state = np.empty(1, np.uint64)
+    state[0] = seed
+    for k in range(count - 1, 0, -1):
+        other = np.int64(next_random(state) % np.uint64(k + 1))
+        chosen[k], chosen[other] = chosen[other], chosen[k]
+
+
+@kernel
+def mean_focal(pairs, p):
+    """Harmonic mean of both focal lengths: what turns an error of rays into pixels."""
+    return 2.0 / (1.0 / pairs.focal_px[pairs.camera1[p]] + 1.0 / pairs.focal_px[pairs.camera2[p]])
+
+
+@kernel(fuse=True)
+def _onto_plane(pairs, p, k, which, out, column):
+    """Where the ray of match k crosses the plane z = 1 of camera `which`; whether it does."""
+    camera = pairs.camera1[p] if which == 0 else pairs.camera2[p]
+    x, y, z = unproject_one(
+        np.int64(pairs.models[camera]),
+        pairs.params[camera],
+        pairs.pixels[2 * which, k],
+        pairs.pixels[2 * which + 1, k],
+    )
+    if not z > LEAST_DEPTH:
+        return False
+    out[2 * which, column], out[2 * which + 1, column] = x / z, y / z
+    return True
+
+
+@kernel
+def keep(pairs, p, chosen, count, residuals, scale, fits):
+    """Residuals back to the caller's order, in pixels."""
+    for k in range(pairs.offsets[p], pairs.offsets[p + 1]):
+        fits.residuals_px[k] = math.inf
+    for c in range(count):
+        fits.residuals_px[chosen[c]] = math.sqrt(residuals[c]) * scale
+
+
+@kernel
+def least_share(search, count):
+    """Share of inliers that is still of use."""
+    return min(1.0, max(search.min_share, search.min_inliers / count))
+
+
+@kernel(allocates=True)
+def _ranking(quality, chosen, count):
+    """The chosen matches, best first; None where nobody knows (and PROSAC is not even compiled)."""
+    if quality is None:
+        return None
+    return np.argsort(-quality[chosen[:count]], kind="mergesort")
+
+
+@kernel(allocates=True)
+def search_pair(pairs, p, problem, chosen, quality, search, fits):
+    """The best model of pair p, whose items are its chosen matches in the coordinates of `fits.frame`; and who agrees."""
+    count, scale = problem.num_items(), fits.frame[p, 4]
+    residuals = np.full(count, math.inf)
+    fits.best_score[p], fits.iterations[p] = math.inf, 0
+    if count >= problem.sample_size():
+        score, iterations = ransac(
+            problem,
+            (search.max_error_px / scale) ** 2,
+            search.confidence,
+            search.min_iterations,
+            search.max_iterations,
+            least_share(search, count),
+            pairs.seed[p],
+            _ranking(quality, chosen, count),
+            fits.raw[p],
+            residuals,
+            fits.information[p],
+        )
+        fits.best_score[p], fits.iterations[p] = score, iterations
+    keep(pairs, p, chosen, count, residuals, scale, fits)
+
+
+@kernel(allocates=True)
+def fit_motions(pairs, wanted, use, quality, search, fits):
+    """Relative poses of the wanted pairs over the matches marked in `use`; quality (matches,) or None."""
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
+    for p in range(len(pairs.seed)):
+        if not wanted[p]:
+            continue
+        count = choose(pairs, p, use, chosen)
+        shuffle(chosen, count, pairs.seed[p])
+        seen = 0
+        for c in range(count):
+            if _onto_plane(pairs, p, chosen[c], 0, items, seen) and _onto_plane(
+                pairs, p, chosen[c], 1, items, seen
+            ):
+                chosen[seen] = chosen[c]
+                seen += 1
+        fits.frame[p, 4] = mean_focal(pairs, p)
+        problem = RelativePoseProblem(items[:, :seen].copy())
+        search_pair(pairs, p, problem, chosen, quality, search, fits)
+
+
+@kernel
+def _normalize(pairs, chosen, count, frame, items):
+    """Centre both pictures' matches and divide by one length; returns their number, or 0 where they coincide."""
+    frame[4] = 1.0
+    for r in range(4):
+        total = 0.0
+        for c in range(count):
+            total += pairs.pixels[r, chosen[c]]
+        frame[r] = total / count
+    spread = 0.0
+    for which in range(2):
+        total = 0.0
+        for c in range(count):
+            for r in range(2 * which, 2 * which + 2):
+                total += (pairs.pixels[r, chosen[c]] - frame[r]) ** 2
+        spread = max(spread, math.sqrt(total / count))
+    if not (spread > 1e-9 and spread < math.inf):
+        return 0
+    frame[4] = spread
+    for r in range(4):
+        for c in range(count):
+            items[r, c] = (pairs.pixels[r, chosen[c]] - frame[r]) / spread
+    return count
+
+
+@kernel
+def _normalized(pairs, p, use, chosen, frame, items):
+    """The matches of pair p to be used, in random order and normalized; returns their number."""
+    count = choose(pairs, p, use, chosen)
+    shuffle(chosen, count, pairs.seed[p])
+    return _normalize(pairs, chosen, count, frame, items)
+
+
+@kernel(allocates=True)
+def fit_fundamentals(pairs, wanted, use, quality, search, fits):
+    """Fundamental matrices of the wanted pairs over the matches marked in `use`."""
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
+    for p in range(len(pairs.seed)):
+        if not wanted[p]:
+            continue
+        count = _normalized(pairs, p, use, chosen, fits.frame[p], items)
+        problem = FundamentalProblem(items[:, :count].copy())
+        search_pair(pairs, p, problem, chosen, quality, search, fits)
+
+
+@kernel(allocates=True)
+def fit_homographies(pairs, use, quality, search, fits):
+    """Homographies of all pairs over the matches marked in `use`."""
+    most = longest(pairs)
+    chosen, items = np.empty(most, np.int64), np.empty((4, most))
+    for p in range(len(pairs.seed)):
+        count = _normalized(pairs, p, use, chosen, fits.frame[p], items)
+        problem = HomographyProblem(items[:, :count].copy())
+        search_pair(pairs, p, problem, chosen, quality, search, fits)

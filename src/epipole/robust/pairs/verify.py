@@ -1,0 +1,261 @@
+"""Verification of pairs of images: which model explains their matches, and what that says about depth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from epipole import _parallel
+from epipole._declared import Declared, checked
+from epipole.cameras import Camera
+from epipole.config import RansacConfig, options_of
+from epipole.geometry import Rigid3
+from epipole.geometry.epipolar import (
+    essential_from_fundamental,
+    fundamental_from_essential,
+)
+from epipole.robust.pairs import _model_selection_kernels as selection_kernels
+from epipole.robust.pairs import _pair_kernels as kernels
+from epipole.robust.pairs.batch import (
+    fit_motions,
+    no_fits,
+    pack_pairs,
+    search_for,
+    to_coordinates,
+    usable_matches,
+)
+from epipole.robust.pairs.kind import PairKind
+
+PLANE_SHARE = 0.7
+"""A plane that explains less of the epipolar inliers than this could not win, and is not searched for."""
+PLANE_ITERATIONS = 500
+GUESS_FACTOR, GUESS_ITERATIONS = 3.0, 200
+"""A guessed focal length is forgiven a threshold this many times as wide."""
+STILL_PX = 0.75
+"""A median shift of matches below this leaves no epipolar line worth following."""
+_KINDS = (PairKind.GENERAL, PairKind.PLANAR, PairKind.ROTATION, PairKind.NO_MOTION)
+"""Of the models, in the order of their costs."""
+_CHUNKS = 64
+_WORDS = ("epipolar geometry", "a plane", "a rotation", "no motion")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches(Declared):
+    """Matched pixels of two images and their cameras."""
+
+    pixels1: Float64[np.ndarray, "n 2"]
+    pixels2: Float64[np.ndarray, "n 2"]
+    camera1: Camera
+    camera2: Camera
+    is_calibrated: bool = True
+    """Both focal lengths can be trusted; else they are guesses, and a fundamental matrix is fitted."""
+    seed: int = 0
+    """Added to the configuration's: a pair keeps its answer in whatever list it stands."""
+
+    def __repr__(self) -> str:
+        return f"PairMatches({len(self.pixels1)} matches, {self.camera1!r}, {self.camera2!r})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairGeometry:
+    """What the matches of one pair of images say."""
+
+    kind: PairKind
+    inlier_mask: Bool[np.ndarray, " n"]
+    cam2_from_cam1: Rigid3
+    """|t| = 1, or 0 for a pure rotation; NaN where unknown."""
+    essential: Float64[np.ndarray, "3 3"]
+    fundamental: Float64[np.ndarray, "3 3"]
+    homography: Float64[np.ndarray, "3 3"]
+    median_angle_rad: float
+    """Median angle between the rays of inliers in front of both cameras; NaN where there is no motion."""
+    noise_px: float
+    """Standard deviation of the matches, from the epipolar residuals."""
+    costs: Float64[np.ndarray, 4]
+    """Torr's GRIC of epipolar geometry, plane, rotation and no motion, lower is better; NaN where nothing was found."""
+
+    @property
+    def explanation(self) -> str:
+        """In words, why the pair is of this kind."""
+        if self.kind is PairKind.DEGENERATE:
+            return f"too few of {len(self.inlier_mask)} matches agree with any geometry"
+        order = np.argsort(self.costs)
+        margin = float(self.costs[order[1]] - self.costs[order[0]])
+        if self.kind is PairKind.ROTATION and order[0] != selection_kernels.ROTATION:
+            return "a plane fits best, and a rotation under the guessed focal length fits nearly all: no depth in it"
+        words = (
+            f"{_WORDS[order[0]]} explains {int(self.inlier_mask.sum())} matches with {self.noise_px:.2f} px of noise best "
+            f"(by {margin:.0f} over {_WORDS[order[1]]})"
+        )
+        if np.isfinite(self.median_angle_rad):
+            return f"{words}; rays meet at {np.degrees(self.median_angle_rad):.1f} degrees"
+        return f"{words}; there is no depth in it"
+
+    def __repr__(self) -> str:
+        return f"PairGeometry({self.kind.name}: {self.explanation})"
+
+
+@checked
+def verify_pairs(pairs: Sequence[PairMatches], config: RansacConfig | None = None) -> list[PairGeometry]:
+    """Name what each pair is: general, planar, rotation only, no motion, or degenerate.
+
+    An essential (or fundamental) matrix is fitted robustly; a homography, a rotation and the resting camera compete
+    with it over its inliers by the geometric robust information criterion (Torr, PhilTrans A 1998), with the noise
+    estimated from the matches. Pairs are spread over the threads; the answers do not depend on their number.
+
+    Args:
+        pairs: matches and cameras.
+        config: threshold in pixels, inliers needed, and seed.
+
+    Raises:
+        ShapeError: the pixels of a pair do not fit.
+    """
+    config = options_of(RansacConfig, config)
+    parts = _parallel.map_chunks(lambda a, b, _: _verify(pairs[a:b], config), len(pairs), _CHUNKS)
+    return [geometry for part in parts for geometry in part]
+
+
+@checked
+def verify_pair(
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    *,
+    is_calibrated: bool,
+    config: RansacConfig | None = None,
+) -> PairGeometry:
+    """`verify_pairs` of one pair."""
+    return verify_pairs([PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)], config)[0]
+
+
+@checked
+def fundamental_for_guided_matching(
+    pixels1: Any,
+    pixels2: Any,
+    camera1: Camera,
+    camera2: Camera,
+    *,
+    is_calibrated: bool,
+    config: RansacConfig,
+) -> Float64[np.ndarray, "3 3"] | None:
+    """The fundamental matrix along whose lines more matches may be sought; None where too few agree or none move."""
+    pair = PairMatches(pixels1, pixels2, camera1, camera2, is_calibrated)
+    packed = _packed([pair], config)
+    epipolar, motions = _fit_epipolar(packed, np.array([is_calibrated]), config)
+    inliers = epipolar.residuals_px < config.max_error_px
+    if not np.isfinite(epipolar.best_score[0]) or inliers.sum() < config.needed_inliers(5, 1):
+        return None
+    shift = packed.pixels[2:, inliers] - packed.pixels[:2, inliers]
+    if np.median(np.hypot(shift[0], shift[1])) < STILL_PX:
+        return None
+    return _matrices(pair, 0, epipolar, motions)[1]
+
+
+def _verify(pairs: Sequence[PairMatches], config: RansacConfig) -> list[PairGeometry]:
+    packed = _packed(pairs, config)
+    n = len(pairs)
+    calibrated = np.array([pair.is_calibrated for pair in pairs], bool)
+    epipolar, motions = _fit_epipolar(packed, calibrated, config)
+    inliers = epipolar.residuals_px < config.max_error_px
+    if not calibrated.all():
+        loose = search_for(config, factor=GUESS_FACTOR, most=GUESS_ITERATIONS)
+        fit_motions(packed, ~calibrated, inliers, None, loose, motions)
+    planes = no_fits(packed)
+    plane_search = search_for(config, most=PLANE_ITERATIONS, share=PLANE_SHARE)
+    kernels.fit_homographies(packed, inliers, None, plane_search, planes)
+    selection = selection_kernels.Selection(
+        np.zeros(n, np.int64), np.zeros((n, 4)), np.zeros(n), np.zeros((n, 9)), np.zeros(n)
+    )
+    selection_kernels.select_models(
+        packed, calibrated, search_for(config), epipolar, planes, motions, selection
+    )
+    return [
+        _geometry(pair, p, packed.offsets, inliers, epipolar, planes, motions, selection)
+        for p, pair in enumerate(pairs)
+    ]
+
+
+def _fit_epipolar(
+    packed: kernels.Pairs, calibrated: np.ndarray, config: RansacConfig
+) -> tuple[kernels.Fits, kernels.Fits]:
+    """What explains each pair, E where calibrated and F elsewhere; and the motions of calibrated pairs."""
+    use = usable_matches(packed)
+    epipolar, motions, search = no_fits(packed), no_fits(packed), search_for(config)
+    if not calibrated.all():
+        kernels.fit_fundamentals(packed, ~calibrated, use, None, search, epipolar)
+    if calibrated.any():
+        fit_motions(packed, calibrated, use, None, search, motions)
+        of_calibrated = np.repeat(calibrated, np.diff(packed.offsets))
+        np.copyto(epipolar.residuals_px, motions.residuals_px, where=of_calibrated)
+        np.copyto(epipolar.best_score, motions.best_score, where=calibrated)
+    return epipolar, motions
+
+
+def _packed(pairs: Sequence[PairMatches], config: RansacConfig) -> kernels.Pairs:
+    return pack_pairs(
+        [(pair.pixels1, pair.pixels2) for pair in pairs],
+        [(pair.camera1, pair.camera2) for pair in pairs],
+        [config.seed + pair.seed for pair in pairs],
+    )
+
+
+def _matrices(
+    pair: PairMatches, p: int, epipolar: kernels.Fits, motions: kernels.Fits
+) -> tuple[np.ndarray, np.ndarray]:
+    """(E, F), of length one."""
+    if pair.is_calibrated:
+        essential = motions.raw[p, 12:21].reshape(3, 3)
+        fundamental = fundamental_from_essential(essential, pair.camera1.K, pair.camera2.K)
+    else:
+        t1, t2 = to_coordinates(epipolar, p)
+        fundamental = t2.T @ epipolar.raw[p, :9].reshape(3, 3) @ t1
+        essential = essential_from_fundamental(fundamental, pair.camera1.K, pair.camera2.K)
+    return essential / np.linalg.norm(essential), fundamental / np.linalg.norm(fundamental)
+
+
+def _geometry(
+    pair: PairMatches,
+    p: int,
+    offsets: np.ndarray,
+    inliers: np.ndarray,
+    epipolar: kernels.Fits,
+    planes: kernels.Fits,
+    motions: kernels.Fits,
+    selection: selection_kernels.Selection,
+) -> PairGeometry:
+    model = int(selection.model[p])
+    kind = PairKind.DEGENERATE if model == selection_kernels.NONE else _KINDS[model]
+    blank = np.full((3, 3), np.nan)
+    own = inliers[offsets[p] : offsets[p + 1]].copy()
+    essential, fundamental, homography = blank, blank, blank
+    motion = Rigid3(blank, np.full(3, np.nan))
+    if kind is PairKind.DEGENERATE:
+        own[:] = False
+    else:
+        essential, fundamental = _matrices(pair, p, epipolar, motions)
+        motion = Rigid3(motions.raw[p, :9].reshape(3, 3).copy(), motions.raw[p, 9:12].copy())
+        if np.isfinite(planes.best_score[p]):
+            t1, t2 = to_coordinates(planes, p)
+            homography = np.linalg.solve(t2, planes.raw[p, :9].reshape(3, 3) @ t1)
+            homography = homography / np.linalg.norm(homography)
+    if kind is PairKind.ROTATION:
+        motion = Rigid3(selection.rotation[p].reshape(3, 3).copy(), np.zeros(3))
+    if not pair.is_calibrated and kind in (PairKind.GENERAL, PairKind.PLANAR):
+        # A plane seen by unknown lenses still has the F that was found; nothing says what its motion is.
+        kind = PairKind.UNCALIBRATED
+    return PairGeometry(
+        kind,
+        own,
+        motion,
+        essential,
+        fundamental,
+        homography,
+        float(selection.median_angle_rad[p]),
+        float(selection.noise_px[p]),
+        selection.cost[p].copy(),
+    )
