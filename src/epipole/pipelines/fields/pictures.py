@@ -211,7 +211,7 @@ def _source_of(source: Path, max_side_px: int, photographs: Path | None, problem
 def _views(
     source: _Source, options: FieldOptions, problems: list[str], progress: ProgressCallback
 ) -> list[TrainingView]:
-    """By their names; a picture that cannot be read is left out.
+    """By their names; an image that cannot be read is left out.
 
     Raises:
         ConfigError: there are masks, and of none of the pictures.
@@ -231,8 +231,8 @@ def _views(
             image = files.find(name)
             mask = _mask(source, options, name, (image.camera.width, image.camera.height))
             seen = model.points.xyz_in_world[point[model.tracks.image == row]]
-            picture = _read(image, limits)
-            view = _view(name, picture, image.camera, cams_from_world[row], mask, seen, options.max_side_px)
+            pixels = _read(image, limits)
+            view = _view(name, pixels, image.camera, cams_from_world[row], mask, seen, options.max_side_px)
             if view.used_mask is None or view.used_mask.any():
                 out.append(view)
             else:
@@ -241,7 +241,7 @@ def _views(
             problems.append(f"{name} is left out: {error}")
         progress(Progress("load", n, len(rows)))
     if options.masks is not None and not any(mask_of(options.masks, name) for name in model.images.name):
-        raise ConfigError(f"no picture has a mask in {options.masks} (NAME.png beside the picture's name)")
+        raise ConfigError(f"no image has a mask in {options.masks} (NAME.png beside the image's name)")
     return out
 
 
@@ -264,23 +264,23 @@ def _grey_range(folder: Path, names: list[str]) -> GreyRange | None:
 
 def _view(
     name: str,
-    picture: np.ndarray,
+    pixels: np.ndarray,
     camera: Camera,
     cam_from_world: Rigid3,
     mask: np.ndarray | None,
     points_in_world: np.ndarray,
     max_side_px: int,
 ) -> TrainingView:
-    """A picture and its mask without distortion, in the size that is wanted, and its pinhole camera."""
+    """An image and its mask without distortion, in the size that is wanted, and its pinhole camera."""
     pinhole = undistorted_camera(camera)
-    picture = _undistorted(picture, camera, pinhole)
+    pixels = _undistorted(pixels, camera, pinhole)
     fitted = _fitted(pinhole, max_side_px)
     size = fitted.width, fitted.height
     if mask is not None:
         full = np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
         mask = shrunk_mask(undistort_image(full, camera, pinhole)[..., 0] == 255, size)
-    picture = shrunk(picture, size) if size != (pinhole.width, pinhole.height) else picture
-    return TrainingView(name, picture, fitted, cam_from_world, mask, points_in_world)
+    pixels = shrunk(pixels, size) if size != (pinhole.width, pinhole.height) else pixels
+    return TrainingView(name, pixels, fitted, cam_from_world, mask, points_in_world)
 
 
 def _read(image: ModelImage, limits: GreyRange | None) -> np.ndarray:
@@ -290,16 +290,16 @@ def _read(image: ModelImage, limits: GreyRange | None) -> np.ndarray:
         FileFormatError: it cannot be read.
     """
     rgba = read_rgba(image.path, orientation=image.orientation)
-    picture = image.read(limits=limits) if rgba is None else rgba
+    pixels = image.read(limits=limits) if rgba is None else rgba
     is_plain = rgba is None or (rgba[..., 3] == 255).all()
-    return np.ascontiguousarray(picture[..., :3]) if is_plain else picture
+    return np.ascontiguousarray(pixels[..., :3]) if is_plain else pixels
 
 
-def _undistorted(picture: np.ndarray, camera: Camera, pinhole: Camera) -> np.ndarray:
-    rgb = undistort_image(np.ascontiguousarray(picture[..., :3]), camera, pinhole)
-    if picture.shape[2] == 3:
+def _undistorted(pixels: np.ndarray, camera: Camera, pinhole: Camera) -> np.ndarray:
+    rgb = undistort_image(np.ascontiguousarray(pixels[..., :3]), camera, pinhole)
+    if pixels.shape[2] == 3:
         return rgb
-    alpha = undistort_image(np.repeat(picture[..., 3:], 3, axis=2), camera, pinhole)
+    alpha = undistort_image(np.repeat(pixels[..., 3:], 3, axis=2), camera, pinhole)
     return np.concatenate([rgb, alpha[..., :1]], axis=2)
 
 
